@@ -147,7 +147,8 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
             recall = curve_of(dem).at_half().recall
             out.append(
                 Comparison(
-                    row, altitude, best, gained(mine, altitude, best), gained(mine, altitude, "alone"),
+                    row, altitude, best,
+                    gained(mine, altitude, best), gained(mine, altitude, "alone"),
                     gained(mine, altitude, left) if failed else [],
                     large_share(dem, recall), large_share(fused, recall),
                 )
@@ -206,12 +207,15 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
 
 def _show_comparison(found: list[Comparison], console: Console) -> None:
     table = Table(title=f"Fused less others, recall at {PRECISION}, by field")
-    for heading in ("row", "altitude", "best single", "fused less it", "less DEM alone", "less the eye left",
-                    f"{LARGE} m, DEM", "fused", "misses"):  # fmt: skip
+    for heading in (
+        "row", "altitude", "best single", "fused less it", "less DEM alone", "less the eye left",
+        f"{LARGE} m, DEM", "fused", "misses",
+    ):  # fmt: skip
         table.add_column(heading)
     for c in found:
         table.add_row(
-            c.row, c.altitude, MAPS[c.best], mean_interval(c.gain).text(3), mean_interval(c.over_form).text(3),
+            c.row, c.altitude, MAPS[c.best],
+            mean_interval(c.gain).text(3), mean_interval(c.over_form).text(3),
             mean_interval(c.left).text(3) if c.left else "",
             f"{c.large_dem:.4f}", f"{c.large_fused:.4f}", ", ".join(c.missed),
         )  # fmt: skip

@@ -226,9 +226,9 @@ def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, 
         for n in range(4000):
             s = (n + 0.5) / 4000.0
             weight = s**3
-            for k in if_rock:
+            for k, likely in if_rock.items():
                 if k != own:
-                    weight *= s * if_rock[k] + (1.0 - s) * if_not[k]
+                    weight *= s * likely + (1.0 - s) * if_not[k]
             total += weight
             mean += s * weight
         found.append(min(mean / total / 0.8, 1.0))

@@ -72,13 +72,17 @@ def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, fli
     whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
     none = judged(flights, [0.1] * 5 + [0.9] * 5, truth)
     made = [
-        flight("made", "100", flights, dem=none, quadtree=none, rocks=half, fused=fused)
+        flight(
+            "made", "100", flights, dem=none, quadtree=none, rocks=half, alone=whole, fused=fused
+        )
         for fused in (whole, half)
     ]
+    # What the form makes of the LiDAR alone is no map of one mapper, but told besides.
     assert figures.best_single(made, "100") == "rocks"
     assert figures.gained(made, "100", "rocks") == pytest.approx([0.6, 0.0])
     (found,) = figures.comparisons(made, 400.0)
     assert (found.best, found.left, found.missed) == ("rocks", [], [])
+    assert found.over_form == pytest.approx([0.0, -0.6])
 
 
 def flight(row, altitude, flights, **maps):
@@ -95,7 +99,7 @@ def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flight
     assert figures.large_share([dem], 0.8) == pytest.approx(1 / 5)
     assert figures.large_share([fused], 0.8) == 0.0
     assert np.isnan(figures.large_share([dem], 0.0))
-    others = {"dem": dem, "quadtree": dem, "rocks": dem}
+    others = dict.fromkeys(("dem", "quadtree", "rocks", "alone"), dem)
     for last, aims in ((fused, []), (dem, ["large hazards"])):
         (found,) = figures.comparisons([flight("made", "1000", flights, **others, fused=last)], 4e2)
         assert found.large_dem == pytest.approx(1 / 5)

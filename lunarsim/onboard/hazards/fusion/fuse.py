@@ -137,9 +137,7 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
 
 
-def _level(
-    judged: Evidence | None, grid: Grid, terms: FusionTerms, *rocks: Array
-) -> FloatMap:
+def _level(judged: Evidence | None, grid: Grid, terms: FusionTerms, *rocks: Array) -> FloatMap:
     """Return `level_ground` (rows, cols), given what is known of rocks; 0 where it is not told."""
     if judged is None:
         return np.zeros(grid.shape, np.float32)
@@ -165,9 +163,7 @@ def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
     return min(share, terms.relief_prior)
 
 
-def _clear(
-    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
-) -> tuple[Array, Array]:
+def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:
     """Return the probability that no tracked rock matters, and that none is missed (rows, cols).
 
     Where the samples are told, rocks are where they lie in the elevations (`registered`) and as

@@ -43,7 +43,9 @@ class Showing:
     chance: Array
 
 
-def showing(height: Array, density: Array, top: NDArray[np.float32], height_ratio: float) -> Showing:
+def showing(
+    height: Array, density: Array, top: NDArray[np.float32], height_ratio: float
+) -> Showing:
     """Return how likely samples are to show rocks, and any other place to look like them.
 
     Parameters

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -51,7 +51,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
     alone = fused_map(own, None, TERMS)
     level = [
         [plain.level_ground(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
-        for pairs in (zip(*rows, strict=True) for rows in zip(rough, own.judged.hazards()))
+        for pairs in map(zip, rough, own.judged.hazards())
     ]
     assert alone.p_safe == pytest.approx(np.maximum(own.drawn.p_safe, level), rel=1e-5)
     raised = alone.p_safe > own.drawn.p_safe
@@ -226,7 +226,7 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
         both = fused_map(own, eye, TERMS)
         level = np.array([
             [plain.level_ground(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
-            for cells in (zip(*row, strict=True) for row in zip(judged.hazards(), clear))
+            for cells in map(zip, judged.hazards(), clear)
         ])  # fmt: skip
         assert both.p_safe == pytest.approx(np.maximum(level, p), rel=1e-5, abs=1e-9)
         assert not both.in_domain[level > p * (1.0 + 1e-5)].any()

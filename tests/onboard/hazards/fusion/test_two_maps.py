@@ -10,9 +10,9 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import existence_given_relief
-from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import Heights, clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
 from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem
