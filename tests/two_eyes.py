@@ -58,7 +58,7 @@ def eyes(ratio=1.0, found=None, p=0.97, seen=True, of=GRID, **more) -> RockEvide
 
 SAMPLED = np.zeros(GRID.shape, np.float32)
 # Samples so few on ground so rocky that elevations alone doubt all of it.
-DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -1.0}
+DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -0.6}
 
 
 def raster(value: float) -> np.ndarray:

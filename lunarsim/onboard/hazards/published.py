@@ -131,7 +131,8 @@ class RockEvidence:
     Raises
     ------
     InputError
-        If the ratio or `unseen` is not on the map's cells, or the ratio not of as many classes.
+        If the ratio or `unseen` is not on the map's cells, `unseen` is no probability, or the ratio
+        not of as many classes.
     """
 
     drawn: HazardMap
@@ -146,6 +147,8 @@ class RockEvidence:
         if self.unseen is not None and self.unseen.shape != self.drawn.grid.shape:
             wanted_here = f"a raster {self.drawn.grid.shape}"
             raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
+        if self.unseen is not None and not ((self.unseen >= 0.0) & (self.unseen <= 1.0)).all():
+            raise InputError("evidence.unseen", float(np.max(self.unseen)), "probabilities")
         wanted = (len(self.diameter), *self.drawn.grid.shape)
         if self.ratio.shape != wanted:
             raise InputError("evidence.ratio", self.ratio.shape, f"a raster {wanted}")

@@ -7,8 +7,8 @@ so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so
 regression judges what is left. Rocks that are tracked are multiplied up, each with the
 odds that the elevations leave it (`existence_given_relief`).
 
-Where the regression knows no frequency it is far too low, and the form itself counts instead, if it
-is more (`level_ground`): both fall with worse evidence of either eye, and so does the greater of
+Where the regression knows no frequency its bound says little, and the form itself counts instead if
+it is more (`level_ground`): both fall with worse evidence of either eye, and so does the greater of
 them.
 
 So the map is nowhere less than that of the elevations where the other eye saw nothing; where no

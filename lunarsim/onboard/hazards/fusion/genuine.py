@@ -10,6 +10,7 @@ lander a share s is taken for rocks, with
 For each track the product is over the others: what its own samples say of it counts by itself
 (`lunarsim.onboard.hazards.fusion.heights`). The mean of s over what is expected of it counts, if it
 is less than 1: where samples are too few to show a rock, tracks are as likely as the camera says.
+Tracks count as independent of each other.
 """
 
 from __future__ import annotations

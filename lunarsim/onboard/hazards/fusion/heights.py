@@ -15,8 +15,8 @@ shadow.
   ``exp(-c (H^2 - m^2))`` likely, c their density times pi / (2 height_ratio)^2. The odds of a rock
   that is too high are multiplied by the ratio of this likelihood if it is, to that if it is lower
   or none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are:
-  the elevations count it already. For a given scale the ratio rises with m and falls with the
-  density: fewer samples, or higher ones, never make a rock less likely.
+  the elevations count it already. For a given scale and share the ratio rises with m and falls with
+  the density: fewer samples, or higher ones, never make a rock less likely.
 - **Tracks that are no rocks.** Those told to be higher than the limit are rocks by the share of
   them that samples find to be some (`genuine`): hollows throw shadows too.
 """

@@ -1,8 +1,8 @@
 """Ground that was measured to be level, on which few unseen rocks and none of those seen can stand.
 
-Where a calibrated map of elevations knows no frequency it is far too low on purpose, and then its
-numbers hardly order the sites: on cratered ground those of a few per million and of one half are
-safe alike. There the form itself counts, if it gives more:
+A calibrated map of elevations bounds what it knows no frequency of by the worst that a footprint
+may hold, and that hardly orders the sites: on cratered ground those of a few per million and of
+one half are safe alike. So the form itself counts too, where it gives more:
 
     p = prior x level x exp(-Lambda) x P(no tracked rock reaches in)
 
@@ -10,13 +10,16 @@ safe alike. There the form itself counts, if it gives more:
 either limit. Lambda are the rocks under the lander that are too high and that nobody has seen, by
 the less of two bounds:
 
-- what is expected by the samples, of which the other eye leaves fewer or more, ten times over: the
-  share of them that stand high is little known where they are few;
+- what samples let expect, of which an eye for rocks leaves fewer or more, ten times over: the share
+  of samples that stand high is little known where they are few;
 - where an eye for rocks has looked, those that it misses of what the mission expects.
 
 As for ground that was not measured the prior counts, which is less than surely safe, and no
-frequency is claimed. p falls with each of its factors, wherever either eye has looked: where one
-has and the other has not, sites are still told by one measure.
+frequency is claimed. It is never more than what was seen allows (`ceiling`), and 0 for samples
+noisier, or farther apart, than any that maps were tried on. p falls with each of its factors, and
+holds wherever either eye has looked: where one has and the other has not, sites are still told by
+one measure. What it does not ask for are rocks and holes that are lower than the limit of
+roughness, but would tilt the lander on a slope: the regression counts them.
 
 An eye that finds far fewer rocks than it should is not believed (`lunarsim.onboard.hazards.
 shadows.plausible`), unless that is because it reads them too small: here they count by the scale
@@ -33,7 +36,7 @@ from lunarsim.onboard.hazards.fusion.heights import Heights
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.published import RockEvidence, RockTracks
 from lunarsim.onboard.hazards.shadows.plausible import too_few
-from lunarsim.safety.calibration import Evidence
+from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
 
 Array = NDArray[np.float64]
 
@@ -48,6 +51,8 @@ def level_ground(
 ) -> NDArray[np.float32]:
     """Return the probability of safe ground (rows, cols); 0 where it was not measured.
 
+    Nor is anything said where a figure of the evidence is no number.
+
     Parameters
     ----------
     judged
@@ -59,12 +64,14 @@ def level_ground(
     none_missed
         See `none_missed_by` (rows, cols).
     """
+    if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
+        return np.zeros(judged.level.grid.shape, np.float32)
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
         level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
     none_unseen = np.maximum(np.exp(-_MISCOUNTED * judged.hazards()), none_missed)
-    p = prior * level * none_unseen * clear
-    return np.where(judged.observed, p, 0.0).astype(np.float32)
+    p = np.minimum(prior * level * none_unseen * clear, ceiling(judged))
+    return np.where(judged.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
 
 def none_missed_by(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.fusion import heights as fused_heights
 from lunarsim.onboard.hazards.fusion.association import COMMON
 from lunarsim.onboard.hazards.fusion.heights import (
     Heights,
@@ -188,3 +189,27 @@ def test_rises_of_other_cells_than_the_map_are_refused():
     unseen = HazardMap.unobserved(GRID)
     with pytest.raises(InputError, match=r"evidence\.rises"):
         ReliefEvidence(unseen, rises=np.zeros((2, 2), np.float32))
+
+
+def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are(monkeypatch):
+    asked = []
+
+    def half(xy, height, tells, *rest):
+        asked.append((height, tells))
+        return np.full(len(height), 0.5)
+
+    monkeypatch.setattr(fused_heights, "genuine", half)
+    # Samples that stand so high double the height over the radius.
+    rocks = tracks(
+        (0.0, 5.0, 0.6 * LIMIT, 0.8), (0.0, 5.0, 0.3 * LIMIT, 0.8), (0.0, 5.0, LIMIT, 0.4)
+    )
+    top = 1.2 * LIMIT
+    found = heights(rocks, top, 200.0)
+    ((height, tells),) = asked
+    assert found.scale > 1.7
+    assert height == pytest.approx(found.scale * rocks.radius)
+    assert tells.tolist() == [True, False, False]
+    for n, there in enumerate((0.4, 0.8, 0.2)):
+        spread = np.hypot(0.12, 0.04 / rocks.radius[n])
+        expected = plain.hazard(height[n], spread, there, top, 200.0, LIMIT, 0.5, COMMON)
+        assert found.hazard[n] == pytest.approx(expected, abs=0.01)
