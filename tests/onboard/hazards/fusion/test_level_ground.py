@@ -11,7 +11,7 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.heights import Heights
 from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by
 from tests.map_evidence import LANDER, SIDE, evidence
-from tests.two_eyes import GRID, eyes, raster, tracks
+from tests.two_eyes import GRID, eyes, tracks
 
 LEVEL = {"slope": 0.5, "rough": 0.2, "density": 300.0}
 
@@ -66,10 +66,7 @@ def test_an_eye_misses_none_only_where_all_about_a_site_was_looked_at():
     assert none[4, 4] == none[4, 5] == 0.0
     assert np.count_nonzero(none == 0.0) <= 6
     assert none[4, 7] == pytest.approx(0.9)
-    for silent in (
-        replace(told, unseen=None),
-        replace(eyes(1.0, unseen=raster(0.1)), expected=40.0),
-    ):
-        drawn = replace(silent.drawn, in_domain=np.zeros(silent.drawn.grid.shape, bool))
-        silent = replace(silent, drawn=drawn)
+    untold, doubted = replace(told, unseen=None), replace(told, expected=40.0)
+    nowhere = replace(doubted.drawn, in_domain=np.zeros(fine.shape, bool))
+    for silent in (untold, replace(doubted, drawn=nowhere)):
         assert not none_missed_by(silent, tracks(), heights, GRID, LANDER.roughness_limit).any()
