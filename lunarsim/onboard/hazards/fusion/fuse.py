@@ -111,7 +111,9 @@ def fused_map(
     thinning = thinning_of(rocks, ground.grid, terms)
     judged = _thinned(relief, thinning)
     p, known = _said(relief, judged)
-    level = _level(judged, ground.grid, terms, clear, none_missed)
+    level = np.zeros(ground.grid.shape, np.float32)
+    if judged is not None:
+        level = level_ground(judged, terms.relief_prior, clear, none_missed)
     # What the eye for rocks has said nothing of is claimed as the elevations claim it.
     whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
@@ -132,16 +134,11 @@ def fused_map(
 
 def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     """Return the map of an eye for the ground while the other says nothing."""
+    if relief.judged is None:
+        return relief.drawn
     p, known = _said(relief, relief.judged)
-    level = _level(relief.judged, relief.surface.grid, terms)
+    level = level_ground(relief.judged, terms.relief_prior)
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
-
-
-def _level(judged: Evidence | None, grid: Grid, terms: FusionTerms, *rocks: Array) -> FloatMap:
-    """Return `level_ground` (rows, cols), given what is known of rocks; 0 where it is not told."""
-    if judged is None:
-        return np.zeros(grid.shape, np.float32)
-    return level_ground(judged, terms.relief_prior, *rocks)
 
 
 def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
