@@ -64,3 +64,13 @@ DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -0.6}
 def raster(value: float) -> np.ndarray:
     """Return one value everywhere."""
     return np.full(GRID.shape, value, np.float32)
+
+
+def bumps(xy, grid, height, density, rng) -> np.ndarray:
+    """Return samples of half spheres, at random cells, so many on a square metre."""
+    rises = rng.normal(0.0, 0.02, grid.shape)
+    for place in xy:
+        far = np.hypot(*np.moveaxis(grid.centres() - place, -1, 0))
+        rises = np.maximum(rises, np.sqrt(np.clip(height**2 - far**2, 0.0, None)))
+    rises[rng.random(grid.shape) > density * grid.posting**2] = np.nan
+    return rises.astype(np.float32)

@@ -15,20 +15,11 @@ from lunarsim.onboard.hazards.fusion.genuine import genuine
 from lunarsim.onboard.hazards.fusion.heights import heights_of
 from lunarsim.onboard.hazards.published import RockTracks
 from tests.reference import fusion as plain
+from tests.two_eyes import bumps
 
 SMALL = Grid(1.0, -2.0, 0.25, 16, 15)
 WIDE = Grid.centred((0.0, 0.0), 30.0, 0.25)
 LIMIT = Lander().roughness_limit
-
-
-def sampled(xy, height, grid, density, rng) -> np.ndarray:
-    """Return samples of half spheres at places, at random cells, so many on a square metre."""
-    rises = rng.normal(0.0, 0.02, grid.shape)
-    for place in xy:
-        far = np.hypot(*np.moveaxis(grid.centres() - place, -1, 0))
-        rises = np.maximum(rises, np.sqrt(np.clip(height**2 - far**2, 0.0, None)))
-    rises[rng.random(grid.shape) > density * grid.posting**2] = np.nan
-    return rises.astype(np.float32)
 
 
 def places(rng, n) -> np.ndarray:
@@ -44,7 +35,7 @@ def test_the_share_equals_a_plain_sum_over_the_others(seed, n, ratio):
     west, east, south, north = SMALL.extent
     xy = rng.uniform((west - 0.4, south - 0.4), (east + 0.4, north + 0.4), (n, 2))
     height, tells = rng.uniform(0.25, 0.9, n), rng.random(n) < 0.8
-    rises = sampled(xy[::2], 0.5, SMALL, 9.0, rng)
+    rises = bumps(xy[::2], SMALL, 0.5, 9.0, rng)
     density = rng.uniform(0.0, 20.0, SMALL.shape)
     found = genuine(xy, height, tells, rises, density, SMALL, ratio)
     expected = plain.genuine(
@@ -60,7 +51,7 @@ def test_tracks_that_samples_show_are_rocks_and_of_others_few_are():
     told = np.full(24, 0.6), np.ones(24, bool)
     density = np.full(WIDE.shape, 12.0)
     for rocks, least, most in ((24, 0.99, 1.0), (12, 0.6, 0.95), (0, 0.0, 0.3)):
-        rises = sampled(xy[:rocks], 0.6, WIDE, 12.0, rng)
+        rises = bumps(xy[:rocks], WIDE, 0.6, 12.0, rng)
         found = genuine(xy, *told, rises, density, WIDE, 0.5)
         assert (found >= least).all() and (found <= most).all(), rocks
 
@@ -84,7 +75,7 @@ def test_what_a_track_itself_shows_does_not_count_for_it_twice():
     xy = places(rng, 8)
     told = np.full(8, 0.6), np.ones(8, bool)
     density = np.full(WIDE.shape, 12.0)
-    rises = sampled(xy[:4], 0.6, WIDE, 16.0, rng)
+    rises = bumps(xy[:4], WIDE, 0.6, 16.0, rng)
     before = genuine(xy, *told, rises, density, WIDE, 0.5)
     # One that does not show is told otherwise: not its own share changes, but that of the others.
     shown = rises.copy()
@@ -107,7 +98,7 @@ def test_hollows_that_are_tracked_as_large_rocks_hardly_count():
     rng = np.random.default_rng(5)
     xy = places(rng, 24)
     density = np.full(WIDE.shape, 12.0)
-    level = sampled(xy[:0], 0.6, WIDE, 12.0, rng)
+    level = bumps(xy[:0], WIDE, 0.6, 12.0, rng)
 
     def hazard(rocks, rises=level):
         return heights_of(rocks, rises, density, WIDE, Lander(), 0.5).hazard
@@ -124,5 +115,5 @@ def test_hollows_that_are_tracked_as_large_rocks_hardly_count():
     doubted = replace(doubted, existence=np.where(np.arange(24) == 0, 0.95, 0.5))
     assert hazard(doubted)[0] == pytest.approx(alone)
     # True ones are as likely as before.
-    true = sampled(xy, 2.0 * LIMIT, WIDE, 12.0, rng)
+    true = bumps(xy, WIDE, 2.0 * LIMIT, 12.0, rng)
     assert (hazard(tracks(xy, 2.0 * LIMIT), true) > 0.7).mean() > 0.8

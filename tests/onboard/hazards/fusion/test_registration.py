@@ -9,6 +9,7 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.registration import registered, shift_of
 from lunarsim.onboard.hazards.published import RockTracks
 from tests.reference import fusion as plain
+from tests.two_eyes import bumps
 
 SMALL = Grid(1.0, -2.0, 0.25, 16, 15)
 WIDE = Grid.centred((0.0, 0.0), 30.0, 0.25)
@@ -20,16 +21,6 @@ def tracks(xy, radius, sigma) -> RockTracks:
         np.asarray(xy, float), np.full(n, sigma), np.full(n, radius), np.full(n, 0.01),
         np.full(n, 0.99),
     )  # fmt: skip
-
-
-def bumps(xy, grid, height, density, rng) -> np.ndarray:
-    """Return samples of half spheres, at random cells, so many on a square metre."""
-    rises = rng.normal(0.0, 0.02, grid.shape)
-    for place in xy:
-        far = np.hypot(*np.moveaxis(grid.centres() - place, -1, 0))
-        rises = np.maximum(rises, np.sqrt(np.clip(height**2 - far**2, 0.0, None)))
-    rises[rng.random(grid.shape) > density * grid.posting**2] = np.nan
-    return rises.astype(np.float32)
 
 
 @pytest.mark.parametrize("seed", range(5))
