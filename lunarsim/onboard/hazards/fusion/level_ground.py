@@ -58,7 +58,7 @@ def level_ground(
     judged
         What was measured, with what an eye for rocks leaves of those that were not.
     prior
-        That slope and relief of ground that was not measured are within the limits.
+        Probability that slope and relief of ground that was not measured are within the limits.
     clear
         Probability that no tracked rock matters (rows, cols).
     none_missed
