@@ -109,11 +109,10 @@ def shift_of(
     steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
     log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
+    # Beyond the edge lies what lies at it.
+    wide = np.pad(top, len(steps) // 2, mode="edge")
     for r, c, h, yes, no in zip(row, col, rock.least, hit, miss, strict=True):
-        # Beyond the edge lies what lies at it.
-        near = top[
-            np.clip(r + steps, 0, grid.rows - 1)[:, None], np.clip(c + steps, 0, grid.cols - 1)
-        ]
+        near = wide[r : r + len(steps), c : c + len(steps)]
         log += np.where(near >= h, yes, no)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
