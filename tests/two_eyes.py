@@ -6,6 +6,7 @@ import numpy as np
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.fuse import FusionTerms
+from lunarsim.onboard.hazards.fusion.rises import Samples
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
 from lunarsim.rocks.population import RockExpectation
@@ -64,6 +65,11 @@ DOUBTED = {"density": 0.5, "curve": rocky(20.0), "level": -4.0, "planes": -0.6}
 def raster(value: float) -> np.ndarray:
     """Return one value everywhere."""
     return np.full(GRID.shape, value, np.float32)
+
+
+def samples(own: ReliefEvidence) -> Samples:
+    """Return what elevations say of the places of rocks."""
+    return Samples(own.rises, own.judged.density, GRID, TERMS.height_ratio)
 
 
 def bumps(xy, grid, height, density, rng) -> np.ndarray:

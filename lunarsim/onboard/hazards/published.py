@@ -147,8 +147,10 @@ class RockEvidence:
         if self.unseen is not None and self.unseen.shape != self.drawn.grid.shape:
             wanted_here = f"a raster {self.drawn.grid.shape}"
             raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
-        if self.unseen is not None and not ((self.unseen >= 0.0) & (self.unseen <= 1.0)).all():
-            raise InputError("evidence.unseen", float(np.max(self.unseen)), "probabilities")
+        if self.unseen is not None:
+            none = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
+            if none.size:
+                raise InputError("evidence.unseen", float(none[0]), "probabilities")
         wanted = (len(self.diameter), *self.drawn.grid.shape)
         if self.ratio.shape != wanted:
             raise InputError("evidence.ratio", self.ratio.shape, f"a raster {wanted}")

@@ -30,6 +30,7 @@ from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.rises import Samples
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
@@ -110,7 +111,7 @@ def fused_map(
     clear, none_missed = _clear(relief, rocks, terms)
     thinning = thinning_of(rocks, ground.grid, terms)
     judged = _thinned(relief, thinning)
-    p, known = _said(relief, judged)
+    p, known = _of_elevations(relief, judged)
     level = np.zeros(ground.grid.shape, np.float32)
     if judged is not None:
         level = level_ground(judged, terms.relief_prior, clear, none_missed)
@@ -136,7 +137,7 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     """Return the map of an eye for the ground while the other says nothing."""
     if relief.judged is None:
         return relief.drawn
-    p, known = _said(relief, relief.judged)
+    p, known = _of_elevations(relief, relief.judged)
     level = level_ground(relief.judged, terms.relief_prior)
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
 
@@ -172,10 +173,10 @@ def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> t
         there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
         clear = on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
         return clear, np.zeros(grid.shape)
-    seen = relief.rises, relief.judged.density, grid
     ratio = terms.height_ratio
-    placed = registered(tracks, *seen, _USUAL * 2.0 * ratio, ratio)
-    heights = heights_of(placed, *seen, lander, ratio, terms.rocks.shape)
+    samples = Samples(relief.rises, relief.judged.density, grid, ratio)
+    placed = registered(tracks, samples, _USUAL * 2.0 * ratio)
+    heights = heights_of(placed, samples, lander, terms.rocks.shape)
     none_missed = none_missed_by(rocks, placed, heights, grid, lander.roughness_limit)
     return clear_of(placed, heights, grid, lander), none_missed
 
@@ -220,7 +221,7 @@ def _thinned(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
     return replace(relief.judged, thinning=thinning)
 
 
-def _said(relief: ReliefEvidence, judged: Evidence | None) -> tuple[FloatMap, BoolMap]:
+def _of_elevations(relief: ReliefEvidence, judged: Evidence | None) -> tuple[FloatMap, BoolMap]:
     """Return the elevations' probability (rows, cols), and where it is a frequency.
 
     By their own evidence that is their own map, bit for bit; it is asked for only then.

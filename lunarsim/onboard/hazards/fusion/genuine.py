@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.rises import highest_near, showing
+from lunarsim.onboard.hazards.fusion.rises import Samples
 
 Array = NDArray[np.float64]
 
@@ -29,15 +28,7 @@ _BEFORE = _SHARES ** (4.0 - 1.0)
 _EXPECTED = float(_BEFORE @ _SHARES / _BEFORE.sum())
 
 
-def genuine(
-    xy: Array,
-    height: Array,
-    tells: NDArray[np.bool_],
-    rises: NDArray[np.float32],
-    density: Array,
-    grid: Grid,
-    height_ratio: float,
-) -> Array:
+def genuine_share(xy: Array, height: Array, tells: NDArray[np.bool_], samples: Samples) -> Array:
     """Return the share of rocks among the others of each track, over that expected, at most 1 (n,).
 
     Parameters
@@ -46,25 +37,18 @@ def genuine(
         Of the tracks (n, 2), local frame, m, and (n,), m.
     tells
         Which of them count (n,); off the map none does.
-    rises
-        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
-        where there are none.
-    density
-        Samples on a square metre (rows, cols).
-    grid
-        Cells of both.
-    height_ratio
-        Height over diameter of the rocks that the mission expects.
+    samples
+        About them.
     """
+    grid = samples.grid
     tells = tells & np.asarray(grid.contains(xy))
     if not tells.any():
         return np.ones(len(height))
     row, col = grid.cell(xy[tells])
-    top = highest_near(rises, grid.posting)
-    rock = showing(height[tells], density[row, col], top, height_ratio)
-    seen = top[row, col] >= rock.least
+    rock = samples.showing(height[tells], samples.density[row, col])
+    seen = samples.top[row, col] >= rock.least
     # Over the chance that any place shows nothing, where nothing shows.
-    if_rock = np.where(seen, rock.shows + (1.0 - rock.shows) * rock.chance, 1.0 - rock.shows)
+    if_rock = np.where(seen, rock.hit, 1.0 - rock.shows)
     if_not = np.where(seen, rock.chance, 1.0)
     own = np.zeros((len(height), len(_SHARES)))
     own[tells] = np.log(_SHARES * if_rock[:, None] + (1.0 - _SHARES) * if_not[:, None])

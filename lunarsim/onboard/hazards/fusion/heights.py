@@ -18,7 +18,7 @@ shadow.
   the elevations count it already. For a given scale and share the ratio rises with m and falls with
   the density: fewer samples, or higher ones, never make a rock less likely.
 - **Tracks that are no rocks.** Those told to be higher than the limit are rocks by the share of
-  them that samples find to be some (`genuine`): hollows throw shadows too.
+  them that samples find to be some (`genuine_share`): hollows throw shadows too.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion import _height_kernels as kernels
 from lunarsim.onboard.hazards.fusion.association import COMMON
-from lunarsim.onboard.hazards.fusion.genuine import genuine
-from lunarsim.onboard.hazards.fusion.rises import INDEPENDENT
+from lunarsim.onboard.hazards.fusion.genuine import genuine_share
+from lunarsim.onboard.hazards.fusion.rises import INDEPENDENT, Samples
 from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows._probability_kernels import paint
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
@@ -80,13 +80,7 @@ class Heights:
 
 
 def heights_of(
-    tracks: RockTracks,
-    rises: NDArray[np.float32],
-    density: Array,
-    grid: Grid,
-    lander: Lander,
-    height_ratio: float,
-    shape: str = "hemisphere",
+    tracks: RockTracks, samples: Samples, lander: Lander, shape: str = "hemisphere"
 ) -> Heights:
     """Return what the rocks are, given the samples about them.
 
@@ -94,21 +88,17 @@ def heights_of(
     ----------
     tracks
         The rocks.
-    rises
-        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
-        where there are none.
-    density
-        Samples on a square metre (rows, cols).
-    grid
-        Cells of both.
+    samples
+        About them.
     lander
         Its limits.
-    height_ratio, shape
-        Height over diameter, and shape, of the rocks that the mission expects.
+    shape
+        Of the rocks that the mission expects.
     """
+    height_ratio = samples.height_ratio
     radius = np.maximum(tracks.radius, LEAST_RADIUS)
-    dense = _at(density, grid, tracks.xy)
-    top = highest(tracks, rises, grid)
+    dense = _at(samples.density, samples.grid, tracks.xy)
+    top = highest(tracks, samples.rises, samples.grid)
     scale = height_scale(radius, tracks.existence, top, dense, height_ratio)
     limit = lander.roughness_limit
     tried = limit * _TRIED
@@ -123,7 +113,7 @@ def heights_of(
     there = np.clip(tracks.existence, 0.0, 1.0)
     told = scale * radius >= limit
     tells = told & (tracks.existence > 0.5)
-    share = genuine(tracks.xy, scale * radius, tells, rises, density, grid, height_ratio)
+    share = genuine_share(tracks.xy, scale * radius, tells, samples)
     there = np.where(told, there * share, there)
     large, low = prior[:, high].sum(axis=1), prior[:, ~high].sum(axis=1)
     harmless = there * low + 1.0 - there
@@ -171,7 +161,7 @@ def highest(tracks: RockTracks, rises: NDArray[np.float32], grid: Grid) -> Array
     tracks
         The rocks.
     rises, grid
-        As for `heights_of`.
+        As for `Samples`.
     """
     reach = _RADII * tracks.radius + np.minimum(tracks.sigma, _FARTHEST) + _ASIDE
     found: Array = kernels.highest(

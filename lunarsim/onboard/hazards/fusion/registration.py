@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.heights import LEAST_RADIUS
-from lunarsim.onboard.hazards.fusion.rises import highest_near, showing
+from lunarsim.onboard.hazards.fusion.rises import Samples
 from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
@@ -50,33 +49,19 @@ class Shift:
     common: float
 
 
-def registered(
-    tracks: RockTracks,
-    rises: NDArray[np.float32],
-    density: Array,
-    grid: Grid,
-    scale: float,
-    height_ratio: float,
-) -> RockTracks:
+def registered(tracks: RockTracks, samples: Samples, scale: float) -> RockTracks:
     """Return rocks where the elevations have them; with too few as they were.
 
     Parameters
     ----------
     tracks
         The rocks.
-    rises
-        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
-        where there are none.
-    density
-        Samples on a square metre (rows, cols).
-    grid
-        Cells of both.
+    samples
+        About them.
     scale
         Height of the rocks over their radius.
-    height_ratio
-        Height over diameter of the rocks that the mission expects.
     """
-    shift = shift_of(tracks, rises, density, grid, scale, height_ratio)
+    shift = shift_of(tracks, samples, scale)
     if shift is None:
         return tracks
     own = np.sqrt(np.maximum(tracks.sigma**2 - shift.common**2, 0.0) + _APART**2)
@@ -84,33 +69,25 @@ def registered(
     return replace(tracks, xy=tracks.xy + shift.by, sigma=sigma)
 
 
-def shift_of(
-    tracks: RockTracks,
-    rises: NDArray[np.float32],
-    density: Array,
-    grid: Grid,
-    scale: float,
-    height_ratio: float,
-) -> Shift | None:
+def shift_of(tracks: RockTracks, samples: Samples, scale: float) -> Shift | None:
     """Return by how much the rocks are off; None with too few of them on the map.
 
     Parameters are those of `registered`.
     """
+    grid = samples.grid
     inside = np.asarray(grid.contains(tracks.xy)) & (tracks.existence > 0.5)
     if np.count_nonzero(inside) < _FEWEST:
         return None
     row, col = (np.asarray(v) for v in grid.cell(tracks.xy[inside]))
     height = scale * np.maximum(tracks.radius[inside], LEAST_RADIUS)
     common = float(np.median(tracks.sigma[inside]))
-    top = highest_near(rises, grid.posting)
-    rock = showing(height, density[row, col], top, height_ratio)
-    hit = np.log((rock.shows + (1.0 - rock.shows) * rock.chance) / rock.chance)
-    miss = np.log1p(-rock.shows)
+    rock = samples.showing(height, samples.density[row, col])
+    hit, miss = np.log(rock.hit / rock.chance), np.log1p(-rock.shows)
     steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
     log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
     # Beyond the edge lies what lies at it.
-    wide = np.pad(top, len(steps) // 2, mode="edge")
+    wide = np.pad(samples.top, len(steps) // 2, mode="edge")
     for r, c, h, yes, no in zip(row, col, rock.least, hit, miss, strict=True):
         near = wide[r : r + len(steps), c : c + len(steps)]
         log += np.where(near >= h, yes, no)

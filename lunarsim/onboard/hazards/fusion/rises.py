@@ -1,4 +1,4 @@
-"""Whether samples show a tracked rock, and how often they seem to where there is none.
+"""Samples about tracked rocks: what they show, and how often any other place looks like a rock.
 
 A rock that so many samples have met shows a rise of half its height with one probability; by chance
 one lies there with that of any other place of the map.
@@ -7,10 +7,13 @@ one lies there with that of any other place of the map.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+
+from lunarsim.grid import Grid
 
 Array = NDArray[np.float64]
 
@@ -42,46 +45,59 @@ class Showing:
     shows: Array
     chance: Array
 
-
-def showing(
-    height: Array, density: Array, top: NDArray[np.float32], height_ratio: float
-) -> Showing:
-    """Return how likely samples are to show rocks, and any other place to look like them.
-
-    Parameters
-    ----------
-    height
-        Of the rocks (n,), m.
-    density
-        Samples on a square metre about each (n,).
-    top
-        `highest_near` of the map (rows, cols), m.
-    height_ratio
-        Height over diameter of the rocks that the mission expects.
-    """
-    least = _SHOWS * height
-    chance = 1.0 - np.searchsorted(np.sort(top, axis=None), least) / top.size
-    area = _TOP * np.pi * (height / (2.0 * height_ratio)) ** 2
-    shows = _TRUE * -np.expm1(-INDEPENDENT * density * area)
-    return Showing(least, shows, np.clip(chance, _RAREST, 1.0 - _RAREST))
+    @property
+    def hit(self) -> Array:
+        """Probability of a rise as high at a rock, by itself or by chance (n,)."""
+        return np.asarray(self.shows + (1.0 - self.shows) * self.chance)
 
 
-def highest_near(rises: NDArray[np.float32], posting: float) -> NDArray[np.float32]:
-    """Return the highest rise about each cell (rows, cols), m; far below where there is none.
+@dataclass(frozen=True)
+class Samples:
+    """What elevations say of the places of rocks.
 
-    Parameters
+    Attributes
     ----------
     rises
         How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
         where there are none.
-    posting
-        Of the cells, m.
+    density
+        Samples on a square metre (rows, cols).
+    grid
+        Cells of both.
+    height_ratio
+        Height over diameter of the rocks that the mission expects.
     """
-    half = max(round(_NEAR / posting), 1)
-    y, x = np.mgrid[-half : half + 1, -half : half + 1]
-    known = np.where(np.isfinite(rises), rises, np.float32(-1e6))
-    return np.asarray(
-        ndimage.maximum_filter(
-            known, footprint=np.hypot(x, y) * posting <= _NEAR, mode="constant", cval=-1e6
-        )
-    )
+
+    rises: NDArray[np.float32]
+    density: Array
+    grid: Grid
+    height_ratio: float
+
+    @cached_property
+    def top(self) -> NDArray[np.float32]:
+        """The highest rise about each cell (rows, cols), m; far below where there is none."""
+        half = max(round(_NEAR / self.grid.posting), 1)
+        y, x = np.mgrid[-half : half + 1, -half : half + 1]
+        near = np.hypot(x, y) * self.grid.posting <= _NEAR
+        known = np.where(np.isfinite(self.rises), self.rises, np.float32(-1e6))
+        return np.asarray(ndimage.maximum_filter(known, footprint=near, mode="constant", cval=-1e6))
+
+    @cached_property
+    def _tops(self) -> NDArray[np.float32]:
+        return np.sort(self.top, axis=None)
+
+    def showing(self, height: Array, density: Array) -> Showing:
+        """Return how likely samples are to show rocks, and any other place to look like them.
+
+        Parameters
+        ----------
+        height
+            Of the rocks (n,), m.
+        density
+            Samples on a square metre about each (n,).
+        """
+        least = _SHOWS * height
+        chance = 1.0 - np.searchsorted(self._tops, least) / self.top.size
+        area = _TOP * np.pi * (height / (2.0 * self.height_ratio)) ** 2
+        shows = _TRUE * -np.expm1(-INDEPENDENT * density * area)
+        return Showing(least, shows, np.clip(chance, _RAREST, 1.0 - _RAREST))

@@ -37,6 +37,7 @@ from tests.two_eyes import (
     eyes,
     raster,
     relief,
+    samples,
     tracks,
 )
 
@@ -169,7 +170,7 @@ def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
     both = fused_map(own, eyes(0.3, known), TERMS)
     thinned = replace(own.judged, thinning=thinning_of(eyes(0.3), GRID, TERMS))
     p, _ = calibrated_safety(thinned)
-    heights = heights_of(known, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    heights = heights_of(known, samples(own), LANDER)
     expected = p * clear_of(known, heights, GRID, LANDER)
     assert both.p_safe == pytest.approx(expected, rel=1e-5)
     assert (expected < 0.99 * p).any()
@@ -181,7 +182,7 @@ def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
     rock = tracks((3.5, 2.0, 0.6, 0.9))
     told = replace(relief(seen=seen, density=1e-6), rises=np.full(GRID.shape, np.nan, np.float32))
     both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
-    heights = heights_of(rock, told.rises, told.judged.density, GRID, LANDER, TERMS.height_ratio)
+    heights = heights_of(rock, samples(told), LANDER)
     clear = clear_of(rock, heights, GRID, LANDER)
     assert both.p_safe[:, 5:] == pytest.approx(0.9 * np.minimum(0.97, clear)[:, 5:], rel=1e-5)
     assert (both.p_safe[:, 5:] < 0.5).any()
@@ -216,7 +217,7 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     rock = tracks((0.1, 0.2, 0.5, 0.7))
     told = eyes(0.5, rock, unseen=raster(0.2))
     judged = replace(own.judged, thinning=thinning_of(told, GRID, TERMS))
-    heights = heights_of(rock, SAMPLED, own.judged.density, GRID, LANDER, TERMS.height_ratio)
+    heights = heights_of(rock, samples(own), LANDER)
     clear = clear_of(rock, heights, GRID, LANDER)
     p = calibrated_safety(judged)[0] * clear
     # Where the camera has not looked, or is not believed, only what samples let expect counts.
@@ -266,8 +267,8 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
         own = relief(**DOUBTED)
         judged = replace(own.judged, density=np.full(GRID.shape, 30.0))
         own = replace(own, judged=judged, rises=raster(rise))
-        placed = registered(rocks, own.rises, judged.density, GRID, 1.2, 0.5)
-        heights = heights_of(placed, own.rises, judged.density, GRID, LANDER, 0.5)
+        placed = registered(rocks, samples(own), 1.2)
+        heights = heights_of(placed, samples(own), LANDER)
         found = replace(eyes(1.0, rocks, expected=40.0))
         found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
         assert believed(found, placed, heights, LANDER.roughness_limit) == known

@@ -21,6 +21,7 @@ from lunarsim.onboard.hazards.fusion.heights import (
     heights_of,
     highest,
 )
+from lunarsim.onboard.hazards.fusion.rises import Samples
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
 from lunarsim.onboard.hazards.shadows.probability import cover_probability
@@ -41,7 +42,7 @@ def tracks(*rocks, sigma=0.05) -> RockTracks:
 def heights(rocks, top=0.0, density=8.0) -> Heights:
     """Return what rocks are on a map all of whose samples stand equally high."""
     rises = np.full(GRID.shape, top, np.float32)
-    return heights_of(rocks, rises, np.full(GRID.shape, float(density)), GRID, LANDER, 0.5)
+    return heights_of(rocks, Samples(rises, np.full(GRID.shape, float(density)), GRID, 0.5), LANDER)
 
 
 # --- samples about a rock ----------------------------------------------------------------------
@@ -176,10 +177,9 @@ def test_a_rock_counts_as_far_as_it_is_too_high():
 
 def test_rocks_of_flat_tops_are_too_high_as_far_as_they_reach():
     rock = tracks((0.0, 5.0, 0.5, 0.9))
-    rises, density = np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape)
+    samples = Samples(np.zeros(GRID.shape, np.float32), np.zeros(GRID.shape), GRID, 0.5)
     round_one, flat = (
-        heights_of(rock, rises, density, GRID, LANDER, 0.5, shape).reach[0]
-        for shape in ("ellipsoid", "cube")
+        heights_of(rock, samples, LANDER, shape).reach[0] for shape in ("ellipsoid", "cube")
     )
     assert round_one < flat == pytest.approx(0.5, rel=0.1)
     assert round_one == pytest.approx(np.sqrt(0.5**2 - LIMIT**2), rel=0.1)
@@ -198,7 +198,7 @@ def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are
         asked.append((height, tells))
         return np.full(len(height), 0.5)
 
-    monkeypatch.setattr(fused_heights, "genuine", half)
+    monkeypatch.setattr(fused_heights, "genuine_share", half)
     # Samples that stand so high double the height over the radius.
     rocks = tracks(
         (0.0, 5.0, 0.6 * LIMIT, 0.8), (0.0, 5.0, 0.3 * LIMIT, 0.8), (0.0, 5.0, LIMIT, 0.4)

@@ -25,7 +25,18 @@ from lunarsim.safety.domain import Domain
 from lunarsim.safety.ensemble import SURE
 from lunarsim.safety.refit import ScenarioCalibration, Stage, lander_figures
 from tests.map_evidence import LANDER, evidence
-from tests.two_eyes import DOUBTED, GRID, SAMPLED, TERMS, clear, eyes, raster, relief, tracks
+from tests.two_eyes import (
+    DOUBTED,
+    GRID,
+    SAMPLED,
+    TERMS,
+    clear,
+    eyes,
+    raster,
+    relief,
+    samples,
+    tracks,
+)
 
 
 def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
@@ -120,11 +131,11 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
     rocks = tracks(*((x, y, 0.5, 0.9) for x, y in places))
     rocks = replace(rocks, sigma=np.full(4, 0.4))
     own = replace(relief(density=6.0), rises=rises)
-    told = rises, own.judged.density, GRID
+    told = replace(samples(own), height_ratio=ratio)
     # Before it is measured shadows are taken to tell radii too small.
-    placed = registered(rocks, *told, 1.2 * 2.0 * ratio, ratio)
+    placed = registered(rocks, told, 1.2 * 2.0 * ratio)
     assert np.abs(placed.xy - rocks.xy).max() > 0.1
-    free = clear_of(placed, heights_of(placed, *told, LANDER, ratio, shape), GRID, LANDER)
+    free = clear_of(placed, heights_of(placed, told, LANDER, shape), GRID, LANDER)
     both = fused_map(own, eyes(1.0, rocks), replace(TERMS, rocks=expected))
     assert both.p_safe == pytest.approx(own.drawn.p_safe * free, rel=1e-5)
 
