@@ -237,13 +237,14 @@ def test_coarse_relief_moves_nothing_by_more_than_its_bound(rocky):
 
 @pytest.mark.parametrize(
     ("distance", "tilt", "share"),
-    [(100.0, 0.2, 5e-5), (600.0, 0.2, 6e-4), (300.0, 1.2, 1e-3)],
+    [(100.0, 0.2, 5e-5), (600.0, 0.2, 6e-4), (300.0, 1.2, 1.3e-3)],
     ids=["near", "far", "slant"],
 )
 @pytest.mark.parametrize("elevation", [10.0, 20.0, 45.0])
 def test_coarse_relief_changes_few_pixels_by_more_than_noise(distance, tilt, share, elevation):
     # The scene and lens of the benchmark. What changes is a pixel on an edge here and there: the
-    # finest relief moves as many when its place on the graphics device is rounded otherwise.
+    # finest relief moves as many when its place on the graphics device is rounded otherwise (on the
+    # slant 1.2e-3 of the pixels on an NVIDIA H100).
     rng = np.random.default_rng(0)
     relief = fractal_relief(
         Grid.centred((0.0, 0.0), 512.0, 1.0), rng, hurst=0.8, rms_slope=np.radians(4.0)
