@@ -6,10 +6,13 @@ apart as scalar filters, which is exact.
 
 The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
 its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
-their errors, so that what a height is off by counts once, however often the rock is seen.
+their errors, so that what a height is off by counts once, however often the rock is seen. Where
+somebody else has measured the ground, its height is that.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +27,14 @@ Index = NDArray[np.int64]
 
 # East, north and height.
 AXES = 3
+
+
+class GroundHeights(Protocol):
+    """Somebody who has measured the ground."""
+
+    def heights(self, xy: Array) -> Array:
+        """Return its heights (n,) at points (n, 2), local frame, m; NaN where it is not known."""
+        ...
 
 
 class RockStates:
@@ -46,6 +57,8 @@ class RockStates:
         Number of rocks.
     first
         Place of the first rock's east in the error state.
+    measured
+        Who knows the height of the ground; None: rocks alone tell it.
     """
 
     def __init__(self, state: ErrorState, level: LevelGround, capacity: int) -> None:
@@ -56,6 +69,7 @@ class RockStates:
         self.state.listeners.append(self._moved)
         self.first = self.state.head
         self.count = 0
+        self.measured: GroundHeights | None = None
         self._level = level
         self._xyz = np.zeros((capacity, AXES))
         self._r = np.zeros((capacity, 2))
@@ -155,8 +169,18 @@ class RockStates:
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
+        """Return the height of the ground at points (b, 2), as measured or as rocks tell it, m."""
         at = np.atleast_2d(np.asarray(xy, np.float64))
+        if self.measured is None:
+            return self._told_by_rocks(at)
+        height = self.measured.heights(at)
+        unknown = np.isnan(height)
+        if unknown.any():
+            height[unknown] = self._told_by_rocks(at[unknown])
+        return height
+
+    def _told_by_rocks(self, at: Array) -> Array:
+        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
         if self.count == 0 or not self.state.has(GROUND):
             return np.full(len(at), self.ground)
         places = np.vstack((self.state.inertial.position[:2], self.xy))

@@ -20,12 +20,12 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
 from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
+from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
 from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
     rocks_of,
 )
-from lunarsim.onboard.hazards.shadows.relief_plane import MeasuredPlane
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
@@ -89,7 +89,8 @@ class ShadowMapper(HazardMapper):
         Judges the pictures of each camera, by the sensor's name; or one that judges all; left out:
         one with default settings.
     relief
-        Mapper of elevations on whose ground rocks stand; None: they stand on level ground.
+        Mapper of elevations on whose ground rocks stand: looks and rocks lie at its heights, and
+        shadows along its plane. None: they stand on level ground.
 
     Attributes
     ----------
@@ -121,7 +122,8 @@ class ShadowMapper(HazardMapper):
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
         self.interval = interval
-        self._relief = MeasuredPlane(relief)
+        self._relief = MeasuredGround(relief)
+        tracker.filter.measured = None if relief is None else self._relief
         self.detector = detector or DetectorSettings()
         named = dict(health) if isinstance(health, Mapping) else {"": health or PictureHealth()}
         self._cameras = {name: _Judge(one) for name, one in named.items()}
@@ -268,7 +270,7 @@ class ShadowMapper(HazardMapper):
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _height_in_view(self, camera: CameraModel) -> float:
-        """Return the height of the ground in the middle of the image, as the rocks tell it, m."""
+        """Return the height of the ground in the middle of the image, m."""
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
         height = float(rocks.ground_points(camera, middle)[0, 2])
@@ -329,7 +331,7 @@ class ShadowMapper(HazardMapper):
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if few else drawn
 
     def ground_height(self, xy: Array) -> float:
-        """Return the local height of the ground at a point (2,), as the rocks tell it, m."""
+        """Return the local height of the ground at a point (2,), measured or by the rocks, m."""
         return float(self.tracker.filter.ground_at(xy)[0])
 
     def recentre(self, centre: Array) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.hazards.hazard_map import Surface
-from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
@@ -66,27 +65,3 @@ def _fitted(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Arr
     off = without - without.mean(0)
     sigma = np.sqrt((len(held) - 1) / len(held) * (off**2).sum())
     return np.linalg.pinv(left.sum(0), hermitian=True) @ right.sum(0), float(sigma)
-
-
-class MeasuredPlane:
-    """The plane of what a mapper of elevations has measured, as it stands.
-
-    Parameters
-    ----------
-    mapper
-        Whose ground it is; None: nobody measures any.
-    """
-
-    def __init__(self, mapper: HazardMapper | None) -> None:
-        self._mapper = mapper
-        self._of: Surface | None = None
-        self._plane: GroundPlane | None = None
-
-    def plane(self) -> GroundPlane | None:
-        """Return it; None where too little was measured, see `relief_plane`."""
-        if self._mapper is None:
-            return None
-        drawn = self._mapper.surface()
-        if drawn is not self._of:
-            self._of, self._plane = drawn, relief_plane(drawn)
-        return self._plane

@@ -16,6 +16,7 @@ from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
+from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
 from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
@@ -75,6 +76,7 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     seen = detect_rocks(counts, camera.model, state, SUN, ground=plane, model=MODEL)
     np.testing.assert_array_equal(mapper.seen.ground, seen.ground)
     tracker, probability = parts_of_a_map()
+    tracker.filter.measured = MeasuredGround(Slope(GRADIENT))
     tracker.update(seen, camera.model, SUN, 0.0, plane)
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0

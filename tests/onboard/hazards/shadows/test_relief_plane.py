@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.shadows.relief_plane import MeasuredPlane, relief_plane
+from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
 
 GRID = Grid.centred((40.0, -30.0), 80.0, 0.5)
 
@@ -73,24 +73,3 @@ def test_a_map_of_few_cells_tells_what_they_do():
     # Three in a row tell nothing of how it rises across.
     seen[1:] = False
     assert relief_plane(replace(drawn, observed=seen)).gradient == pytest.approx((0.1, 0.0))
-
-
-def test_the_plane_follows_the_map():
-    class Maps:
-        drawn = HazardMap.unobserved(GRID)
-
-        def surface(self):
-            return self.drawn
-
-    maps = Maps()
-    told = MeasuredPlane(maps)
-    assert told.plane() is None
-    maps.drawn = mapped((0.05, 0.0))
-    assert told.plane().gradient == pytest.approx((0.05, 0.0), abs=1e-4)
-    assert told.plane() is told.plane()
-    maps.drawn = mapped((0.0, -0.1))
-    assert told.plane().gradient == pytest.approx((0.0, -0.1), abs=1e-4)
-    # A map that was laid about another point has seen nothing yet.
-    maps.drawn = HazardMap.unobserved(GRID)
-    assert told.plane() is None
-    assert MeasuredPlane(None).plane() is None
