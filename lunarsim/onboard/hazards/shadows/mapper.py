@@ -196,20 +196,25 @@ class ShadowMapper(HazardMapper):
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
-        measured = self._relief.plane()
-        plane = measured or LEVEL
+        plane = self._relief.plane() or LEVEL
         self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
         self.probability.ground = self._height_in_view(picture.camera)
-        # From where the lander stands by what the rocks told: they moved with it. How well they
-        # tell the height of the ground matters where nobody else has measured it.
+        # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
-            self.tracker.explained, self.tracker.place_sigma, plane,
-            partial(height_sigma, rocks) if measured is None else None,
+            self.tracker.explained, self.tracker.place_sigma, plane, self._height_sigma,
         )  # fmt: skip
+
+    def _height_sigma(self, xy: Array) -> Array:
+        """Return what the ground's height errs by at points (n, 2), 1 sigma (n,), m.
+
+        How well the rocks tell it matters where nobody else has measured it.
+        """
+        sigma = height_sigma(self.tracker.filter, xy)
+        return np.where(np.isnan(self._relief.heights(xy)), sigma, 0.0)
 
     def _forget_lost_rocks(self) -> None:
         """Take back what was seen if rocks that were mapped there are no longer tracked."""

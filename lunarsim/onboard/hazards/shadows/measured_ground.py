@@ -1,4 +1,4 @@
-"""Ground that another mapper of the lander has measured: the plane of all of it, and its heights."""
+"""Ground that another mapper of the lander has measured: its plane, and its heights."""
 
 from __future__ import annotations
 
@@ -73,11 +73,8 @@ def _smoothed(drawn: Surface) -> Array | None:
     if not known.any():
         return None
     side = 2 * max(1, round(_ABOUT / drawn.grid.posting)) + 1
-    middle = float(np.mean(drawn.elevation[known], dtype=np.float64))
-    above = np.where(known, drawn.elevation - middle, 0.0).astype(np.float64)
-    # Sums of zeros that rounding leaves over are no ground.
     total, share = (
         cv2.blur(of, (side, side), borderType=cv2.BORDER_CONSTANT)
-        for of in (above, known.astype(np.float64))
+        for of in (np.where(known, drawn.elevation, 0.0).astype(np.float64), known.astype(float))
     )
-    return np.where(known, middle + total / np.where(known, share, 1.0), np.nan)
+    return np.where(known, total / np.where(known, share, 1.0), np.nan)

