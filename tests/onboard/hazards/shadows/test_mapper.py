@@ -289,9 +289,7 @@ def test_rocks_that_are_not_tracked_are_told_as_they_would_be_anew(scene):
     assert np.ptp(told(mapper)) == 0.0
 
 
-def test_rocks_tell_how_well_the_height_of_the_ground_is_known_unless_it_was_measured(
-    scene, monkeypatch
-):
+def test_rocks_tell_how_well_the_height_is_known_unless_it_was_measured(scene, monkeypatch):
     camera, honest = scene
     asked = []
 
