@@ -101,17 +101,6 @@ def test_plane_and_heights_follow_the_map():
     assert MeasuredGround(None).plane() is None
 
 
-def test_rocks_tell_the_height_where_nobody_has_measured_it():
-    rocks = tracker_at((0.0, -60.0, 70.0)).filter
-    by_rocks = rocks.ground_at([[0.0, 0.0]])[0]
-    z = np.full(GRID.shape, 3.0)
-    z[:, :20] = np.nan
-    rocks.measured = MeasuredGround(Maps(measured(z)))
-    told = rocks.ground_at([[45.0, -30.0], [30.0, -30.0], [0.0, 0.0]])
-    np.testing.assert_allclose(told, [3.0, by_rocks, by_rocks])
-    assert by_rocks != 3.0
-
-
 # --- on a terrace -----------------------------------------------------------------------------
 
 PLACE, RISE = (0.0, -60.0, 70.0), 5.0
@@ -204,3 +193,16 @@ def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
     west, east = np.array_split(np.arange(lit.shape[1]), 2)
     np.testing.assert_array_equal(lit[:, east[5:]], whole[:, east[5:]])
     assert lit[:, west].sum() < 0.9 * whole[:, west].sum()
+
+
+def test_rocks_tell_the_height_where_nobody_has_measured_it(terrain):
+    seen = terrace(60.0, 0.5)
+    rocks = tracked(terrain, Maps(measured(seen.z, seen.grid)))[1].tracker.filter
+    at = np.array([[3.0, 2.0], [-3.0, 2.0]])
+    rocks.measured = None
+    by_rocks = rocks.ground_at(at)
+    assert (abs(by_rocks - rocks.ground) > 1.0).all()
+    z = np.full(seen.grid.shape, 3.0)
+    z[:, seen.grid.x < 0.0] = np.nan
+    rocks.measured = MeasuredGround(Maps(measured(z, seen.grid)))
+    np.testing.assert_allclose(rocks.ground_at(at), [3.0, by_rocks[1]])
