@@ -13,6 +13,9 @@ from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
+from lunarsim.onboard.navigation.inertial import StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
@@ -195,14 +198,18 @@ def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
     assert lit[:, west].sum() < 0.9 * whole[:, west].sum()
 
 
-def test_rocks_tell_the_height_where_nobody_has_measured_it(terrain):
-    seen = terrace(60.0, 0.5)
-    rocks = tracked(terrain, Maps(measured(seen.z, seen.grid)))[1].tracker.filter
-    at = np.array([[3.0, 2.0], [-3.0, 2.0]])
+def test_rocks_tell_the_height_where_nobody_has_measured_it():
+    inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
+    rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 2.0))
+    high = MeasuredGround(Maps(measured(np.full(GRID.shape, 5.0))))
+    rocks.measured = high
+    rocks.add_known([[42.0, -30.0], [38.0, -28.0]], [0.1, 0.1], [0.5, 0.5], [0.01, 0.01])
+    np.testing.assert_allclose(rocks.xyz[:, 2], 5.0)
+    at = np.array([[43.0, -29.0], [37.0, -29.0]])
     rocks.measured = None
     by_rocks = rocks.ground_at(at)
-    assert (abs(by_rocks - rocks.ground) > 1.0).all()
-    z = np.full(seen.grid.shape, 3.0)
-    z[:, seen.grid.x < 0.0] = np.nan
-    rocks.measured = MeasuredGround(Maps(measured(z, seen.grid)))
+    assert (by_rocks > 4.0).all()
+    z = np.full(GRID.shape, 3.0)
+    z[:, GRID.x < 40.0] = np.nan
+    rocks.measured = MeasuredGround(Maps(measured(z)))
     np.testing.assert_allclose(rocks.ground_at(at), [3.0, by_rocks[1]])
