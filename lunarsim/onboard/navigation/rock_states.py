@@ -27,6 +27,8 @@ Index = NDArray[np.int64]
 
 # East, north and height.
 AXES = 3
+# So many rocks tell how high ground lies that was measured otherwise.
+_LEAST_ROCKS = 5
 
 
 class GroundHeights(Protocol):
@@ -173,11 +175,23 @@ class RockStates:
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.measured is None:
             return self._told_by_rocks(at)
-        height = self.measured.heights(at)
+        height = self.measured.heights(at) + self._above_measured()
         unknown = np.isnan(height)
         if unknown.any():
             height[unknown] = self._told_by_rocks(at[unknown])
         return height
+
+    def _above_measured(self) -> float:
+        """Return by how much rocks stand above the ground as somebody else has measured it, m.
+
+        The lander and its rocks may lie higher or lower in the frame than what was measured from
+        it before: the shape of that ground counts, where there are rocks to lay it on.
+        """
+        if self.count < _LEAST_ROCKS:
+            return 0.0
+        off = self.xyz[:, 2] - self.measured.heights(self.xy)
+        off = off[np.isfinite(off)]
+        return float(np.median(off)) if len(off) >= _LEAST_ROCKS else 0.0
 
     def _told_by_rocks(self, at: Array) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
