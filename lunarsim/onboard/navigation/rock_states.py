@@ -7,7 +7,7 @@ apart as scalar filters, which is exact.
 The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
 its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
 their errors, so that what a height is off by counts once, however often the rock is seen. Where
-somebody else has measured the ground, its height is that.
+somebody else has measured the ground, it has the shape of that, laid on the rocks.
 """
 
 from __future__ import annotations
@@ -171,27 +171,30 @@ class RockStates:
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2), as measured or as rocks tell it, m."""
+        """Return the height of the ground at points (b, 2) (b,), m.
+
+        What was measured, laid on the rocks; where nobody has measured it, what rocks tell.
+        """
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.measured is None:
             return self._told_by_rocks(at)
-        height = self.measured.heights(at) + self._above_measured()
+        height = self.measured.heights(at) + self._above(self.measured)
         unknown = np.isnan(height)
         if unknown.any():
             height[unknown] = self._told_by_rocks(at[unknown])
         return height
 
-    def _above_measured(self) -> float:
-        """Return by how much rocks stand above the ground as somebody else has measured it, m.
+    def _above(self, measured: GroundHeights) -> float:
+        """Return by how much the rocks stand above measured ground, in the median, m.
 
-        The lander and its rocks may lie higher or lower in the frame than what was measured from
-        it before: the shape of that ground counts, where there are rocks to lay it on.
+        In the local frame the lander and its rocks drift up and down by decimetres, and what was
+        measured from it stays as it was: only its shape holds.
         """
         if self.count < _LEAST_ROCKS:
             return 0.0
-        off = self.xyz[:, 2] - self.measured.heights(self.xy)
-        off = off[np.isfinite(off)]
-        return float(np.median(off)) if len(off) >= _LEAST_ROCKS else 0.0
+        above = self.xyz[:, 2] - measured.heights(self.xy)
+        above = above[np.isfinite(above)]
+        return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
 
     def _told_by_rocks(self, at: Array) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""

@@ -213,8 +213,11 @@ class ShadowMapper(HazardMapper):
 
         How well the rocks tell it matters where nobody else has measured it.
         """
-        sigma = height_sigma(self.tracker.filter, xy)
-        return np.where(np.isnan(self._relief.heights(xy)), sigma, 0.0)
+        sigma = np.zeros(len(xy))
+        unknown = np.isnan(self._relief.heights(xy))
+        if unknown.any():
+            sigma[unknown] = height_sigma(self.tracker.filter, xy[unknown])
+        return sigma
 
     def _forget_lost_rocks(self) -> None:
         """Take back what was seen if rocks that were mapped there are no longer tracked."""

@@ -51,8 +51,8 @@ class ShadowMapping:
         Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
         the paper's half spheres.
     ground
-        Name of a mapper of elevations: shadows are measured along the plane of what it maps; empty:
-        along level ground.
+        Name of a mapper of elevations: rocks stand on the ground that it maps, and shadows are
+        measured along its plane; empty: level ground.
     form
         Of the probability that a tracked rock covers a place, see `cover_probability`.
 

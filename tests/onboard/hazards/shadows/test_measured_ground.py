@@ -198,12 +198,18 @@ def test_heights_are_doubted_where_nobody_has_measured_them(terrain):
     assert lit[:, west].sum() < 0.9 * whole[:, west].sum()
 
 
-def test_rocks_tell_the_height_where_nobody_has_measured_it():
+def rocks_on(ground, xy):
+    """Return a filter of rocks that stand on ground somebody has measured."""
     inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 2.0))
-    high = MeasuredGround(Maps(measured(np.full(GRID.shape, 5.0))))
-    rocks.measured = high
-    rocks.add_known([[42.0, -30.0], [38.0, -28.0]], [0.1, 0.1], [0.5, 0.5], [0.01, 0.01])
+    rocks.measured = MeasuredGround(Maps(ground))
+    n = len(xy)
+    rocks.add_known(xy, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.01))
+    return rocks
+
+
+def test_rocks_tell_the_height_where_nobody_has_measured_it():
+    rocks = rocks_on(measured(np.full(GRID.shape, 5.0)), [[42.0, -30.0], [38.0, -28.0]])
     np.testing.assert_allclose(rocks.xyz[:, 2], 5.0)
     at = np.array([[43.0, -29.0], [37.0, -29.0]])
     rocks.measured = None
@@ -213,3 +219,25 @@ def test_rocks_tell_the_height_where_nobody_has_measured_it():
     z[:, GRID.x < 40.0] = np.nan
     rocks.measured = MeasuredGround(Maps(measured(z)))
     np.testing.assert_allclose(rocks.ground_at(at), [3.0, by_rocks[1]])
+
+
+@pytest.mark.parametrize(("count", "laid"), [(4, 0.0), (5, 1.2), (9, 1.2)])
+def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
+    """As many as tell it; one of them that stands elsewhere does not move the ground."""
+    slope = sloping((0.1, 0.0))
+    higher = replace(slope, elevation=slope.elevation + np.float32(1.2))
+    rng = np.random.default_rng(6)
+    places = np.array([40.0, -30.0]) + rng.uniform(-8.0, 8.0, (count - 1, 2))
+    rocks = rocks_on(higher, [*places.tolist(), [41.0, -31.0]])
+    error = np.zeros(rocks.state.size)
+    error[rocks.places(np.array([count - 1]))[0, 2]] = 30.0
+    rocks.state.correct(error)
+    assert rocks.xyz[-1, 2] == pytest.approx(7.0 + 4.1 + 1.2 + 30.0, abs=0.05)
+    rocks.measured = MeasuredGround(Maps(slope))
+    at = np.array([[36.0, -34.0], [44.0, -25.0]])
+    np.testing.assert_allclose(rocks.ground_at(at), 7.0 + 0.1 * at[:, 0] + laid, atol=0.03)
+    # Rocks beyond what was measured do not tell how high that lies.
+    far = sloping((0.1, 0.0))
+    far.elevation[:, GRID.x < 45.0] = np.nan
+    rocks.measured = MeasuredGround(Maps(far))
+    np.testing.assert_allclose(rocks.ground_at([[50.0, -25.0]]), 12.0, atol=0.03)
