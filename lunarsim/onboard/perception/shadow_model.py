@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
@@ -96,6 +97,8 @@ class ShadowModel:
         Mean height above the ground, in radii.
     elongation
         Longest half axis that a rock may have, in radii: a cube's is half its side.
+    longer_axis
+        Mean and standard deviation of the longer half axis, in radii.
     slope
         Spread of the ground's slope, tangent: rocks stand on level ground.
     bare
@@ -129,6 +132,7 @@ class ShadowModel:
         faceted = {"irregular": 1.0, "mixed": 0.5}.get(self.shapes.shape, 0.0)
         self.bare = faceted * bare_share(round(elevation, 3)) if faceted else 0.0
         self.elongation = 1.0 if round_or_square else float(self.shapes.axis_ratio[0] ** -0.5)
+        self.longer_axis = (1.0, 0.0) if round_or_square else _longer_axis(*self.shapes.axis_ratio)
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def under(self, elevation: float) -> ShadowModel:
@@ -138,6 +142,20 @@ class ShadowModel:
         """
         near = near_elevation(elevation, self.elevation)
         return self if near == self.elevation else _model_under(near, self.shapes)
+
+    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+        """Return the probability that the longer half axes of rocks are at least so long (n,).
+
+        Parameters
+        ----------
+        half_axis
+            m.
+        radius, sigma
+            Of the discs of the rocks' areas, and their standard deviation, more than 0 (n,), m.
+        """
+        mean, spread = self.longer_axis
+        unknown = np.hypot(mean * sigma, spread * radius)
+        return np.asarray(ndtr((mean * radius - half_axis) / unknown))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
         """Return the patches seen from given directions.
@@ -175,6 +193,15 @@ class ShadowModel:
         # Of ground above the camera nothing is seen.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
+
+
+def _longer_axis(least: float, most: float) -> tuple[float, float]:
+    """Return mean and standard deviation of r^-1/2, the ratio r of axes uniform between two."""
+    if most - least < 1e-6:
+        return least**-0.5, 0.0
+    mean = 2.0 * (np.sqrt(most) - np.sqrt(least)) / (most - least)
+    square = np.log(most / least) / (most - least)
+    return float(mean), float(np.sqrt(max(square - mean**2, 0.0)))
 
 
 @lru_cache(maxsize=96)

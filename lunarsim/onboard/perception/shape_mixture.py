@@ -51,8 +51,8 @@ _LEAST_Q = 4.0
 _LEAST_LENGTH = 0.05
 # What of a patch is averaged over shapes.
 _MEANS = ("along", "side", "length", "width", "skew", "area")
-# A hypothesis of less weight is left out of the largest rock that a patch may be the shadow of,
-# which is so many standard deviations larger than it seems.
+# A shape of less weight, over all slopes together, is left out of the largest rock that a patch may
+# be the shadow of, which is so many standard deviations larger than it seems.
 _IMPROBABLE = 0.03
 _LARGEST = 2.0
 
@@ -184,6 +184,14 @@ class ShapeMixture:
         middle = float(self.shape_shares @ mean)
         return middle, float(np.sqrt(self.shape_shares @ (sigma**2 + (mean - middle) ** 2)))
 
+    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+        """Return the probability that rocks are so long, over the shapes' shares (n,).
+
+        See `ShadowModel.as_long_as`.
+        """
+        of_shape = [m.as_long_as(half_axis, radius, sigma) for m in self.models]
+        return np.asarray(self.shape_shares @ np.stack(of_shape))
+
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
         """Return the mean patches of the population seen from given directions (...).
 
@@ -242,11 +250,21 @@ class ShapeMixture:
         r, v = np.stack(radii, -1), np.stack(variances, -1)
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
-        longest = np.repeat([m.elongation for m in self.models], len(self.slopes))
-        likely = np.where(weight > _IMPROBABLE, r + _LARGEST * np.sqrt(v), 0.0)
-        largest = (longest * likely).max(-1)
         of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
+        largest = self._largest(r + _LARGEST * np.sqrt(v), weight, of_shape)
         return Reading(radius, np.sqrt(variance), largest, _mixed(units, of_shape), weight)
+
+    def _largest(self, radius: Array, weight: Array, of_shape: Array) -> Array:
+        """Return the longest half axis under any hypothesis that is not improbable (n,), m.
+
+        `radius` (n, hypotheses) is the largest under each. That a shape is likely does not hang on
+        into how many slopes its weight is divided.
+        """
+        slopes = len(self.slopes)
+        longest = np.repeat([m.elongation for m in self.models], slopes)
+        possible = np.repeat(of_shape > _IMPROBABLE, slopes, axis=-1)
+        possible &= weight > _IMPROBABLE / slopes
+        return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
 
     def learn(self, weight: Array, q: Array) -> None:
         """Take in what patches (n, hypotheses) of q pixels (n,) say of the population."""

@@ -34,6 +34,28 @@ def test_rocks_are_as_long_as_their_axes_make_them():
     assert 0.97 * longest < drawn.a.max() <= longest
 
 
+@pytest.mark.parametrize("shape", ["hemisphere", "cube", "ellipsoid", "irregular"])
+def test_rocks_are_so_long_as_often_as_is_said(shape):
+    """Of drawn rocks, their discs known but for a tenth; against counting them."""
+    rng = np.random.default_rng(4)
+    rocks = RockModel(shape, burial=(0.0, 0.0))
+    drawn = rocks.draw(np.full(20_000, 2.0), rng)
+    seen = 1.0 + 0.1 * rng.standard_normal(len(drawn.a))
+    model = ShadowModel(np.radians(20.0), rocks)
+    for limit in (0.8, 1.0, 1.1, 1.2, 1.35):
+        told = model.as_long_as(limit, np.ones(1), np.full(1, 0.1))
+        assert told == pytest.approx(np.mean(drawn.a * seen >= limit), abs=0.02), limit
+    # Axes of one ratio are of one length.
+    one = RockModel("ellipsoid", axis_ratio=(0.64, 0.64))
+    assert ShadowModel(np.radians(20.0), one).longer_axis == (pytest.approx(1.25), 0.0)
+    # Of a population, by the shares of its shapes.
+    mixture = ShapeMixture(np.radians(20.0), "cube")
+    by_shape = [m.as_long_as(1.1, np.ones(1), np.full(1, 0.1))[0] for m in mixture.models]
+    told = mixture.as_long_as(1.1, np.ones(1), np.full(1, 0.1))
+    assert told == pytest.approx(mixture.shape_shares @ by_shape)
+    assert by_shape[0] > 2.0 * by_shape[3]
+
+
 def test_a_patch_may_be_that_of_a_longer_rock_where_rocks_are_long():
     """Each hypothesis counts with its own length: a cube's half axis is its radius."""
     sun, high = np.radians(20.0), np.radians(80.0)

@@ -88,6 +88,21 @@ def test_no_rock_is_larger_than_the_largest_that_a_patch_may_stand_for(models, n
     assert np.mean(mixture.read(*seen).largest < r) < 0.05
 
 
+def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(models):
+    """One rock in eight is round among cubes, on slopes: few of these are longer than may be."""
+    slope = 0.07
+    rng = np.random.default_rng(8)
+    mixture = ShapeMixture(SUN, "cube")
+    for _ in range(12):
+        for name, count in (("cube", 350), ("round", 50)):
+            _, seen = patches(models[name], rng, count, slope)
+            mixture.learn(mixture.read(*seen).weight, np.full(count, 8.0))
+    r, seen = patches(models["round"], rng, 4000, slope)
+    ratio = rng.uniform(*models["round"].shapes.axis_ratio, 4000)
+    read = mixture.read(*seen)
+    assert np.mean(read.largest < r * ratio**-0.5) < 0.05
+
+
 def test_slopes_show_in_how_lengths_scatter(models):
     rng = np.random.default_rng(4)
     level = taught(models["cube"], rng, "cube")

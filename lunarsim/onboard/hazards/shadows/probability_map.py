@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -264,8 +263,8 @@ class ProbabilityMap:
         # than larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
         slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
-        # A rock counts by the probability that it is large enough to matter.
-        large = ndtr((radius - 0.5 * self.prior.least_diameter) / np.sqrt(variance))
+        # A rock counts by the probability that it is long enough to matter.
+        large = model.as_long_as(0.5 * self.prior.least_diameter, radius, np.sqrt(variance))
         at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
             return
