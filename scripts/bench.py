@@ -17,7 +17,7 @@ import numba
 from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
-from bench_parts.common import median_ms
+from bench_parts.common import yardstick_ms
 from bench_parts.environments import envs
 from bench_parts.eyes import eyes
 from bench_parts.gaussian_dem import gaussian_dem
@@ -57,17 +57,6 @@ PARTS: dict[str, Callable[[], None]] = {
 }
 
 
-def _yardstick() -> float:
-    """Return the time of a fixed piece of other people's work, ms, by which to compare machines."""
-    import numpy as np
-    from scipy.spatial import Delaunay
-
-    rng = np.random.default_rng(0)
-    u, v = np.meshgrid(np.linspace(-50.0, 50.0, 256), np.linspace(-50.0, 50.0, 256))
-    points = np.column_stack((u.ravel(), v.ravel())) + 0.05 * rng.standard_normal((65_536, 2))
-    return median_ms(lambda: Delaunay(points), 3)
-
-
 @click.command()
 @click.argument("parts", nargs=-1)
 def main(parts: tuple[str, ...]) -> None:
@@ -77,7 +66,7 @@ def main(parts: tuple[str, ...]) -> None:
         raise click.UsageError(f"no such part: {unknown[0]}; there are {', '.join(PARTS)}")
     print(
         f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; yardstick: SciPy triangulates "
-        f"the returns of one scan in {_yardstick():.0f} ms"
+        f"the returns of one scan in {yardstick_ms():.0f} ms"
     )
     for name in parts or PARTS:
         print(f"{name}: {(PARTS[name].__doc__ or '').strip().splitlines()[0]}")

@@ -21,6 +21,17 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
     return 1e3 * statistics.median(times)
 
 
+def yardstick_ms() -> float:
+    """Return the time of a fixed piece of other people's work, ms, by which to compare machines."""
+    import numpy as np
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(0)
+    u, v = np.meshgrid(np.linspace(-50.0, 50.0, 256), np.linspace(-50.0, 50.0, 256))
+    points = np.column_stack((u.ravel(), v.ravel())) + 0.05 * rng.standard_normal((65_536, 2))
+    return median_ms(lambda: Delaunay(points), 3)
+
+
 def in_turns(calls: dict[str, Callable[[], object]], repeats: int = 11) -> dict[str, float]:
     """Return the median time of each call, ms; they take turns, so that a slow minute hits all."""
     for call in calls.values():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from bench_parts.common import ROOT
+from bench_parts.common import ROOT, yardstick_ms
 
 # A map is drawn so often, and the clock looked at, s.
 _EVERY = 1.0
@@ -16,12 +16,17 @@ def eyes() -> None:
         scenario = all_eyes(both)
         # Kernels, and what of the Sun is worked out once.
         pace(scenario, 3.0)
+        before = yardstick_ms()
         flown, wall, processor = pace(scenario)
+        yardstick = 5e-4 * (before + yardstick_ms())
         print(
             f"  two cameras at 10 Hz, {words}, flashes at 2 Hz, a fused map a second: {flown:.0f} "
             f"s flown in {sum(wall):.0f} s, {flown / sum(wall):.2f} times real time; worst second "
             f"{max(wall):.2f} s of wall clock, {max(processor):.2f} s of processor (mean "
-            f"{sum(processor) / flown:.2f} s)"
+            f"{sum(processor) / flown:.2f} s)\n"
+            f"    in yardsticks of {1e3 * yardstick:.0f} ms, taken before and after: a second flown"
+            f" {sum(wall) / flown / yardstick:.1f}, worst second {max(wall) / yardstick:.1f}; real "
+            f"time on two cores on which one takes {1e3 * flown / sum(wall) * yardstick:.0f} ms"
         )
 
 
