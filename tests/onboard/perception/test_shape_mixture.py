@@ -88,19 +88,45 @@ def test_no_rock_is_larger_than_the_largest_that_a_patch_may_stand_for(models, n
     assert np.mean(mixture.read(*seen).largest < r) < 0.05
 
 
-def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(models):
-    """One rock in eight is round among cubes, on slopes: few of these are longer than may be."""
-    slope = 0.07
+def mostly_cubes(models):
+    """One rock in eight is round among cubes, on slopes."""
     rng = np.random.default_rng(8)
     mixture = ShapeMixture(SUN, "cube")
     for _ in range(12):
         for name, count in (("cube", 350), ("round", 50)):
-            _, seen = patches(models[name], rng, count, slope)
+            _, seen = patches(models[name], rng, count, 0.07)
             mixture.learn(mixture.read(*seen).weight, np.full(count, 8.0))
-    r, seen = patches(models["round"], rng, 4000, slope)
+    return mixture, rng
+
+
+def test_few_rocks_are_longer_than_their_patches_may_be(models):
+    mixture, rng = mostly_cubes(models)
+    r, seen = patches(models["round"], rng, 4000, 0.07)
     ratio = rng.uniform(*models["round"].shapes.axis_ratio, 4000)
+    assert np.mean(mixture.read(*seen).largest < r * ratio**-0.5) < 0.05
+
+
+def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(models):
+    """Against a loop over patches, shapes and slopes: one shape on one slope read by itself."""
+    mixture, rng = mostly_cubes(models)
+    _, seen = patches(models["round"], rng, 300, 0.07)
     read = mixture.read(*seen)
-    assert np.mean(read.largest < r * ratio**-0.5) < 0.05
+    of_shape = np.zeros(300, np.int64)
+    for k in range(300):
+        weight = read.weight[k].reshape(4, 3)
+        largest = 0.0
+        for m, of_slopes in enumerate(weight):
+            of_shape[k] += of_slopes.sum() > 0.03
+            for slope, mine in zip(mixture.slopes, of_slopes, strict=True):
+                one = ShapeMixture.known(mixture.models[m])
+                one.slopes = np.array([slope])
+                alone = one.read(*(a[k : k + 1] for a in seen[:-1]), seen[-1])
+                if of_slopes.sum() > 0.03 and mine > 0.01:
+                    reach = alone.radius[0] + 2.0 * alone.sigma[0]
+                    largest = max(largest, mixture.models[m].elongation * reach)
+        assert read.largest[k] == pytest.approx(largest, rel=1e-9), k
+    # Some patches rule shapes out, some none.
+    assert of_shape.min() < of_shape.max()
 
 
 def test_slopes_show_in_how_lengths_scatter(models):

@@ -12,6 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
 from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows import (
     HazardPrior,
     ProbabilityMap,
@@ -19,7 +20,10 @@ from lunarsim.onboard.hazards.shadows import (
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.rocks.laws import golombek_cover, golombek_number
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.rocks.field import RockModel
+from lunarsim.rocks.laws import golombek_cover, golombek_exponent, golombek_number
 from tests.shadow_scene import MODEL, SUN, at, follow, picture, rocks_on_a_plane, tracker_at
 
 GRID = Grid.centred((0.0, 0.0), 40.0, 0.25)
@@ -107,6 +111,30 @@ def test_footprint_prior_counts_rocks_that_reach_in():
     middle = 0.5 * (edges[1:] + edges[:-1])
     expected = 1.0 - np.exp(-np.sum(number * np.pi * (1.0 + 0.5 * middle) ** 2))
     assert p == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("shape", ["cube", "ellipsoid", None])
+def test_a_tracked_rock_is_a_hazard_if_its_longer_axis_is_long_enough(shape):
+    """Against drawing shapes, axes and discs, under a footprint that it surely reaches into."""
+    sun = np.radians(20.0)
+    model = ShapeMixture(sun, "cube")
+    if shape:
+        model = ShapeMixture.known(ShadowModel(sun, RockModel(shape, burial=(0.0, 0.0))))
+    mapping = ProbabilityMap(GRID, model, HazardPrior(0.05, 0.5))
+    rng = np.random.default_rng(6)
+    for radius, sigma in ((0.2, 0.02), (0.25, 0.05), (0.35, 0.03)):
+        rock = RockTracks(
+            np.zeros((1, 2)), np.full(1, 0.01), np.full(1, radius), np.full(1, sigma**2),
+            np.full(1, 0.9),
+        )  # fmt: skip
+        told = 1.0 - mapping.clear_of(rock, 2.0)[80, 80]
+        variance = sigma**2 + (model.radius_sigma * radius) ** 2
+        steep = 2.0 * golombek_exponent(0.05) + 2.0 / radius
+        disc = rng.normal(radius - variance * steep, np.sqrt(variance), 200_000)
+        shapes = rng.choice(len(model.models), 200_000, p=model.shape_shares)
+        long = np.array([m.shapes.shape not in ("cube", "hemisphere") for m in model.models])
+        stretch = np.where(long[shapes], rng.uniform(0.6, 1.0, 200_000) ** -0.5, 1.0)
+        assert told == pytest.approx(0.9 * np.mean(disc * stretch >= 0.25), abs=0.01), radius
 
 
 def test_dark_ground_is_not_seen():
