@@ -262,6 +262,7 @@ class ShapeMixture:
         """
         slopes = len(self.slopes)
         longest = np.repeat([m.elongation for m in self.models], slopes)
+        # Of a possible shape those slopes count that are not improbable themselves.
         possible = np.repeat(of_shape > _IMPROBABLE, slopes, axis=-1)
         possible &= weight > _IMPROBABLE / slopes
         return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
