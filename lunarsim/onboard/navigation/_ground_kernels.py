@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lunarsim._jit import kernel
+from lunarsim._jit import kernel, prange
 
 
 @kernel()
@@ -53,6 +53,31 @@ def _solve(a, b):
 
 
 @kernel()
+def _height_at(places, known, x, y, count, growth, own):
+    """Return the likeliest height at one point, see `heights`."""
+    chosen = np.empty(count, np.int64)
+    away = np.empty(count)
+    system = np.empty((count + 1, count + 1))
+    weights = np.empty(count + 1)
+    _nearest(places, x, y, chosen, away)
+    for i in range(count):
+        for j in range(count):
+            dx = places[chosen[i], 0] - places[chosen[j], 0]
+            dy = places[chosen[i], 1] - places[chosen[j], 1]
+            system[i, j] = 0.5 * growth * np.sqrt(dx * dx + dy * dy) + own * own
+        system[i, i] = 0.0
+        system[i, count] = system[count, i] = 1.0
+        weights[i] = 0.5 * growth * np.sqrt(away[i]) + own * own
+    system[count, count] = 0.0
+    weights[count] = 1.0
+    _solve(system, weights)
+    total = 0.0
+    for i in range(count):
+        total += weights[i] * known[chosen[i]]
+    return total
+
+
+@kernel(parallel=True)
 def heights(places, known, at, count, growth, own):
     """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
 
@@ -67,30 +92,12 @@ def heights(places, known, at, count, growth, own):
         them, m^2/m, and half of what it is side by side, as a standard deviation, m.
     """
     out = np.empty(len(at))
-    chosen = np.empty(count, np.int64)
-    away = np.empty(count)
-    system = np.empty((count + 1, count + 1))
-    weights = np.empty(count + 1)
-    for b in range(len(at)):
-        if not (np.isfinite(at[b, 0]) and np.isfinite(at[b, 1])):
+    for b in prange(len(at)):
+        x, y = at[b, 0], at[b, 1]
+        if np.isfinite(x) and np.isfinite(y):
+            out[b] = _height_at(places, known, x, y, count, growth, own)
+        else:
             out[b] = np.nan
-            continue
-        _nearest(places, at[b, 0], at[b, 1], chosen, away)
-        for i in range(count):
-            for j in range(count):
-                dx = places[chosen[i], 0] - places[chosen[j], 0]
-                dy = places[chosen[i], 1] - places[chosen[j], 1]
-                system[i, j] = 0.5 * growth * np.sqrt(dx * dx + dy * dy) + own * own
-            system[i, i] = 0.0
-            system[i, count] = system[count, i] = 1.0
-            weights[i] = 0.5 * growth * np.sqrt(away[i]) + own * own
-        system[count, count] = 0.0
-        weights[count] = 1.0
-        _solve(system, weights)
-        total = 0.0
-        for i in range(count):
-            total += weights[i] * known[chosen[i]]
-        out[b] = total
     return out
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation import _ground_kernels as kernels
 
 Array = NDArray[np.float64]
@@ -64,9 +65,11 @@ def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
 
     NaN at points that are not finite.
     """
-    return np.asarray(
-        kernels.heights(
-            np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
-            np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth), _OWN,
-        )
-    )  # fmt: skip
+    with threads_for((0.5 + 1e-3 * len(places)) * len(at)):
+        return np.asarray(
+            kernels.heights(
+                np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
+                np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth),
+                _OWN,
+            )
+        )  # fmt: skip

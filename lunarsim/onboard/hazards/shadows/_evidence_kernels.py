@@ -11,6 +11,8 @@ from lunarsim.models._pinhole_kernels import to_pixel
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
 # Ground that may show farther aside than so many radii of a rock is not searched for it.
 _MOST_STEPS = 16
+# What shows so far beyond an edge is out of view whatever rounding does, pixels.
+_BEYOND = 0.01
 
 
 @kernel(inline=True)
@@ -95,9 +97,50 @@ def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, l
 
 
 @kernel()
+def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide, high):
+    """Tell whether the middle of a shadow's core may be in view from the square at node (i, j).
+
+    Between the nodes it lies in the hull of those at the four, and so does its picture: not if all
+    of them are behind the camera, or in front of it and beyond the same edge.
+    """
+    behind = left = right = above = below = 0
+    for a in range(i, i + 2):
+        for b in range(j, j + 2):
+            e = coarse[a, b, EAST] + radius * coarse[a, b, POINTS] - position[0]
+            n = coarse[a, b, NORTH] + radius * coarse[a, b, POINTS + 1] - position[1]
+            h = coarse[a, b, HEIGHT] - position[2]
+            z = axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * h
+            if not z > 0.0:
+                behind += z <= 0.0
+                continue
+            x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h
+            y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h
+            px, py = to_pixel(x, y, z, fx, fy, cx, cy)
+            left += px < -_BEYOND
+            right += px > wide - 1 + _BEYOND
+            above += py < -_BEYOND
+            below += py > high - 1 + _BEYOND
+    return max(behind, left, right, above, below) < 4
+
+
+@kernel(parallel=True)
+def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
+    """Tell of each square of the coarse grid and size whether it need be looked at."""
+    rows, cols = coarse.shape[0] - 1, coarse.shape[1] - 1
+    out = np.empty((rows, cols, len(radii)), np.bool_)
+    for i in prange(rows):
+        for j in range(cols):
+            for s in range(len(radii)):
+                out[i, j, s] = _middle_may_show(
+                    coarse, i, j, radii[s], position, axes, fx, fy, cx, cy, wide, high
+                )
+    return out
+
+
+@kernel()
 def _look_along(
-    i, lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
-    least, gain,
+    i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy, labels,
+    largest, least, gain,
 ):  # fmt: skip
     """Note row i of the places, see `look`."""
     sizes, _, cols = lit.shape
@@ -116,6 +159,8 @@ def _look_along(
         x = y = z = cotangent = 0.0
         reach = _between(coarse, vi, uj, u, v, REACH)
         for s in range(sizes):
+            if not in_view[vi, uj, s]:
+                continue
             if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                 continue
             if not known:
@@ -167,8 +212,10 @@ def look(
     gain
         Factor by which a look must be sharper than those before to be taken.
     """
+    high, wide = labels.shape
+    in_view = _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high)
     for i in prange(lit.shape[1]):
         _look_along(
-            i, lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels,
-            largest, least, gain,
+            i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy,
+            labels, largest, least, gain,
         )  # fmt: skip
