@@ -38,8 +38,12 @@ def seen_from(terrain, place):
     ("focal", "way", "height", "least"),
     [
         pytest.param((70.0, 60.0), (0.1, 0.25, -1.0), 18.0, (26, 3, 5), id="down"),
-        pytest.param((120.0, 110.0), (0.1, 0.25, -1.0), 18.0, (26, 1, 1), id="squares wider than the view"),
-        pytest.param((30.0, 24.0), (0.9, 0.5, -0.2), 4.0, (26, 1, 1), id="ground behind the camera"),
+        pytest.param(
+            (120.0, 110.0), (0.1, 0.25, -1.0), 18.0, (26, 1, 1), id="narrow"
+        ),
+        pytest.param(
+            (30.0, 24.0), (0.9, 0.5, -0.2), 4.0, (26, 1, 1), id="ahead"
+        ),
     ],
 )
 def test_look_does_as_a_plain_loop(focal, way, height, least):
