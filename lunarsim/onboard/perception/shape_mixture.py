@@ -29,11 +29,13 @@ from lunarsim.rocks.field import RockModel
 Array = NDArray[np.float64]
 
 # Shapes that rocks may have: low and rounded, rounded or faceted and half as high as wide (the mean
-# of lunar rocks is 0.54: Demidov and Basilevsky 2014), cubes sunk in and cubes that lie on top.
+# of lunar rocks is 0.54: Demidov and Basilevsky 2014), the same nearly as high as wide, cubes sunk
+# in and cubes that lie on top. The third throws a cube's shadow, but is wider than that cube.
 LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
 SHAPES = (
     LOW,
     RockModel("mixed", height_ratio=(0.5, 0.1), burial=(0.0, 0.0)),
+    RockModel("mixed", height_ratio=(0.8, 0.1), burial=(0.0, 0.0)),
     RockModel("cube", burial=(0.2, 0.5)),
     RockModel("cube", burial=(0.0, 0.0)),
 )

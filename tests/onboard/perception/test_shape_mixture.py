@@ -10,7 +10,7 @@ from lunarsim.onboard.perception.shape_mixture import SHAPES, ShapeMixture
 
 SUN = np.radians(20.0)
 HALF_SPHERES = ShadowModel(SUN)
-NAMES = ("low", "round", "sunk", "cube")
+NAMES = ("low", "round", "tall", "sunk", "cube")
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +75,11 @@ def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, nam
     assert mixture.shape_shares[NAMES.index(name)] > 0.6
     r, seen = patches(models[name], rng)
     read = mixture.read(*seen)
-    assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.06)
+    # A cube throws nearly the shadow of a rounded rock as high as wide, which is 1.25 times as wide.
+    assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.12)
     z = (read.radius - r) / read.sigma
-    assert 0.5 < z.std() < 1.3
+    # What shapes differ by errs alike in all rocks of a population.
+    assert 0.4 < np.sqrt(np.mean(z**2)) < 1.3
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -113,7 +115,7 @@ def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(mode
     read = mixture.read(*seen)
     of_shape = np.zeros(300, np.int64)
     for k in range(300):
-        weight = read.weight[k].reshape(4, 3)
+        weight = read.weight[k].reshape(5, 3)
         largest = 0.0
         for m, of_slopes in enumerate(weight):
             of_shape[k] += of_slopes.sum() > 0.03
@@ -129,6 +131,18 @@ def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(mode
     assert of_shape.min() < of_shape.max()
 
 
+@pytest.mark.parametrize("told", ["cube", "mixed"])
+def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(models, told):
+    """Half of them are hazards a fifth longer than the least; as cubes they would be none."""
+    rng = np.random.default_rng(9)
+    mixture = taught(models["tall"], rng, told)
+    r, seen = patches(models["tall"], rng, 1000, radius=0.27)
+    read = mixture.read(*seen)
+    chance = mixture.as_long_as(0.25, read.radius, read.sigma)
+    assert np.mean(chance < 0.0025) < 0.01
+    assert np.mean(read.largest < 0.25) < 0.02
+
+
 def test_slopes_show_in_how_lengths_scatter(models):
     rng = np.random.default_rng(4)
     level = taught(models["cube"], rng, "cube")
@@ -141,11 +155,11 @@ def test_slopes_show_in_how_lengths_scatter(models):
 
 def test_the_told_shape_is_where_it_starts():
     cube, round_ = ShapeMixture(SUN, "cube"), ShapeMixture(SUN, "mixed")
-    assert cube.shape_shares[3] > 1.5 * cube.shape_shares[1]
-    assert round_.shape_shares[1] > 1.5 * round_.shape_shares[3]
+    assert cube.shape_shares[4] > 1.5 * cube.shape_shares[1]
+    assert round_.shape_shares[1] > 1.5 * round_.shape_shares[4]
     # Patches of too few pixels teach nothing.
     before = cube.shares
-    cube.learn(np.eye(12)[:5], np.full(5, 3.0))
+    cube.learn(np.eye(15)[:5], np.full(5, 3.0))
     assert cube.shares == pytest.approx(before)
     assert cube.height == pytest.approx(
         cube.shape_shares @ [m.height for m in cube.models], rel=1e-9
