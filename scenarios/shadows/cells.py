@@ -45,6 +45,9 @@ class Cell:
         Of the Sun, deg; 0: it stands behind the camera, 180: before it.
     relief
         Slope of the ground at 1 m, deg RMS, or "hirise" for the measured crop.
+    height, slenderness
+        True height of the rocks over their width, mean, and length of their shorter axis over the
+        longer, mean; None: as rocks have them by default. The mission is not told.
     """
 
     name: str
@@ -55,6 +58,8 @@ class Cell:
     elevation: float = 20.0
     turn: float = 0.0
     relief: float | str = 0.0
+    height: float | None = None
+    slenderness: float | None = None
 
     def within_goal(self) -> bool:
         """Tell whether the goal asks the cell for recall.
@@ -82,9 +87,14 @@ class Cell:
                 "path": str(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"),
             }  # fmt: skip
         level = {"burial": [0.0, 0.0]}
+        body: dict[str, Any] = {}
+        if self.height is not None:
+            body["height_ratio"] = [self.height, 0.1]
+        if self.slenderness is not None:
+            body["axis_ratio"] = [self.slenderness - 0.1, self.slenderness + 0.1]
         return whole.changed(
             terrain=terrain,
-            rocks={"cover": self.cover, "shape": self.shape, **level},
+            rocks={"cover": self.cover, "shape": self.shape, **level, **body},
             expected_rocks={"cover": self.told_cover, "shape": self.told_shape, **level},
             sun={"elevation_deg": self.elevation, "azimuth_deg": 225.0 + self.turn},
             mappers={"rocks": {"size_m": 80.0}},
@@ -111,7 +121,13 @@ def _lines() -> list[Cell]:
     ]
     cells += [replace(HOME, name=f"sun turned {t:g}", turn=t) for t in (45.0, 90.0, 135.0, 180.0)]
     cells += [replace(HOME, name=f"relief {r:g}", relief=r) for r in (1.0, 2.0, 4.0, 6.0, 8.0)]
-    return [*cells, replace(HOME, name=HIRISE, relief=HIRISE)]
+    cells += [replace(HOME, name=HIRISE, relief=HIRISE)]
+    low_to_high = (0.3, 0.7, 0.85, 1.0)
+    cells += [
+        replace(HOME, name=f"height {h:g} told cube", shape="irregular", height=h)
+        for h in low_to_high
+    ]
+    return [*cells, replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5)]
 
 
 def _array() -> list[Cell]:

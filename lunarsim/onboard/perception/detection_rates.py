@@ -33,9 +33,9 @@ class DetectionRates:
         The same for rocks where a picture gives the ground as free of them.
     """
 
-    missed: tuple[float, float, float] = (1.456, -0.419, 0.0556)
-    false: tuple[float, float, float] = (0.203, -0.088, 0.0109)
-    cleared: tuple[float, float, float] = (1.0, -0.347, 0.018)
+    missed: tuple[float, float, float] = (1.428, -0.4175, 0.0422)
+    false: tuple[float, float, float] = (1.172, -0.5177, 0.0088)
+    cleared: tuple[float, float, float] = (1.003, -0.383, 0.0304)
 
     def __post_init__(self) -> None:
         for name in ("missed", "false", "cleared"):
