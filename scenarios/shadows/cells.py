@@ -1,7 +1,8 @@
 """The cells of the shadow map's matrix: one factor at a time, and all of them at once.
 
 One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
-deg high behind the camera, level ground). Beside the lines stands an orthogonal array of 25 runs
+deg high behind the camera, level ground), and to rocks that no level of them has: low, tall, long
+and small ones, and craters among them. Beside the lines stands an orthogonal array of 25 runs
 with six factors of five levels: in every two factors each pair of levels comes up once, so that a
 cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
 (Bose 1938).
@@ -48,6 +49,10 @@ class Cell:
     height, slenderness
         True height of the rocks over their width, mean, and length of their shorter axis over the
         longer, mean; None: as rocks have them by default. The mission is not told.
+    least_diameter
+        Of the rocks, m.
+    craters
+        Of 1 m and more, a square metre in equilibrium; 0: none.
     """
 
     name: str
@@ -60,6 +65,8 @@ class Cell:
     relief: float | str = 0.0
     height: float | None = None
     slenderness: float | None = None
+    least_diameter: float = 0.3
+    craters: float = 0.0
 
     def within_goal(self) -> bool:
         """Tell whether the goal asks the cell for recall.
@@ -81,13 +88,15 @@ class Cell:
         """
         whole = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
         terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
+        if self.craters > 0.0:
+            terrain |= {"posting_m": 0.5, "crater_density": self.craters}
         if self.relief == HIRISE:
             terrain = {
                 "kind": "dtm", "posting_m": 0.5, "relief_scale": 0.2, "detail": False,
                 "path": str(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"),
             }  # fmt: skip
         level = {"burial": [0.0, 0.0]}
-        body: dict[str, Any] = {}
+        body: dict[str, Any] = {"min_diameter_m": self.least_diameter}
         if self.height is not None:
             body["height_ratio"] = [self.height, 0.1]
         if self.slenderness is not None:
@@ -127,7 +136,12 @@ def _lines() -> list[Cell]:
         replace(HOME, name=f"height {h:g} told cube", shape="irregular", height=h)
         for h in low_to_high
     ]
-    return [*cells, replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5)]
+    return [
+        *cells,
+        replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
+        replace(HOME, name="rocks from 0.15 m", least_diameter=0.15),
+        replace(HOME, name="craters", relief=1.0, craters=0.02),
+    ]
 
 
 def _array() -> list[Cell]:

@@ -1,4 +1,4 @@
-"""The shadow map off its home: some sixty cells of cover, shapes, Sun and relief.
+"""The shadow map off its home: some seventy cells of cover, shapes, Sun and ground.
 
 Every cell is flown over a few fields of rocks on the modified path; the map is judged at 50 m, and
 the landing by whether a hazard lies under the lander. Results are kept flight by flight: an
