@@ -162,6 +162,11 @@ def test_the_array_of_cells_has_every_pair_of_levels_once(script):
             cell.cover,
             cell.told_shape,
         )
+        rocks = scenario.rocks
+        assert rocks.min_diameter_m == cell.least_diameter
+        assert cell.height in (None, rocks.height_ratio[0])
+        assert cell.slenderness in (None, pytest.approx(np.mean(rocks.axis_ratio)))
+        assert getattr(scenario.terrain.table, "crater_density", None) == (cell.craters or None)
 
 
 @pytest.fixture
