@@ -75,7 +75,7 @@ def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, nam
     assert mixture.shape_shares[NAMES.index(name)] > 0.6
     r, seen = patches(models[name], rng)
     read = mixture.read(*seen)
-    # A cube throws nearly the shadow of a rounded rock as high as wide, which is 1.25 times as wide.
+    # A cube throws nearly the shadow of a rounded rock as high as wide, whose disc is larger.
     assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.12)
     z = (read.radius - r) / read.sigma
     # What shapes differ by errs alike in all rocks of a population.
