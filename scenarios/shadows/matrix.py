@@ -1,8 +1,9 @@
 """The shadow map off its home: some seventy cells of cover, shapes, Sun and ground.
 
-Every cell is flown over a few fields of rocks on the modified path; the map is judged at 50 m, and
-the landing by whether a hazard lies under the lander. Results are kept flight by flight: an
-interrupt leaves a file that the next run with the same file goes on from.
+Every cell is flown over a few fields of rocks on the modified path, and the map is judged at 50 m.
+There the lander diverts once, to where the map says that it is safest, and the landing is judged by
+whether a hazard lies under the lander. Results are kept flight by flight: an interrupt leaves a
+file that the next run with the same file goes on from.
 
 python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
 """
@@ -31,6 +32,7 @@ from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.rng import flight_seed
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.loop import make_policy
 
 ALTITUDE = 50.0
 CLEAR_BELOW = 0.0025
@@ -61,6 +63,9 @@ def fly(task: Task) -> dict[str, Any]:
     while not simulation.done and simulation.altitude > ALTITUDE:
         simulation.step()
     out = {"cell": asdict(task.cell), **judge(simulation)}
+    # Once, where the map as it was judged says that it is safest.
+    safest = make_policy(scenario, "safest")
+    simulation.apply(simulation.ask(safest, simulation.observe()))
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
@@ -204,8 +209,8 @@ def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
     )
     if landed:
         console.print(
-            f"{on_hazard:.0f} of {landed:.0f} landings have a hazard under the lander; blind"
-            f" ones would in {100.0 * float(np.mean(blind)):.1f} %."
+            f"{on_hazard:.0f} of {landed:.0f} landings where the map says that it is safest have a"
+            f" hazard under the lander; blind ones would in {100.0 * float(np.mean(blind)):.1f} %."
         )
     console.print(f"{missing} of {shown} cells miss a goal.")
 
