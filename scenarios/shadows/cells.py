@@ -1,11 +1,11 @@
 """The cells of the shadow map's matrix: one factor at a time, and all of them at once.
 
 One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
-deg high behind the camera, level ground), and to rocks that no level of them has: low, tall, long
-and small ones, and craters among them. Beside the lines stands an orthogonal array of 25 runs
-with six factors of five levels: in every two factors each pair of levels comes up once, so that a
-cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
-(Bose 1938).
+deg high behind the camera, level ground). Some cells are of rocks that no level of these factors
+has, low, tall, long or small, and one of ground with craters, at posts half as far apart. Beside
+the lines stands an orthogonal array of 25 runs with six factors of five levels: in every two
+factors each pair of levels comes up once, so that a cell may be off home in everything. Its columns
+are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5 (Bose 1938).
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ class Cell:
     relief
         Slope of the ground at 1 m, deg RMS, or "hirise" for the measured crop.
     height, slenderness
-        True height of the rocks over their width, mean, and length of their shorter axis over the
-        longer, mean; None: as rocks have them by default. The mission is not told.
+        True height of the rocks over their width, mean before it is cut off at 1, and length of
+        their shorter axis over the longer, mean; None: as rocks have them by default. The mission
+        is not told.
     least_diameter
         Of the rocks, m.
     craters
@@ -71,7 +72,7 @@ class Cell:
     def within_goal(self) -> bool:
         """Tell whether the goal asks the cell for recall.
 
-        Up to 8 % cover, Sun 10 to 45 deg, relief to 4 deg.
+        Up to 8 % cover, Sun 10 to 45 deg, relief to 4 deg, whatever the rocks are.
         """
         return (
             self.cover <= 0.08

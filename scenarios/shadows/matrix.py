@@ -1,9 +1,10 @@
 """The shadow map off its home: some seventy cells of cover, shapes, Sun and ground.
 
-Every cell is flown over a few fields of rocks on the modified path, and the map is judged at 50 m.
-There the lander diverts once, to where the map says that it is safest, and the landing is judged by
-whether a hazard lies under the lander. Results are kept flight by flight: an interrupt leaves a
-file that the next run with the same file goes on from.
+Every cell is flown over a few fields of rocks on the modified path, and the map is judged at 50 m:
+cell by cell, and by whether a hazard lies under a lander that sets down where the map says that it
+is safest. The flights themselves land where the path ends: it arrives with an acceleration, 5 to 20
+m beside whatever site it is given. Results are kept flight by flight: an interrupt leaves a file
+that the next run with the same file goes on from.
 
 python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
 """
@@ -62,10 +63,7 @@ def fly(task: Task) -> dict[str, Any]:
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     while not simulation.done and simulation.altitude > ALTITUDE:
         simulation.step()
-    out = {"cell": asdict(task.cell), **judge(simulation)}
-    # Once, where the map as it was judged says that it is safest.
-    safest = make_policy(scenario, "safest")
-    simulation.apply(simulation.ask(safest, simulation.observe()))
+    out = {"cell": asdict(task.cell), **judge(simulation), **choice(simulation)}
     simulation.computer.stop_sensors()
     while not simulation.done:
         simulation.step()
@@ -75,6 +73,23 @@ def fly(task: Task) -> dict[str, Any]:
     if verdict is not None and verdict.touchdown is not None:
         out["on_hazard"] = bool(reach_into(simulation, verdict.touchdown.position[None, :2]).any())
     return out
+
+
+def choice(simulation: Simulation) -> dict[str, Any]:
+    """Return what the policy that flies to the safest site in reach chooses, and what lies there.
+
+    Nothing is applied. Where it stays, the site that it has is its choice; unless the map shows no
+    site in reach.
+    """
+    shown = simulation.observe()
+    decision = simulation.ask(make_policy(simulation.scenario, "safest"), shown)
+    site = simulation.site if decision.site is None else decision.site
+    place = (np.asarray(site) - simulation.navigation_error)[None, :2]
+    return {
+        "chosen": bool(shown.candidates.reachable.any()),
+        "diverts": decision.site is not None,
+        "site_on_hazard": bool(reach_into(simulation, place).any()),
+    }
 
 
 def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
@@ -147,6 +162,7 @@ def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
     table = np.sum([f["reliability"] for f in flights], axis=0)
     objects = sum(f["objects"] for f in flights)
     landed = sum(f["landed"] for f in flights)
+    chosen = [f for f in flights if f["chosen"]]
     return {
         **of.rates,
         "objects": float(objects),
@@ -155,6 +171,8 @@ def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
         "reliability_error": calibration_error(table),
         "blind_landing": float(np.mean([f["blind_landing"] for f in flights])),
         "landed": float(landed),
+        "chosen": float(len(chosen)),
+        "site_on_hazard": float(sum(f["site_on_hazard"] for f in chosen)),
         "on_hazard": float(sum(f["on_hazard"] for f in flights)),
         "lost": float(sum(f["lost"] for f in flights)),
     }
@@ -180,10 +198,11 @@ def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
         f" {first.seed}"
     )
     headings = ("cell", "recall", "false, area", "blind", "hazards", "clear", "occupied right",
-                "unknown", "calibration", "landed on one", "misses")  # fmt: skip
+                "unknown", "calibration", "safest on one", "misses")  # fmt: skip
     for heading in headings:
         table.add_column(heading, justify="left" if heading in {"cell", "misses"} else "right")
-    landed = on_hazard = missing = shown = 0
+    total = dict.fromkeys(("landed", "on_hazard", "chosen", "site_on_hazard"), 0.0)
+    missing = shown = 0
     blind = []
     for cell in dict.fromkeys(t.cell for t in tasks):
         mine = [t for t in tasks if t.cell == cell]
@@ -193,13 +212,13 @@ def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
         f = pooled(flights)
         lacks = meets(cell, f)
         shown, missing = shown + 1, missing + bool(lacks)
-        landed, on_hazard = landed + f["landed"], on_hazard + f["on_hazard"]
-        blind += [f["blind_landing"]] * int(f["landed"])
+        total = {key: value + f[key] for key, value in total.items()}
+        blind += [f["blind_landing"]] * len(flights)
         table.add_row(
             cell.name, f"{f['clear_recall']:.3f}", f"{f['clear_false']:.5f}", f"{f['blind']:.4f}",
             f"{f['objects']:.0f}", f"{f['objects_clear']:.3f}", f"{f['occupied_correct']:.2f}",
             f"{f['unknown']:.3f}", f"{f['reliability_error']:.4f}",
-            f"{f['on_hazard']:.0f}/{f['landed']:.0f}", lacks,
+            f"{f['site_on_hazard']:.0f}/{f['chosen']:.0f}", lacks,
         )  # fmt: skip
     console.print(table)
     console.print(
@@ -207,10 +226,12 @@ def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
         " all is called clear; clear: share of hazards wholly called clear; calibration: mean"
         " distance of stated and found probability."
     )
-    if landed:
+    if blind:
         console.print(
-            f"{on_hazard:.0f} of {landed:.0f} landings where the map says that it is safest have a"
-            f" hazard under the lander; blind ones would in {100.0 * float(np.mean(blind)):.1f} %."
+            f"{total['site_on_hazard']:.0f} of {total['chosen']:.0f} places that the map calls"
+            " safest, where it shows one in reach, have a hazard under a lander that sets down"
+            f" there; blind ones would in {100.0 * float(np.mean(blind)):.1f} %. Beside them, where"
+            f" the path ends, {total['on_hazard']:.0f} of {total['landed']:.0f} touchdowns do."
         )
     console.print(f"{missing} of {shown} cells miss a goal.")
 
@@ -247,7 +268,9 @@ def main(
             f"{patterns!r} names none of: {', '.join(c.name for c in CELLS)}", param_hint="--cells"
         )
     try:
-        results = KeptFlights(json_file, {"seed": seed, "path": way, "method": method})
+        results = KeptFlights(
+            json_file, {"seed": seed, "path": way, "method": method, "of": "map and site"}
+        )
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
     if results.of_other_code:

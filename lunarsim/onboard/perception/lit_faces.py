@@ -79,7 +79,7 @@ def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Comple
     return np.asarray(found[:, 0]), np.asarray(found[:, 1])
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=32)
 def _table(elevation: float, shapes: RockModel) -> Complex:
     """Return direction and axis (azimuths, depressions, 2) of a population."""
     field = shapes.draw(np.full(_DRAWN, 2.0), np.random.default_rng(1966))

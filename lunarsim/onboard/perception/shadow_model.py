@@ -204,7 +204,7 @@ def _longer_axis(least: float, most: float) -> tuple[float, float]:
     return float(mean), float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-@lru_cache(maxsize=96)
+@lru_cache(maxsize=128)
 def _model_under(elevation: float, shapes: RockModel) -> ShadowModel:
     return ShadowModel(elevation, shapes)
 
@@ -221,17 +221,19 @@ def near_elevation(elevation: float, start: float) -> float:
     return float(np.clip(near, LEAST_ELEVATION, MOST_ELEVATION))
 
 
-@lru_cache(maxsize=8)
-def bare_share(elevation: float) -> float:
+@lru_cache(maxsize=16)
+def bare_share(
+    elevation: float, height_ratio: tuple[float, float] = RockModel.height_ratio
+) -> float:
     """Return the share of faceted rocks that show nothing dark under a Sun so high (rad).
 
     The higher the Sun, the more of them have all their faces lit, and no shadow beyond their
-    outline: one in sixty at 45 deg, one in five at 60. Rounded rocks and cubes have a dark side
+    outline: one in sixty at 45 deg, one in five at 60; fewer of those that are higher, mean and
+    deviation of the height over the width being given. Rounded rocks and cubes have a dark side
     under any Sun.
     """
-    field = RockModel("irregular", burial=(0.0, 0.0)).draw(
-        np.full(_BARE_DRAWN, 2.0), np.random.default_rng(1969)
-    )
+    shapes = RockModel("irregular", height_ratio=height_ratio, burial=(0.0, 0.0))
+    field = shapes.draw(np.full(_BARE_DRAWN, 2.0), np.random.default_rng(1969))
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
     reach = shadow_reach(elevation)
@@ -246,7 +248,7 @@ def shadow_reach(elevation: float) -> float:
     return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
 
 
-@lru_cache(maxsize=96)
+@lru_cache(maxsize=128)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
     """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
     key = f"{elevation!r} {shapes!r}"

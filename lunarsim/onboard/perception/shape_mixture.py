@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 
 # Shapes that rocks may have: low and rounded, rounded or faceted and half as high as wide (the mean
 # of lunar rocks is 0.54: Demidov and Basilevsky 2014), the same nearly as high as wide, cubes sunk
-# in and cubes that lie on top. Shadows of the third are 0.71 as long and 0.65 as wide as a cube's
-# of the same radius: read as a cube it would be a third too small.
+# in and cubes that lie on top. Shadows of the third are 0.6 to 0.75 as long and as wide as those of
+# a cube of the same radius: read as a cube it would be a third too small.
 LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
 SHAPES = (
     LOW,
@@ -107,7 +107,10 @@ class ShapeMixture:
         self.models = tuple(ShadowModel(elevation, shape) for shape in SHAPES)
         self.slopes = SLOPES
         cubes = np.array([shape.shape == "cube" for shape in SHAPES])
-        self._bare = np.where(cubes, 0.0, bare_share(round(elevation, 3)))
+        # Low ones are taken to be as high as rocks are in the mean: most of them are round.
+        heights = [max(shape.height_ratio, RockModel.height_ratio) for shape in SHAPES]
+        bare = [bare_share(round(elevation, 3), height) for height in heights]
+        self._bare = np.where(cubes, 0.0, bare)
         share = np.ones(len(SHAPES))
         if told is not None:
             share[cubes == (told == "cube")] = 2.0
