@@ -2,10 +2,11 @@
 
 One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
 deg high behind the camera, level ground). Some cells are of rocks that no level of these factors
-has, low, tall, long or small, and one of ground with craters, at posts half as far apart. Beside
-the lines stands an orthogonal array of 25 runs with six factors of five levels: in every two
-factors each pair of levels comes up once, so that a cell may be off home in everything. Its columns
-are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5 (Bose 1938).
+has, low, tall, long or small, seen along the Sun and aside, by a blurred camera too, and one of
+ground with craters, at posts half as far apart. Beside the lines stands an orthogonal array of 25
+runs with six factors of five levels: in every two factors each pair of levels comes up once, so
+that a cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b
+modulo 5 (Bose 1938).
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class Cell:
         Of the rocks, m.
     craters
         Of 1 m and more, a square metre in equilibrium; 0: none.
+    blur
+        Point spread of the camera, 1 sigma, pixels. The mission is told.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Cell:
     slenderness: float | None = None
     least_diameter: float = 0.3
     craters: float = 0.0
+    blur: float = 0.6
 
     def within_goal(self) -> bool:
         """Tell whether the goal asks the cell for recall.
@@ -109,10 +113,13 @@ class Cell:
             sun={"elevation_deg": self.elevation, "azimuth_deg": 225.0 + self.turn},
             mappers={"rocks": {"size_m": 80.0}},
             tasking={"camera": {"rate_hz": 2.0}},
+            sensors={"camera": {"blur_sigma_px": self.blur}},
         )
 
 
 HOME = Cell("home")
+# Mixed rocks told to be cubes, under a higher Sun, from the side that shows least of shadows.
+ASIDE = Cell("aside", shape="mixed", elevation=30.0, turn=120.0)
 
 
 def _lines() -> list[Cell]:
@@ -142,6 +149,10 @@ def _lines() -> list[Cell]:
         replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
         replace(HOME, name="rocks from 0.15 m", least_diameter=0.15),
         replace(HOME, name="craters", relief=1.0, craters=0.02),
+        replace(ASIDE, name="aside"),
+        replace(ASIDE, name="aside, low", height=0.35),
+        replace(ASIDE, name="aside, low and long", height=0.35, slenderness=0.6),
+        replace(ASIDE, name="aside, blurred", blur=0.9),
     ]
 
 

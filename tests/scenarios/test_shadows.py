@@ -155,7 +155,7 @@ def test_the_array_of_cells_has_every_pair_of_levels_once(script):
     assert columns.shape == (25, 6)
     for a, b in combinations(range(6), 2):
         assert len({tuple(row) for row in columns[:, [a, b]]}) == 25
-    assert len({c.name for c in cells.CELLS}) == len(cells.CELLS) == 69
+    assert len({c.name for c in cells.CELLS}) == len(cells.CELLS) == 73
     for cell in cells.CELLS:
         scenario = cell.scenario()
         assert (scenario.rocks.cover, scenario.expected_rocks.shape) == (

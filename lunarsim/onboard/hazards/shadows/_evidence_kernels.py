@@ -46,15 +46,17 @@ def _along_sensor(core, coarse, i, j, u, v, position, axes):
 
 
 @kernel()
-def _dark_points(core, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
-    """Return how many points of a shadow's core are dark, and how many of these are explained.
+def _dark_points(core, cores, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
+    """Return how many points of the darkest core are dark, and how many of these are explained.
 
-    -1 if one is out of view. Dark is what may be the shadow of so large a rock. The place lies at
-    (x0, y0, z0) along the sensor's axes.
+    -1 if one of any core is out of view. Dark is what may be the shadow of so large a rock. The
+    place lies at (x0, y0, z0) along the sensor's axes.
     """
     high, wide = labels.shape
-    dark = explained = 0
+    dark = explained = most = of_most = 0
     for k in range(core.shape[0]):
+        if k % (core.shape[0] // cores) == 0:
+            dark = explained = 0
         z = z0 + radius * core[k, 2]
         if z <= 0.0:
             return -1, 0
@@ -68,11 +70,16 @@ def _dark_points(core, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
             dark += 1
             if of < 0.0:
                 explained += 1
-    return dark, explained
+        # Of two as dark the one that is not explained counts.
+        if dark > most or (dark == most and explained < of_most):
+            most, of_most = dark, explained
+    return most, of_most
 
 
 @kernel()
-def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, labels, largest):
+def _dark_elsewhere(
+    core, cores, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, labels, largest
+):
     """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
 
     By up to `reach` (m), which moves the place by up to `lateral` (m) on level ground; `up` is the
@@ -88,7 +95,7 @@ def _dark_elsewhere(core, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, l
             continue
         by = reach * n / steps
         count, tracked = _dark_points(
-            core, x + by * up[0], y + by * up[1], z + by * up[2], radius, fx, fy, cx, cy,
+            core, cores, x + by * up[0], y + by * up[1], z + by * up[2], radius, fx, fy, cx, cy,
             labels, largest,
         )  # fmt: skip
         if count < 0 or count > tracked:
@@ -140,7 +147,7 @@ def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
 @kernel()
 def _look_along(
     i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy, labels,
-    largest, least, gain,
+    largest, least, gain, cores,
 ):  # fmt: skip
     """Note row i of the places, see `look`."""
     sizes, _, cols = lit.shape
@@ -166,12 +173,14 @@ def _look_along(
             if not known:
                 x, y, z, cotangent = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
                 known = True
-            count, tracked = _dark_points(core, x, y, z, radii[s], fx, fy, cx, cy, labels, largest)
+            count, tracked = _dark_points(
+                core, cores, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
+            )
             if count >= least:
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
-                core, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
+                core, cores, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
                 labels, largest,
             ):  # fmt: skip
                 lit[s, i, j] = sharpness
@@ -180,7 +189,7 @@ def _look_along(
 @kernel(parallel=True)
 def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
-    least, gain,
+    least, gain, cores,
 ):  # fmt: skip
     """Note for every place and size of rock whether its shadow would fall on lit ground.
 
@@ -199,7 +208,7 @@ def look(
     coarse
         At every `every`-th place, in between it is linear: sharpness of this look, east and north
         of the place, elevation of the ground and by how much it may be higher or lower, and east
-        and north of the points of the core for a rock of radius 1.
+        and north of the points of the cores for a rock whose half axis is 1, core after core.
     position, axes, fx, fy, cx, cy
         Of the camera, as `View` has them.
     labels
@@ -211,11 +220,13 @@ def look(
         Points that must be dark for a rock to be possible.
     gain
         Factor by which a look must be sharper than those before to be taken.
+    cores
+        How many there are: shadows that a rock of the size may throw, each of as many points.
     """
     high, wide = labels.shape
     in_view = _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high)
     for i in prange(lit.shape[1]):
         _look_along(
             i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy,
-            labels, largest, least, gain,
+            labels, largest, least, gain, cores,
         )  # fmt: skip

@@ -41,6 +41,9 @@ Heights = Callable[[Array], Array]
 _COARSE = 4.0
 # Points of a shadow's core: the middle, and these shares of its length and width off it.
 _ALONG, _ACROSS = 0.25, 0.2
+# Radius of the disc of a rock over its longer half axis, by which it is a hazard: of a round rock,
+# and of long ones.
+_SHARES = (1.0, 0.7)
 # As many of the five must be dark for a rock to be possible.
 _DARK = 4
 # A look counts if it is sharper than those before by this factor, and takes back what a dark one
@@ -54,6 +57,8 @@ _CROWD = 2.0
 _MISSED = 0.25
 # Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
 _BARE = 0.02
+# Point spread that `DetectionRates` were measured with, 1 sigma, and that of a pixel, pixels.
+BLUR, _PIXEL = 0.6, 12.0**-0.5
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -147,6 +152,7 @@ class ClearEvidence:
         place_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
+        blur: float = BLUR,
     ) -> None:
         """Take in a picture.
 
@@ -173,6 +179,9 @@ class ClearEvidence:
         height_sigma
             Gives what `heights` errs by at points (n, 2), 1 sigma (n,), m: what is lit must be so
             twice that higher and lower too. Left out: by nothing.
+        blur
+            Point spread of the camera, 1 sigma, pixels. A wider one than the rates were measured
+            with fills shadows with light as pixels would that are larger by as much.
         """
         if len(seen) == 0:
             return
@@ -182,7 +191,7 @@ class ClearEvidence:
         focal = float(np.sqrt(view.fx * view.fy))
         azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
         model, low = along(self.model, plane, sun), along(self._low, plane, sun)
-        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
+        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * _wider(blur))
         view, place = plane.view(view), plane.points(place)
         shown = view.position[2] > place[..., 2]
         if place_sigma is not None:
@@ -190,12 +199,16 @@ class ClearEvidence:
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
         reach = np.zeros(height.shape) if height_sigma is None else _asked(height_sigma, xy)
-        core = _core(model, low, azimuth, depression, sun)
+        core = [
+            share * along
+            for share in _SHARES
+            for along in _core(model, low, azimuth, depression, sun)
+        ]
         coarse = np.dstack((sharpness, place, np.minimum(_REACH * reach, _FAR), *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
-            largest, _DARK, _SHARPER,
+            largest, _DARK, _SHARPER, len(_SHARES),
         )  # fmt: skip
 
     def _nodes(self) -> tuple[int, Array]:
@@ -318,6 +331,11 @@ class ClearEvidence:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
+
+
+def _wider(blur: float) -> float:
+    """Return by what factor an edge is wider than the rates know it, the pixel itself counted."""
+    return max(float(np.hypot(blur, _PIXEL) / np.hypot(BLUR, _PIXEL)), 1.0)
 
 
 def _asked(given: Heights, xy: Array) -> Array:

@@ -206,6 +206,7 @@ class ShadowMapper(HazardMapper):
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
             self.tracker.explained, self.tracker.place_sigma, plane, self._height_sigma,
+            self.health.settings.blur_sigma,
         )  # fmt: skip
 
     def _height_sigma(self, xy: Array) -> Array:

@@ -13,7 +13,8 @@ uniform sampler2D mottles;   // the ground's albedo
 flat in vec4 to_mottles;
 
 float ground_albedo(vec3 rel) {
-    return 1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0);
+    // Four standard deviations below the mean there may be less than nothing.
+    return max(1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0), 0.02);
 }
 #endif
 

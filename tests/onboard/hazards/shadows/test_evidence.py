@@ -36,16 +36,18 @@ def seen_from(terrain, place):
 
 
 @pytest.mark.parametrize(
-    ("focal", "way", "height", "least"),
+    ("focal", "way", "height", "cores", "least"),
     [
-        pytest.param((70.0, 60.0), (0.1, 0.25, -1.0), 18.0, (26, 3, 5), id="down"),
-        pytest.param((120.0, 110.0), (0.1, 0.25, -1.0), 18.0, (26, 1, 1), id="narrow"),
-        pytest.param((30.0, 24.0), (0.9, 0.5, -0.2), 4.0, (26, 1, 1), id="ahead"),
+        pytest.param((70.0, 60.0), (0.1, 0.25, -1.0), 18.0, 1, (26, 3, 5), id="down"),
+        pytest.param((70.0, 60.0), (0.1, 0.25, -1.0), 18.0, 2, (26, 3, 5), id="two cores"),
+        pytest.param((120.0, 110.0), (0.1, 0.25, -1.0), 18.0, 1, (26, 1, 1), id="narrow"),
+        pytest.param((30.0, 24.0), (0.9, 0.5, -0.2), 4.0, 1, (26, 1, 1), id="ahead"),
     ],
 )
-def test_look_does_as_a_plain_loop(focal, way, height, least):
+def test_look_does_as_a_plain_loop(focal, way, height, cores, least):
     rng = np.random.default_rng(5)
-    coarse = rng.normal(0.0, 1.5, (5, 7, 5 + 2 * 3))
+    points = 3 if cores == 1 else 2 * cores
+    coarse = rng.normal(0.0, 1.5, (5, 7, 5 + 2 * points))
     coarse[..., 0] = rng.uniform(-0.3, 2.0, coarse.shape[:2])
     # Places that were moved and turned since they were noted.
     col, row = np.meshgrid(2.8 * np.arange(7), 2.8 * np.arange(5))
@@ -66,31 +68,42 @@ def test_look_does_as_a_plain_loop(focal, way, height, least):
     largest = np.array([0.0, 0.5, np.inf, -0.9], np.float32)
     kernels.look(
         lit, dark_, known, radii, coarse, 4, position, axes, *focal, 19.0, 15.0, labels,
-        largest, 2, 1.1,
+        largest, 2, 1.1, cores,
     )  # fmt: skip
     changed = named = passed = 0
     for s, i, j in product(range(2), range(15), range(22)):
         node = [
-            np.interp(j / 4, np.arange(7), coarse[r, :, k]) for r, k in product(range(5), range(11))
+            np.interp(j / 4, np.arange(7), coarse[r, :, k])
+            for r, k in product(range(5), range(5 + 2 * points))
         ]
-        at = [np.interp(i / 4, np.arange(5), np.reshape(node, (5, 11))[:, k]) for k in range(11)]
+        at = [
+            np.interp(i / 4, np.arange(5), np.reshape(node, (5, -1))[:, k])
+            for k in range(5 + 2 * points)
+        ]
         want = [before[0][s, i, j], before[1][s, i, j]]
         if at[0] > 0.0 and at[0] > 1.1 * max(want):
             place = np.array([-6.0 + 0.7 * j - 0.07 * i, -7.0 + 0.7 * i + 0.07 * j, at[3]])
-            core = radii[s] * np.reshape(at[5:], (3, 2))
+            core = radii[s] * np.reshape(at[5:], (points, 2))
 
             def dark(higher, place=place, core=core, radius=radii[s]):
-                """Return how many points are dark, and of these how many are tracked; or None."""
-                count = tracked = 0
-                for off in core:
+                """Return how many points are dark, and of these how many are tracked; or None.
+
+                Of the darkest core; of two as dark that of which fewer are tracked.
+                """
+                found = np.zeros((cores, 2), np.int64)
+                for k, off in enumerate(core):
                     x, y, z = axes.T @ (place + [*off, higher] - position)
                     u, v = focal[0] * x / z + 19.0, focal[1] * y / z + 15.0
                     if not (z > 0.0 and 0.0 <= u <= 39.0 and 0.0 <= v <= 29.0):
                         return None
                     of = labels[int(v + 0.5), int(u + 0.5)]
-                    count += abs(largest[of]) >= radius
-                    tracked += of == 3 and radius <= 0.9
-                return count, tracked
+                    found[k * cores // points] += (
+                        abs(largest[of]) >= radius,
+                        of == 3 and radius <= 0.9,
+                    )
+                return max((int(a), -int(b)) for a, b in found)[0], min(
+                    int(b) for a, b in found if a == max(found[:, 0])
+                )
 
             found = dark(0.0)
             if found is not None and found[0] >= 2:
@@ -122,7 +135,7 @@ def test_ground_whose_shadow_would_fall_within_the_picture_is_looked_at_to_its_e
     kernels.look(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.5]), coarse, 1,
         np.array([0.0, 0.0, 10.0]), down, 60.0, 60.0, 19.5, 14.5, np.zeros((30, 40), np.int32),
-        np.zeros(1, np.float32), 1, 1.03,
+        np.zeros(1, np.float32), 1, 1.03, 1,
     )  # fmt: skip
     u, v = 6.0 * (x + 0.5 * towards[0]) + 19.5, -6.0 * (y + 0.5 * towards[1]) + 14.5
     shown = (u >= 0.0) & (u <= 39.0) & (v >= 0.0) & (v <= 29.0)
@@ -150,6 +163,7 @@ def test_what_is_in_view_is_looked_at_from_wherever_the_camera_stands(seed):
     kernels.look(
         lit, dark, np.zeros(lit.shape, np.bool_), np.array([0.3]), coarse, 12, position, axes,
         focal, focal, 19.5, 14.5, np.zeros((30, 40), np.int32), np.zeros(1, np.float32), 1, 1.03,
+        1,
     )  # fmt: skip
     at = RegularGridInterpolator((np.arange(5), np.arange(6)), np.dstack((x, y, height)))
     row, col = np.meshgrid(np.arange(48) / 12, np.arange(60) / 12, indexing="ij")
@@ -218,6 +232,33 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
     far = (away > 6.0 * size)[8:-8, 8:-8]
     assert expected[8:-8, 8:-8][far].max() < 0.2 * prior
     assert evidence.seen()[away > 6.0 * size].all()
+
+
+def test_shadows_of_round_and_of_long_rocks_are_looked_for(monkeypatch):
+    """A long rock's disc is 0.7 of its longer half axis, by which it is a hazard."""
+    rocks = RockField.hemispheres([-6.0], [2.0], 0.0, 0.6)
+    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
+    told = []
+    monkeypatch.setattr(kernels, "look", lambda *given: told.append(given))
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    evidence.see(view, SUN, seen, level())
+    coarse, cores = told[0][4], told[0][-1]
+    assert cores == 2 and coarse.shape[2] == 5 + 2 * 5 * cores
+    np.testing.assert_allclose(coarse[..., 15:], 0.7 * coarse[..., 5:15], rtol=1e-12)
+    assert np.ptp(coarse[..., 5:15]) > 0.3
+
+
+@pytest.mark.parametrize(("blur", "wider"), [(0.3, 1.0), (0.6, 1.0), (0.9, 1.42), (1.8, 2.74)])
+def test_a_camera_that_spreads_light_wider_sees_as_one_of_larger_pixels(blur, wider):
+    """By root squares of the point spread and a pixel's own 0.29."""
+    rocks = RockField.hemispheres([-6.0], [2.0], 0.0, 0.6)
+    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
+    found = {}
+    for point_spread in (0.6, blur):
+        evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+        evidence.see(view, SUN, seen, level(), blur=point_spread)
+        found[point_spread] = evidence.lit.max()
+    assert found[0.6] / found[blur] == pytest.approx(wider, rel=0.01)
 
 
 def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():

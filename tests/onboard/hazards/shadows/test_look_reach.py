@@ -36,7 +36,7 @@ def is_lit(reach, axes=DOWN, place=(10.0, 0.0, 0.0), wide=901, radius=0.5, dark=
     kernels.look(
         lit, dark_, np.zeros((1, 1, 1), np.bool_), np.array([radius]), coarse, 1,
         np.array([0.0, 0.0, 40.0]), axes, 40.0, 40.0, 10.0, 10.0, labels,
-        np.array([0.0, np.inf], np.float32), 1, 1.0,
+        np.array([0.0, np.inf], np.float32), 1, 1.0, 1,
     )  # fmt: skip
     return bool(lit[0, 0, 0] > 0.0)
 
