@@ -35,7 +35,7 @@ class DetectionRates:
 
     missed: tuple[float, float, float] = (1.428, -0.4175, 0.0422)
     false: tuple[float, float, float] = (1.172, -0.5177, 0.0088)
-    cleared: tuple[float, float, float] = (1.003, -0.383, 0.0304)
+    cleared: tuple[float, float, float] = (1.0, -0.3943, 0.0214)
 
     def __post_init__(self) -> None:
         for name in ("missed", "false", "cleared"):
