@@ -15,8 +15,10 @@ from rich.console import Console
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import DetectorSettings
 from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.policies.contract import Decision
 from lunarsim.rocks.field import RockModel
 from lunarsim.scenario import Scenario
+from lunarsim.simulation import Simulation
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
@@ -201,6 +203,26 @@ def test_matrix_keeps_each_flight_and_goes_on_from_its_file(matrix, tmp_path, mo
         done = CliRunner().invoke(matrix.main, [*some, *other])
         assert done.exit_code == 2 and "holds flights of" in done.output
     assert CliRunner().invoke(matrix.main, ["--cells", "pyramids"]).exit_code == 2
+
+
+@pytest.mark.parametrize("off", [0.0, 3.0])
+def test_the_site_that_is_chosen_is_judged_where_it_truly_lies(matrix, monkeypatch, off):
+    """On the largest rock and, by an error of navigation, beside it; staying is a choice too."""
+    simulation = Simulation(Scenario.from_dict(SMALL_SHADOW_FLIGHT), 1)
+    rocks = simulation.world.terrain.rocks
+    largest = int(np.argmax(rocks.a))
+    rock = np.array([rocks.x[largest], rocks.y[largest], 0.0])
+    error = np.array([5.0, -2.0, 0.0])
+    monkeypatch.setattr(Simulation, "navigation_error", error)
+    decision = Decision(site=rock + error + [off, 0.0, 0.0], reason="told")
+    monkeypatch.setattr(Simulation, "ask", lambda self, policy, shown: decision)
+    monkeypatch.setattr(matrix, "reach_into", lambda s, xy: np.hypot(*(xy - rock[:2]).T) < 1.0)
+    found = matrix.choice(simulation)
+    assert found["diverts"] and found["site_on_hazard"] is (off == 0.0)
+    monkeypatch.setattr(Simulation, "ask", lambda self, policy, shown: Decision.keep("safe"))
+    simulation.computer.site = rock + error
+    found = matrix.choice(simulation)
+    assert not found["diverts"] and found["site_on_hazard"]
 
 
 def test_matrix_names_the_goals_that_are_missed(matrix):

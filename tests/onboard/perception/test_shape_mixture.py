@@ -67,16 +67,19 @@ def test_one_known_shape_is_the_mean_by_inverse_variances():
     assert mixture.patch(0.3, 1.0).area == pytest.approx(HALF_SPHERES.patch(0.3, 1.0).area)
 
 
-@pytest.mark.parametrize(("name", "told"), [("cube", "mixed"), ("low", "cube"), ("cube", None)])
-def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, name, told):
+@pytest.mark.parametrize(
+    ("name", "told", "off"),
+    # A cube throws nearly the shadow of a rounded rock as high as wide, whose disc is larger.
+    [("cube", "mixed", 0.12), ("low", "cube", 0.06), ("cube", None, 0.12)],
+)
+def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, name, told, off):
     rng = np.random.default_rng(2)
     mixture = taught(models[name], rng, told)
     assert mixture.shape_shares.argmax() == NAMES.index(name)
     assert mixture.shape_shares[NAMES.index(name)] > 0.6
     r, seen = patches(models[name], rng)
     read = mixture.read(*seen)
-    # A cube throws nearly the shadow of a rounded rock as high as wide, whose disc is larger.
-    assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.12)
+    assert np.median(read.radius / r) == pytest.approx(1.0, abs=off)
     z = (read.radius - r) / read.sigma
     # What shapes differ by errs alike in all rocks of a population.
     assert 0.4 < np.sqrt(np.mean(z**2)) < 1.3
@@ -133,7 +136,7 @@ def test_a_shape_is_possible_into_however_many_slopes_its_weight_is_divided(mode
 
 @pytest.mark.parametrize("told", ["cube", "mixed"])
 def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(models, told):
-    """Half of them are hazards a fifth longer than the least; as cubes they would be none."""
+    """Of 0.27 m, their longer half axes are 0.30 m in the mean; read as cubes, 0.18 m."""
     rng = np.random.default_rng(9)
     mixture = taught(models["tall"], rng, told)
     r, seen = patches(models["tall"], rng, 1000, radius=0.27)
