@@ -258,7 +258,13 @@ def draw(flights: list[Flight], path: Path) -> None:
         axis.grid(alpha=0.3)
     for axis in axes[:, 0]:
         axis.set_ylabel("safe ground found,\n1 in 100 called safe wrong")
-    axes.flat[len(rows) - 1].legend(fontsize=8, loc="best")
+    lines, words = axes.flat[0].get_legend_handles_labels()
+    if len(rows) < axes.size:
+        axes.flat[len(rows)].set_visible(True)
+        axes.flat[len(rows)].axis("off")
+        axes.flat[len(rows)].legend(lines, words, fontsize=10, loc="center")
+    else:
+        axes.flat[-1].legend(lines, words, fontsize=8, loc="best")
     figure.tight_layout()
     figure.savefig(path, dpi=130)
     plt.close(figure)
