@@ -222,6 +222,15 @@ def test_earthshine_is_the_only_light_of_the_night():
     assert np.all(renderer_of(_PLANE).render(view, below).radiance == 0.0)
 
 
+def test_the_darkest_mottles_still_reflect_light():
+    """Of a spread of 0.3 one in some 2000 places would have less than nothing."""
+    light = Light(1.0, 0.6, photometry="lambert", mottle=0.3, mottle_length=0.5, mottle_seed=3)
+    field = renderer_of(_PLANE).render(above((13.0, 7.0), 40.0, 0.1, (512, 512)), light).radiance
+    even = 0.12 * np.sin(0.6)
+    assert 0.0 < field.min() < 0.03 * even
+    assert field.mean() == pytest.approx(even, rel=0.02)
+
+
 def test_mottles_have_the_spread_and_the_correlation_they_are_told():
     light = Light(1.0, 0.6, photometry="lambert", mottle=0.06, mottle_length=4.0, mottle_seed=3)
     view = above((13.0, 7.0), 200.0, 0.5, (512, 512))

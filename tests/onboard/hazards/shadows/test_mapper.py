@@ -12,7 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.perception.health import Fault
+from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.world import World
 from lunarsim.world.light import Light
@@ -305,3 +305,18 @@ def test_rocks_tell_how_well_the_height_is_known_unless_it_was_measured(scene, m
     told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, relief=Slope((0.0, 0.0)))
     see(told, camera, honest[0], 0.0)
     assert told.probability.evidence.lit.any()
+
+
+def test_a_map_counts_the_point_spread_that_its_camera_is_judged_by(scene):
+    """A camera of 0.7 pixels and one of 0.6, as its pictures are: the same looks, less sharp."""
+    camera, honest = scene
+    sharpest = {}
+    for blur in (0.6, 0.7):
+        mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
+        health = PictureHealth(HealthSettings(blur_sigma=blur))
+        mapper = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, health=health)
+        see(mapper, camera, honest[0], 0.0)
+        assert not mapper.refused
+        sharpest[blur] = mapping.evidence.lit.max()
+    wider = np.hypot(0.7, 12.0**-0.5) / np.hypot(0.6, 12.0**-0.5)
+    assert sharpest[0.6] / sharpest[0.7] == pytest.approx(wider, rel=1e-3)
