@@ -17,6 +17,7 @@ What is seen is noted for places of the ground, which slide through the local fr
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,11 +178,9 @@ class ClearEvidence:
         plane
             Along which shadows fall at every place; left out: level ground.
         height_sigma
-            Gives what `heights` errs by at points (n, 2), 1 sigma (n,), m: what is lit must be so
-            twice that higher and lower too. Left out: by nothing.
+            Of `heights` (n,), m: what is lit must be so twice that higher and lower. Left out: 0.
         blur
-            Point spread of the camera, 1 sigma, pixels. A wider one than the rates were measured
-            with fills shadows with light as pixels would that are larger by as much.
+            Point spread, 1 sigma, pixels: a wider one fills shadows with light as larger pixels do.
         """
         if len(seen) == 0:
             return
@@ -193,23 +192,23 @@ class ClearEvidence:
         model, low = along(self.model, plane, sun), along(self._low, plane, sun)
         sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * _wider(blur))
         view, place = plane.view(view), plane.points(place)
-        shown = view.position[2] > place[..., 2]
-        if place_sigma is not None:
-            shown &= _asked(place_sigma, xy) <= self._radius[0]
+        shown = (view.position[2] > place[..., 2]) & self._placed(xy, place_sigma)
         sharpness = np.where(shown, sharpness, 0.0)
         largest = seen.largest if explained is None else _marked(seen, explained)
         reach = np.zeros(height.shape) if height_sigma is None else _asked(height_sigma, xy)
-        core = [
-            share * along
-            for share in _SHARES
-            for along in _core(model, low, azimuth, depression, sun)
-        ]
+        core = _cores(model, low, azimuth, depression, sun)
         coarse = np.dstack((sharpness, place, np.minimum(_REACH * reach, _FAR), *core))
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
             largest, _DARK, _SHARPER, len(_SHARES),
         )  # fmt: skip
+
+    def _placed(self, xy: Array, place_sigma: Heights | None) -> NDArray[np.bool_]:
+        """Return where points (rows, cols, 2) are known as well as the least rock is large."""
+        if place_sigma is None:
+            return np.ones(xy.shape[:2], np.bool_)
+        return np.asarray(_asked(place_sigma, xy) <= self._radius[0])
 
     def _nodes(self) -> tuple[int, Array]:
         """Return of how many places one is a node, and where nodes lie now (rows, cols, 2), m."""
@@ -343,15 +342,16 @@ def _asked(given: Heights, xy: Array) -> Array:
     return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
-def _core(
+def _cores(
     model: ShadowModel | ShapeMixture,
     low: ShadowModel,
     azimuth: Array,
     depression: Array,
     sun: Array,
 ) -> list[Array]:
-    """Return east and north of five points of the shadow's core, in radii, one after other.
+    """Return east and north of five points of the shadow's core, in half axes, one after other.
 
+    Of round rocks, then of long ones, whose discs are smaller.
     Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
     ground as steep as slopes are here, which is dark on any that is less so.
     """
@@ -361,8 +361,9 @@ def _core(
     length = unit.length * height / (height + model.slope)
     middle = unit.along + 0.5 * (unit.length - length)
     points = []
-    for a, b in ((0, 0), (_ALONG, 0), (-_ALONG, 0), (0, _ACROSS), (0, -_ACROSS)):
-        along, side = middle + a * length, unit.side + b * unit.width
+    cross = ((0.0, 0.0), (_ALONG, 0.0), (-_ALONG, 0.0), (0.0, _ACROSS), (0.0, -_ACROSS))
+    for share, (a, b) in product(_SHARES, cross):
+        along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
         points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
     return points
 
