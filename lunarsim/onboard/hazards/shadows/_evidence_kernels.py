@@ -53,23 +53,24 @@ def _dark_points(core, cores, x0, y0, z0, radius, fx, fy, cx, cy, labels, larges
     place lies at (x0, y0, z0) along the sensor's axes.
     """
     high, wide = labels.shape
-    dark = explained = most = of_most = 0
-    for k in range(core.shape[0]):
-        if k % (core.shape[0] // cores) == 0:
-            dark = explained = 0
-        z = z0 + radius * core[k, 2]
-        if z <= 0.0:
-            return -1, 0
-        x = x0 + radius * core[k, 0]
-        y = y0 + radius * core[k, 1]
-        px, py = to_pixel(x, y, z, fx, fy, cx, cy)
-        if not (px >= 0.0 and py >= 0.0 and px <= wide - 1 and py <= high - 1):
-            return -1, 0
-        of = largest[labels[int(py + 0.5), int(px + 0.5)]]
-        if abs(of) >= radius:
-            dark += 1
-            if of < 0.0:
-                explained += 1
+    each = core.shape[0] // cores
+    most = of_most = 0
+    for first in range(0, cores * each, each):
+        dark = explained = 0
+        for k in range(first, first + each):
+            z = z0 + radius * core[k, 2]
+            if z <= 0.0:
+                return -1, 0
+            x = x0 + radius * core[k, 0]
+            y = y0 + radius * core[k, 1]
+            px, py = to_pixel(x, y, z, fx, fy, cx, cy)
+            if not (px >= 0.0 and py >= 0.0 and px <= wide - 1 and py <= high - 1):
+                return -1, 0
+            of = largest[labels[int(py + 0.5), int(px + 0.5)]]
+            if abs(of) >= radius:
+                dark += 1
+                if of < 0.0:
+                    explained += 1
         # Of two as dark the one that is not explained counts.
         if dark > most or (dark == most and explained < of_most):
             most, of_most = dark, explained
