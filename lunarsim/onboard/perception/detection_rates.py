@@ -12,13 +12,16 @@ from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
+# Point spread of a pixel, 1 sigma, pixels.
+_PIXEL = 12.0**-0.5
+
 
 @dataclass(frozen=True)
 class DetectionRates:
     """Rates linear in q, the root of the number of dark pixels, cut at both ends.
 
     The defaults are the lines that `python scenarios/shadows/rates.py` prints: rocks of all shapes
-    on level ground, 5 % cover, the Sun 20 deg high. A test repeats it.
+    on level ground, 5 % cover, the Sun 20 deg high, a blur of 0.6 pixels. A test repeats it.
 
     The paper takes q along the shadow (III.C); the root of the area equals it for a square patch
     and also tells what is left of a shadow that its rock hides.
@@ -31,11 +34,14 @@ class DetectionRates:
         The same for detections that are no rock's.
     cleared
         The same for rocks where a picture gives the ground as free of them.
+    blur
+        Point spread of the camera that they are measured with, 1 sigma, pixels.
     """
 
     missed: tuple[float, float, float] = (1.428, -0.4175, 0.0422)
     false: tuple[float, float, float] = (1.172, -0.5177, 0.0088)
     cleared: tuple[float, float, float] = (1.0, -0.3943, 0.0214)
+    blur: float = 0.6
 
     def __post_init__(self) -> None:
         for name in ("missed", "false", "cleared"):
@@ -44,6 +50,16 @@ class DetectionRates:
                 raise InputError(
                     f"rates.{name}", getattr(self, name), "a slope up to 0, a floor from 0 to 1"
                 )
+
+        if not (np.isfinite(self.blur) and self.blur >= 0.0):
+            raise InputError("rates.blur", self.blur, "0 or a positive number, pixels")
+
+    def wider(self, blur: float) -> float:
+        """Return by what factor a camera spreads edges wider than the rates know them; at least 1.
+
+        A pixel spreads them too. Shadows are filled with light as pixels larger by that would.
+        """
+        return max(float(np.hypot(blur, _PIXEL) / np.hypot(self.blur, _PIXEL)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
         """Return FN(q) (...)."""

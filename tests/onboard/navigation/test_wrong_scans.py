@@ -86,7 +86,7 @@ def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
 def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
     """The base of its gimbal turns: neither range, boresight nor latency."""
     turn = quat_to_matrix(quat_from_rotation_vector([np.deg2rad(1.0), 0.0, 0.0]))
-    descent, worst = flown(ground, 11, lambda s: replace(s, mount=turn @ s.mount), 12)
+    descent, worst = flown(ground, 11, lambda s: replace(s, mount=turn @ s.mount), 10)
     assert names(descent)[-1] == "lost"
     assert descent.filter.lost and worst < 4.0
 

@@ -81,8 +81,9 @@ def test_shapes_are_told_by_the_shadows_whatever_the_mission_expects(models, nam
     read = mixture.read(*seen)
     assert np.median(read.radius / r) == pytest.approx(1.0, abs=off)
     z = (read.radius - r) / read.sigma
-    # What shapes differ by errs alike in all rocks of a population.
-    assert 0.4 < np.sqrt(np.mean(z**2)) < 1.3
+    # Where two shapes stay possible what they differ by errs alike in all rocks.
+    assert z.std() > 0.5 if name == "low" else np.sqrt(np.mean(z**2)) > 0.4
+    assert max(z.std(), np.sqrt(np.mean(z**2))) < 1.3
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -58,8 +58,6 @@ _CROWD = 2.0
 _MISSED = 0.25
 # Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
 _BARE = 0.02
-# Point spread that `DetectionRates` were measured with, 1 sigma, and that of a pixel, pixels.
-BLUR, _PIXEL = 0.6, 12.0**-0.5
 # Greatest ratio of the sizes that one test stands for.
 _STEP = 1.4
 
@@ -153,7 +151,7 @@ class ClearEvidence:
         place_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
-        blur: float = BLUR,
+        blur: float = 0.0,
     ) -> None:
         """Take in a picture.
 
@@ -180,7 +178,7 @@ class ClearEvidence:
         height_sigma
             Of `heights` (n,), m: what is lit must be so twice that higher and lower. Left out: 0.
         blur
-            Point spread, 1 sigma, pixels: a wider one fills shadows with light as larger pixels do.
+            Point spread of the camera, 1 sigma, pixels; left out: at most that of the rates.
         """
         if len(seen) == 0:
             return
@@ -190,7 +188,7 @@ class ClearEvidence:
         focal = float(np.sqrt(view.fx * view.fy))
         azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
         model, low = along(self.model, plane, sun), along(self._low, plane, sun)
-        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * _wider(blur))
+        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * self.rates.wider(blur))
         view, place = plane.view(view), plane.points(place)
         shown = (view.position[2] > place[..., 2]) & self._placed(xy, place_sigma)
         sharpness = np.where(shown, sharpness, 0.0)
@@ -330,11 +328,6 @@ class ClearEvidence:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
         return np.asarray((missed < _MISSED) & ~self._possible(0))
-
-
-def _wider(blur: float) -> float:
-    """Return by what factor an edge is wider than the rates know it, the pixel itself counted."""
-    return max(float(np.hypot(blur, _PIXEL) / np.hypot(BLUR, _PIXEL)), 1.0)
 
 
 def _asked(given: Heights, xy: Array) -> Array:

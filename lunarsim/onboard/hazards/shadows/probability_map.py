@@ -15,7 +15,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import RockTracks
 from lunarsim.onboard.hazards.shadows import _probability_kernels as kernels
-from lunarsim.onboard.hazards.shadows.evidence import BLUR, ClearEvidence, Heights
+from lunarsim.onboard.hazards.shadows.evidence import ClearEvidence, Heights
 from lunarsim.onboard.hazards.shadows.footprints import footprint_seen
 from lunarsim.onboard.hazards.shadows.probability import Form, checked_form, cover_probability
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
@@ -140,7 +140,7 @@ class ProbabilityMap:
         place_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
-        blur: float = BLUR,
+        blur: float = 0.0,
     ) -> None:
         """Note where the picture shows that no rock stands, see `ClearEvidence`.
 
@@ -148,8 +148,8 @@ class ProbabilityMap:
         tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
         left out: exactly. Shadows fall along `plane`; left out: level ground. `height_sigma` gives
         what `heights` errs by (n,), m; left out: nothing. `blur` is the camera's point spread,
-        1 sigma, pixels. Under a Sun that throws no shadows to see
-        rocks by (`throws_shadows`) nothing is seen.
+        1 sigma, pixels; left out: at most that of the rates. Under a Sun that throws no shadows to
+        see rocks by (`throws_shadows`) nothing is seen.
 
         Raises
         ------
