@@ -60,7 +60,7 @@ WORLDS: dict[str, dict[str, Any]] = {
     "HiRISE 0.2": {"terrain": _TILTED | {"relief_scale": 0.2}},
     "HiRISE 0.5": {"terrain": _TILTED | {"relief_scale": 0.5}},
     "highland": {
-        "terrain": {"preset": "highland", "rms_slope_deg": 4.0},
+        "terrain": {"preset": "highland", "rms_slope_deg": 4.0, "detail_m": 0.0},
         "rocks": _MIXED, "expected_rocks": _MIXED,
     },
     "15 % cover": {"rocks": {"cover": 0.15}, "expected_rocks": {"cover": 0.15}},

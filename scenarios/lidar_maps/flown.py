@@ -45,7 +45,8 @@ PLACED: dict[str, Any] = {
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "HiRISE, c = 0.2": ("hirise.toml", PLACED),
     "HiRISE, c = 0.5": ("hirise.toml", {**PLACED, "terrain": {"relief_scale": 0.5}}),
-    "cratered highland": ("highland.toml", PLACED),
+    # Its figures are of ground without detail below its posts.
+    "cratered highland": ("highland.toml", {**PLACED, "terrain": {"detail_m": 0.0}}),
     "Apollo 15": ("apollo15.toml", PLACED),
     "hazard field": ("morpheus.toml", {}),
 }

@@ -35,7 +35,8 @@ def scenario(**changes: dict) -> Scenario:
     table = {
         "name": "blocks",
         "terrain": {
-            "size_m": 200.0, "posting_m": 1.0, "preset": "mare", "crater_ageing": "diffusion",
+            "size_m": 200.0, "posting_m": 1.0, "detail_m": 0.0, "preset": "mare",
+            "crater_ageing": "diffusion",
         },
         "rocks": {"min_diameter_m": 0.5, "clustered": 0.8, "block_crater_m": 12.0},
     }  # fmt: skip

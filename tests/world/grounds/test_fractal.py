@@ -22,7 +22,7 @@ def slope_at_a_metre(relief):
 
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_presets_fill_what_is_left_out(preset):
-    table = {"preset": preset, "size_m": 100.0, "hurst": 0.5}
+    table = {"preset": preset, "size_m": 100.0, "hurst": 0.5, "detail_m": 0.0}
     ground = Scenario.from_dict({"terrain": table}).terrain.make()
     hurst, slope = PRESETS[preset]
     cratered, bare = ground.relief(), replace(ground, crater_density=0.0).relief()
@@ -55,3 +55,33 @@ def test_ground_without_a_preset_has_no_craters():
     plain = FractalGround(size=40.0)
     assert np.array_equal(plain.relief().z, replace(plain, crater_density=0.0).relief().z)
     assert slope_at_a_metre(plain.relief()) == pytest.approx(2.5, rel=0.25)
+
+
+def test_ground_of_a_preset_has_posts_that_do_not_show_unless_told_otherwise():
+    kind = {"preset": "mare", "crater_density": 0.0, "size": 40.0}
+    near, bare = FractalGround(**kind), FractalGround(**kind, detail=0.0)
+    assert near.detail_posting == pytest.approx(0.05)
+    assert near.relief().grid.posting == pytest.approx(0.05)
+    assert bare.relief().grid.posting == 0.25
+    # The same ground, with some millimetres of roughness on it.
+    assert 0.0005 < np.std(near.relief().z[::5, ::5] - bare.relief().z) < 0.01
+    asked = FractalGround(**kind, detail=0.0625)
+    assert asked.relief().grid.posting == 0.0625
+    assert FractalGround(size=40.0).detail_posting is None
+
+
+@pytest.mark.parametrize("posting", [0.07, 0.09, 0.25, 1.3, 20.0, 23.9, 30.0])
+@pytest.mark.parametrize("size", [100.0, 300.0, 1234.5])
+def test_detail_that_nobody_asked_for_fits_posts_and_memory(size, posting):
+    ground = FractalGround(preset="mare", size=size, posting=posting)
+    found = ground.detail_posting
+    least = max(0.05, size / 4000.0)
+    if posting < 2.0 * least or posting > 24.0:
+        assert found is None
+        return
+    assert least * (1.0 - 1e-9) <= found <= 2.0 * least
+    assert posting / found == pytest.approx(round(posting / found))
+    if size == 100.0:
+        kind = replace(ground, crater_density=0.0)
+        plain = replace(kind, detail=0.0)
+        assert kind.relief().bounds == pytest.approx(plain.relief().bounds)

@@ -59,7 +59,7 @@ def test_posts_that_are_no_finer_are_refused(coarse):
 
 
 def test_a_scenario_with_detail_is_the_same_ground_nearer():
-    told = {"terrain": {"preset": "highland", "size_m": 60.0, "posting_m": 0.25}}
+    told = {"terrain": {"preset": "highland", "size_m": 60.0, "posting_m": 0.25, "detail_m": 0.0}}
     grounds = [
         s.terrain.make().build(s.rocks.make(), Streams(1))
         for s in (
