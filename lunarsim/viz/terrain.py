@@ -49,4 +49,7 @@ def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     )  # fmt: skip
     covered = float(np.sum(np.pi * rocks.a * rocks.b)) / (g.rows * g.cols * g.posting**2)
     map_axes(right, f"{len(rocks)} rocks" + (f", {100 * covered:.1f} % cover" if covered else ""))
+    # Rocks that reach over the edge draw no margin.
+    west, east, south, north = grid.extent
+    right.set(xlim=(west, east), ylim=(south, north))
     save(figure, path)
