@@ -9,96 +9,120 @@ from lunarsim.models._pinhole_kernels import to_pixel
 
 # Columns of a node of the coarse grid before those of the core's points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
+# And of a node as the camera has it: sharpness, reach, the place off the camera, east, north, up,
+# the same along the sensor's axes, and along these the core's points, x of all, then y, then z.
+_SHARP, _FAR, _E, _N, _H, _X, _Y, _Z, _CORE = range(9)
 # Ground that may show farther aside than so many radii of a rock is not searched for it.
 _MOST_STEPS = 16
 # What shows so far beyond an edge is out of view whatever rounding does, pixels.
 _BEYOND = 0.01
 
 
-@kernel(inline=True)
-def _between(coarse, i, j, u, v, k):
-    """Return column k of the coarse grid at the part (u, v) of the square from node (i, j)."""
-    top = coarse[i, j, k] + u * (coarse[i, j + 1, k] - coarse[i, j, k])
-    low = coarse[i + 1, j, k] + u * (coarse[i + 1, j + 1, k] - coarse[i + 1, j, k])
-    return top + v * (low - top)
-
-
-@kernel(inline=True)
-def _along_sensor(core, coarse, i, j, u, v, position, axes):
-    """Return a place along the sensor's axes, and by how much it shows nearer if a metre lower.
-
-    Write the points of the core there (points, 3): those of a shadow's core for a radius of 1.
-    """
-    for k in range(core.shape[0]):
-        e = _between(coarse, i, j, u, v, POINTS + 2 * k)
-        n = _between(coarse, i, j, u, v, POINTS + 2 * k + 1)
-        for c in range(3):
-            core[k, c] = axes[0, c] * e + axes[1, c] * n
-    e = _between(coarse, i, j, u, v, EAST) - position[0]
-    n = _between(coarse, i, j, u, v, NORTH) - position[1]
-    h = _between(coarse, i, j, u, v, HEIGHT) - position[2]
-    return (
-        axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h,
-        axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h,
-        axes[0, 2] * e + axes[1, 2] * n + axes[2, 2] * h,
-        np.sqrt(e * e + n * n) / max(-h, 1e-9),
-    )
+@kernel()
+def _along_sensor(coarse, position, axes):
+    """Return nodes of the coarse grid as the camera has them (rows, cols, columns)."""
+    rows, cols, width = coarse.shape
+    points = (width - POINTS) // 2
+    out = np.empty((rows, cols, _CORE + 3 * points))
+    off = np.empty(3)
+    for i in range(rows):
+        for j in range(cols):
+            out[i, j, _SHARP] = coarse[i, j, SHARPNESS]
+            out[i, j, _FAR] = coarse[i, j, REACH]
+            for c in range(3):
+                off[c] = coarse[i, j, EAST + c] - position[c]
+                out[i, j, _E + c] = off[c]
+            for c in range(3):
+                out[i, j, _X + c] = axes[0, c] * off[0] + axes[1, c] * off[1] + axes[2, c] * off[2]
+                for k in range(points):
+                    e, n = coarse[i, j, POINTS + 2 * k], coarse[i, j, POINTS + 2 * k + 1]
+                    out[i, j, _CORE + c * points + k] = axes[0, c] * e + axes[1, c] * n
+    return out
 
 
 @kernel()
-def _dark_points(core, cores, x0, y0, z0, radius, fx, fy, cx, cy, labels, largest):
+def _row_of_nodes(nodes, i, every):
+    """Return what lies between the rows of nodes on row i of the places (cols, columns)."""
+    first = min(i // every, nodes.shape[0] - 2)
+    share = i / every - first
+    out = np.empty(nodes.shape[1:])
+    for j in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            step = nodes[first + 1, j, k] - nodes[first, j, k]
+            out[j, k] = nodes[first, j, k] + share * step
+    return out
+
+
+@kernel(allocates=False)
+def _between(out, nodes, first, share):
+    """Write what lies at a share of the way from one node of a row to the next."""
+    for k in range(len(out)):
+        out[k] = nodes[first, k] + share * (nodes[first + 1, k] - nodes[first, k])
+
+
+@kernel(exact=True)
+def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
+    """Tell whether all points of all cores are in view, and write which pixels they are.
+
+    Nothing branches before the end, so that several points are worked out at once.
+    """
+    fx, fy, cx, cy = lens
+    points = len(at)
+    x0, y0, z0 = here[_X] + by * up[0], here[_Y] + by * up[1], here[_Z] + by * up[2]
+    out = 0
+    for k in range(points):
+        x = x0 + radius * here[_CORE + k]
+        y = y0 + radius * here[_CORE + points + k]
+        z = z0 + radius * here[_CORE + 2 * points + k]
+        px, py = to_pixel(x, y, z, fx, fy, cx, cy)
+        inside = (z > 0.0) & (px >= 0.0) & (py >= 0.0) & (px <= wide - 1) & (py <= high - 1)
+        out += not inside
+        at[k] = np.int32(py + 0.5) * wide + np.int32(px + 0.5) if inside else np.int32(0)
+    return out == 0
+
+
+@kernel(allocates=False)
+def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
     """Return how many points of the darkest core are dark, and how many of these are explained.
 
     -1 if one of any core is out of view. Dark is what may be the shadow of so large a rock. The
-    place lies at (x0, y0, z0) along the sensor's axes.
+    ground is taken to be higher by so much; `up` is the vertical along the sensor's axes.
     """
-    high, wide = labels.shape
-    each = core.shape[0] // cores
+    if not _pixels_of_core(at, here, by, up, radius, lens, high, wide):
+        return -1, 0
+    each = len(at) // cores
     most = of_most = 0
     for first in range(0, cores * each, each):
         dark = explained = 0
         for k in range(first, first + each):
-            z = z0 + radius * core[k, 2]
-            if z <= 0.0:
-                return -1, 0
-            x = x0 + radius * core[k, 0]
-            y = y0 + radius * core[k, 1]
-            px, py = to_pixel(x, y, z, fx, fy, cx, cy)
-            if not (px >= 0.0 and py >= 0.0 and px <= wide - 1 and py <= high - 1):
-                return -1, 0
-            of = largest[labels[int(py + 0.5), int(px + 0.5)]]
-            if abs(of) >= radius:
-                dark += 1
-                if of < 0.0:
-                    explained += 1
+            of = shadow_of[at[k]]
+            dark += abs(of) >= radius
+            explained += -of >= radius
         # Of two as dark the one that is not explained counts.
         if dark > most or (dark == most and explained < of_most):
             most, of_most = dark, explained
     return most, of_most
 
 
-@kernel()
-def _dark_elsewhere(
-    core, cores, x, y, z, reach, lateral, radius, up, fx, fy, cx, cy, labels, largest
-):
+@kernel(allocates=False)
+def _dark_elsewhere(at, here, up, cores, radius, lens, high, wide, shadow_of):
     """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
 
-    By up to `reach` (m), which moves the place by up to `lateral` (m) on level ground; `up` is the
-    vertical along the sensor's axes. Steps are about a rock's radius. What is the shadow of a rock
-    that is tracked is that of none that stands here.
+    By up to the reach of the place, which moves it aside on level ground. Steps are about a rock's
+    radius. What is the shadow of a rock that is tracked is that of none that stands here.
     """
+    reach, e, n, h = here[_FAR], here[_E], here[_N], here[_H]
+    lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
     # So too if it is no number.
     if not lateral < (_MOST_STEPS + 0.5) * radius:
         return True
     steps = int(lateral / radius + 0.5)
-    for n in range(-steps, steps + 1):
-        if n == 0:
+    for step in range(-steps, steps + 1):
+        if step == 0:
             continue
-        by = reach * n / steps
         count, tracked = _dark_points(
-            core, cores, x + by * up[0], y + by * up[1], z + by * up[2], radius, fx, fy, cx, cy,
-            labels, largest,
-        )  # fmt: skip
+            at, here, reach * step / steps, up, cores, radius, lens, high, wide, shadow_of
+        )
         if count < 0 or count > tracked:
             return True
     return False
@@ -145,45 +169,54 @@ def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
     return out
 
 
+@kernel(parallel=True)
+def _shadow_of(labels, largest):
+    """Return of each pixel, row after row, what `largest` says of its patch."""
+    high, wide = labels.shape
+    out = np.empty(high * wide, largest.dtype)
+    for row in prange(high):
+        for col in range(wide):
+            out[row * wide + col] = largest[labels[row, col]]
+    return out
+
+
 @kernel()
 def _look_along(
-    i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy, labels,
-    largest, least, gain, cores,
+    i, lit, dark, explained, radii, nodes, in_view, every, up, lens, shape, shadow_of, least, gain,
+    cores,
 ):  # fmt: skip
     """Note row i of the places, see `look`."""
     sizes, _, cols = lit.shape
-    points = (coarse.shape[2] - POINTS) // 2
-    core = np.empty((points, 3))
-    vi = min(i // every, coarse.shape[0] - 2)
-    v = i / every - vi
+    high, wide = np.int32(shape[0]), np.int32(shape[1])
+    row = _row_of_nodes(nodes, i, every)
+    here = np.empty(nodes.shape[2])
+    at = np.empty((len(here) - _CORE) // 3, np.int32)
+    vi = min(i // every, nodes.shape[0] - 2)
     for j in range(cols):
-        uj = min(j // every, coarse.shape[1] - 2)
+        uj = min(j // every, len(row) - 2)
         u = j / every - uj
-        sharpness = _between(coarse, vi, uj, u, v, SHARPNESS)
+        sharpness = row[uj, _SHARP] + u * (row[uj + 1, _SHARP] - row[uj, _SHARP])
         if not sharpness > 0.0:
             continue
-        # Before any size asks for them nothing is worked out.
+        # Before any size asks for it nothing is worked out.
         known = False
-        x = y = z = cotangent = 0.0
-        reach = _between(coarse, vi, uj, u, v, REACH)
         for s in range(sizes):
             if not in_view[vi, uj, s]:
                 continue
             if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
                 continue
             if not known:
-                x, y, z, cotangent = _along_sensor(core, coarse, vi, uj, u, v, position, axes)
+                _between(here, row, uj, u)
                 known = True
             count, tracked = _dark_points(
-                core, cores, x, y, z, radii[s], fx, fy, cx, cy, labels, largest
+                at, here, 0.0, up, cores, radii[s], lens, high, wide, shadow_of
             )
             if count >= least:
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
-                core, cores, x, y, z, reach, reach * cotangent, radii[s], axes[2], fx, fy, cx, cy,
-                labels, largest,
-            ):  # fmt: skip
+                at, here, up, cores, radii[s], lens, high, wide, shadow_of
+            ):
                 lit[s, i, j] = sharpness
 
 
@@ -226,8 +259,11 @@ def look(
     """
     high, wide = labels.shape
     in_view = _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high)
+    shadow_of = _shadow_of(labels, largest)
+    nodes = _along_sensor(coarse, position, axes)
+    lens = (fx, fy, cx, cy)
     for i in prange(lit.shape[1]):
         _look_along(
-            i, lit, dark, explained, radii, coarse, in_view, every, position, axes, fx, fy, cx, cy,
-            labels, largest, least, gain, cores,
+            i, lit, dark, explained, radii, nodes, in_view, every, axes[2], lens, labels.shape,
+            shadow_of, least, gain, cores,
         )  # fmt: skip
