@@ -7,17 +7,20 @@ import numpy as np
 from lunarsim._jit import kernel, prange
 
 
-@kernel()
-def _nearest(places, x, y, chosen, away):
-    """Write which of the places (n, 2) lie nearest to a point, nearest first.
+@kernel(allocates=False)
+def _nearest(east, north, x, y, squares, chosen, away):
+    """Write which of the places (n,) lie nearest to a point, nearest first.
 
-    As many as `chosen` (k,) and `away` (k,), the squares of their distances, hold.
+    As many as `chosen` (k,) and `away` (k,), the squares of their distances, hold; `squares` (n,)
+    is left with those of all, which are worked out several at once.
     """
+    for i in range(len(east)):
+        dx, dy = east[i] - x, north[i] - y
+        squares[i] = dx * dx + dy * dy
     k = chosen.size
     count = 0
-    for i in range(len(places)):
-        dx, dy = places[i, 0] - x, places[i, 1] - y
-        d = dx * dx + dy * dy
+    for i in range(len(east)):
+        d = squares[i]
         if count == k and not d < away[k - 1]:
             continue
         at = count if count < k else k - 1
@@ -28,7 +31,7 @@ def _nearest(places, x, y, chosen, away):
         away[at], chosen[at] = d, i
 
 
-@kernel()
+@kernel(allocates=False)
 def _solve(a, b):
     """Solve a x = b by elimination with the greatest pivot of a column; x is left in b (n,)."""
     n = b.size
@@ -53,17 +56,18 @@ def _solve(a, b):
 
 
 @kernel()
-def _height_at(places, known, x, y, count, growth, own):
+def _height_at(east, north, known, x, y, count, growth, own):
     """Return the likeliest height at one point, see `heights`."""
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
+    squares = np.empty(len(east))
     system = np.empty((count + 1, count + 1))
     weights = np.empty(count + 1)
-    _nearest(places, x, y, chosen, away)
+    _nearest(east, north, x, y, squares, chosen, away)
     for i in range(count):
         for j in range(count):
-            dx = places[chosen[i], 0] - places[chosen[j], 0]
-            dy = places[chosen[i], 1] - places[chosen[j], 1]
+            dx = east[chosen[i]] - east[chosen[j]]
+            dy = north[chosen[i]] - north[chosen[j]]
             system[i, j] = 0.5 * growth * np.sqrt(dx * dx + dy * dy) + own * own
         system[i, i] = 0.0
         system[i, count] = system[count, i] = 1.0
@@ -92,10 +96,11 @@ def heights(places, known, at, count, growth, own):
         them, m^2/m, and half of what it is side by side, as a standard deviation, m.
     """
     out = np.empty(len(at))
+    east, north = places[:, 0].copy(), places[:, 1].copy()
     for b in prange(len(at)):
         x, y = at[b, 0], at[b, 1]
         if np.isfinite(x) and np.isfinite(y):
-            out[b] = _height_at(places, known, x, y, count, growth, own)
+            out[b] = _height_at(east, north, known, x, y, count, growth, own)
         else:
             out[b] = np.nan
     return out
