@@ -21,6 +21,7 @@ from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
 from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
+from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
 from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.onboard.hazards.shadows.probability_map import (
     ProbabilityMap,
@@ -205,9 +206,13 @@ class ShadowMapper(HazardMapper):
         rocks = self.tracker.filter
         self.probability.see(
             picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
-            self.tracker.explained, self.tracker.place_sigma, plane, self._height_sigma,
+            self.tracker.explained, self._place_sigma, plane, self._height_sigma,
             self.health.settings.blur_sigma,
         )  # fmt: skip
+
+    def _place_sigma(self, xy: Array) -> Array:
+        """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m."""
+        return place_sigma(self.tracker.filter, xy, self.tracker.settings.least_radius)
 
     def _height_sigma(self, xy: Array) -> Array:
         """Return what the ground's height errs by at points (n, 2), 1 sigma (n,), m.

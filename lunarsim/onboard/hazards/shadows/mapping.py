@@ -134,7 +134,9 @@ class ShadowMapping:
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
         model = self._model(elevation, briefing.rocks)
         settings = TrackerSettings(
-            least_radius=0.42 * self.hazard_diameter, region=tracked_region(grid)
+            least_radius=0.42 * self.hazard_diameter,
+            landmark_radius=0.2 * self.hazard_diameter,
+            region=tracked_region(grid),
         )
         rocks = navigation.rocks
         tracker = RockTracker(rocks, model, settings=settings)

@@ -42,8 +42,6 @@ _GONE = 0.05
 _SURE, _SURE_HITS = 0.9, 5
 # A rock that turns out smaller than this share of the least radius is let go.
 _SHRUNK = 0.85
-# As many rocks tell how well places about them are known.
-_ABOUT = 8
 # A second look that shows a place so many times worse than a first one may is none.
 _VAGUE = 4.0
 # Chi-squared with 2 degrees of freedom at 99.7 %.
@@ -151,6 +149,7 @@ class RockTracker:
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
+        in_view = len(at)
         large = self.filter.count > s.large
         self.filter.rest(~view & large)
         # Rocks that rest stay behind until they are seen again.
@@ -179,18 +178,33 @@ class RockTracker:
         self._begin_anew(rock[second], d[second], seen, camera, radius_variance)
         expected = self._judge(rock, at, seen, d, camera, sun, plane)
         self.explained = np.zeros(len(seen), np.bool_)
-        self.explained[d] = self.existence[rock] > _SURE
+        self.explained[d] = self._surely_there(rock, in_view)
         if not self._explained(found, expected, time):
             self.renew()
             self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel)
-        born = self._birth(~close, seen, points, camera, radius_variance)
+        large = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
+        born = self._birth(~close & large, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
         self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
-        small = self.filter.radius < _SHRUNK * s.least_radius
-        self._drop(np.flatnonzero(small | (self.existence < _GONE)))
+        self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _GONE)))
         return found
+
+    def _surely_there(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
+        """Return which rocks (n,) explain what is dark, with so many of them in view.
+
+        What a landmark throws may be the shadow of a hazard that was read as one.
+        """
+        s = self.settings
+        least = s.least_radius * (1.0 if in_view < s.few else _SHRUNK)
+        return (self.existence[rock] > _SURE) & (self.filter.radius[rock] >= least)
+
+    def _too_small(self, in_view: int) -> NDArray[np.bool_]:
+        """Return which rocks (n,) need not be tracked, with so many of them in view."""
+        s = self.settings
+        least = s.landmark_radius if in_view < 2 * s.few else s.least_radius
+        return self.filter.radius < _SHRUNK * least
 
     def _paired(
         self, seen: Detections, sight: Sight, at: Index, radius_variance: Array
@@ -242,19 +256,6 @@ class RockTracker:
         stand = self.filter.xy.copy()
         by, self._stood = stand - self._stood, stand
         return stand, by
-
-    def place_sigma(self, xy: Array) -> Array:
-        """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
-
-        That is what the places of the rocks about are: their median. Infinite if none is tracked:
-        from picture to picture the lander's own place and attitude then err by more than a rock.
-        """
-        f = self.filter
-        if f.count == 0:
-            return np.full(len(xy), np.inf)
-        own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
-        near = cKDTree(f.xy).query(xy, k=np.arange(1, min(_ABOUT, f.count) + 1))[1]
-        return np.asarray(np.median(own[near], axis=1))
 
     def renew(self) -> None:
         """Let all rocks go, to begin anew with those that are seen from where the lander is."""
@@ -378,7 +379,7 @@ class RockTracker:
         # Where it shows must be known to a fraction of the distance between rocks.
         spread = ground_spread(points, seen.look_covariance, self.filter, camera)
         sharp = spread < self._near_enough(seen.radius)
-        fresh = fresh & (seen.radius >= s.least_radius) & (seen.q >= s.birth_q) & sharp
+        fresh = fresh & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
         fresh &= positive(seen.look_covariance)
         if s.region is not None:

@@ -17,6 +17,10 @@ class TrackerSettings:
     ----------
     least_radius
         Smaller ones are not tracked, m.
+    landmark_radius, few
+        While fewer tracked rocks than so many are in view, smaller ones begin too, down to this
+        radius, m, and until there are twice as many none of these is let go: by them places are
+        known from the lander.
     region
         West, east, south, north limits of where rocks are tracked, m; None: everywhere.
     birth_q
@@ -55,6 +59,8 @@ class TrackerSettings:
     """
 
     least_radius: float = 0.1
+    landmark_radius: float = 0.1
+    few: int = 30
     region: tuple[float, float, float, float] | None = None
     birth_q: float = 2.4
     birth_sigma: float = 0.25
@@ -72,9 +78,9 @@ class TrackerSettings:
     most_updates: int = 60
 
     def __post_init__(self) -> None:
-        for name in ("least_radius", "radius_wander", "radius_doubt", "range_wander", "birth_q",
-                     "birth_sigma", "radius_floor", "most_off", "least_expected", "large",
-                     "most_rocks", "most_updates"):  # fmt: skip
+        for name in ("least_radius", "landmark_radius", "few", "radius_wander", "radius_doubt",
+                     "range_wander", "birth_q", "birth_sigma", "radius_floor", "most_off",
+                     "least_expected", "large", "most_rocks", "most_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
         if not 0.0 <= self.least_found <= 1.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,7 @@ from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, Shadow
 from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
+from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
 from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
@@ -82,7 +84,7 @@ def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     assert mapper.tracker.filter.count > 0
     probability.see(
         camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
-        tracker.explained, tracker.place_sigma, plane,
+        tracker.explained, partial(place_sigma, tracker.filter), plane,
     )  # fmt: skip
     np.testing.assert_array_equal(mapper.probability.evidence.lit, probability.evidence.lit)
     assert probability.evidence.lit.any()

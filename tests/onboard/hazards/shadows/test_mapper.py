@@ -47,7 +47,7 @@ def look(scene, times, sun=SUN, counts=None):
 def test_where_no_rock_is_tracked_pictures_show_no_clear_ground(scene):
     """From picture to picture the lander errs by more than a rock: lit ground is anywhere."""
     camera, honest = scene
-    tracker = tracker_at(PLACE, birth_sigma=1e-6, least_radius=5.0)
+    tracker = tracker_at(PLACE, birth_sigma=1e-6, least_radius=5.0, few=0)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
     mapper = ShadowMapper(tracker, mapping, SUN, 1.0)
     for k in range(5):

@@ -182,19 +182,36 @@ def test_rocks_that_cannot_be_explained_are_begun_anew():
     assert np.median(apart) < 0.3
 
 
-def test_places_are_known_as_those_of_the_rocks_about_are():
-    tracker = tracker_at((0.0, 0.0, 60.0))
-    where = np.array([[-20.0, 0.0], [20.0, 0.0], [0.0, 200.0]])
-    assert np.isposinf(tracker.place_sigma(where)).all()  # nothing holds the lander to the ground
-    west = np.column_stack((np.linspace(-24.0, -16.0, 9), np.zeros(9)))
-    sigma = np.append(np.full(8, 0.1), 3.0)
-    tracker.add_known(west, sigma, 0.5, 0.1)
-    tracker.add_known(-west, 5.0 * sigma, 0.5, 0.1)
-    # One rock of nine that is not known does not count; what lander and rocks share does not.
-    shared = np.sqrt(0.5 * np.trace(tracker.filter.state.p[:2, :2]))
-    found = tracker.place_sigma(where)
-    assert found[0] == pytest.approx(np.hypot(0.1, shared), rel=0.02)
-    assert found[1] == pytest.approx(np.hypot(0.5, shared), rel=0.02)
+def few_and_many(least, few):
+    """Return the radii that a tracker begins with from one picture of rocks of many sizes."""
+    place = (0.0, 0.0, 50.0)
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    state, camera, counts = picture(terrain, place)
+    seen = detect_rocks(counts, camera, state, SUN, model=MODEL)
+    tracker = tracker_at(place, least_radius=least, landmark_radius=0.3, few=few)
+    tracker.update(seen, camera, SUN, 0.0)
+    begun = tracker.filter.radius.copy()
+    for k in range(3):
+        tracker.update(seen, camera, SUN, 0.1 + 0.1 * k)
+    return begun, tracker.filter.radius, tracker, seen
+
+
+def test_small_rocks_are_landmarks_where_few_are_in_view():
+    many, _, _, _ = few_and_many(0.8, 0)
+    assert many.min() >= 0.8
+    begun, kept, tracker, seen = few_and_many(0.8, 30)
+    assert begun.min() < 0.6
+    assert len(begun) > 1.5 * len(many)
+    # Enough of them are in view by now for no more to begin, not for these to be let go.
+    assert 30 <= len(kept) < 60
+    assert kept.min() < 0.6
+    # What a landmark's shadow hides is not explained by it.
+    assert tracker.explained.any()
+    assert seen.radius[tracker.explained].min() > 0.6
+    tracker.settings = dataclasses.replace(tracker.settings, few=10)
+    state, camera = at((0.0, 0.0, 50.0))
+    tracker.update(seen, camera, SUN, 0.5)
+    assert tracker.filter.radius.min() >= 0.85 * 0.8
 
 
 @pytest.mark.parametrize("elevation", [5.0, 10.0])
