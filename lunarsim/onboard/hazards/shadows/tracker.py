@@ -183,8 +183,8 @@ class RockTracker:
             self.renew()
             self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel)
-        large = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
-        born = self._birth(~close & large, seen, points, camera, radius_variance)
+        begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
+        born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
         self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
