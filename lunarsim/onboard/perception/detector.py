@@ -175,6 +175,16 @@ class Detections:
         place[self.label] = np.arange(1, len(self) + 1)
         return np.asarray(place[self.labels])
 
+    def hiding(self, left_out: NDArray[np.bool_]) -> Detections:
+        """Return the same with a label for pixels (height, width) that tell nothing."""
+        label = np.int32(len(self.largest))
+        return replace(
+            self,
+            labels=np.where(left_out, label, self.labels),
+            extended=np.append(self.extended, label),
+            largest=np.append(self.largest, np.float32(np.inf)),
+        )
+
     def contours(self) -> list[NDArray[np.int32]]:
         """Return the outline (k, 2) of each rock's patch, pixels."""
         lines = []
@@ -244,7 +254,7 @@ def detect_rocks(
     else:
         known = _mixture_of(model, direction, plane)
         seen = _measure(labels, table, view, onto, known, settings, shade)
-    return seen if shade.left_out is None else _with_gaps(seen, shade.left_out, len(table) + 1)
+    return seen if shade.left_out is None else seen.hiding(shade.left_out)
 
 
 def _mixture_of(
@@ -262,16 +272,6 @@ def _check_pose(pose: Pose) -> None:
         raise InputError("pose.position", pose.position, "three finite numbers, ENU, m")
     if not is_rotation(pose.attitude):
         raise InputError("pose.attitude", pose.attitude, "a quaternion (4,) of length 1")
-
-
-def _with_gaps(seen: Detections, left_out: NDArray[np.bool_], label: int) -> Detections:
-    """Return detections with a label for pixels that are no numbers: they do not tell."""
-    return replace(
-        seen,
-        labels=np.where(left_out, np.int32(label), seen.labels),
-        extended=np.append(seen.extended, np.int32(label)),
-        largest=np.append(seen.largest, np.float32(np.inf)),
-    )
 
 
 @lru_cache(maxsize=8)

@@ -38,6 +38,8 @@ _BLACK, _LEAST_SHOWN = 3, 0.02
 # Ground darker than this share of what is lit may be missing; of a line that is, more than the one
 # share is so dark, and of one beside a straight end less than the other.
 _DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
+# Share of the pixels in shadow that tell how dark it is.
+_DARKEST_SHADE = 0.01
 # Frames before the last that one is compared with: a buffer may be read over and over.
 _KEPT = 3
 
@@ -50,6 +52,7 @@ class Fault(Enum):
     NO_NUMBERS = "too many pixels are no numbers"
     FAINT = "lit ground is too dark"
     SATURATED = "too many pixels are saturated"
+    VEILED = "shadows are too bright"
     NOISE = "noise hides shadows"
     STUCK = "it is one of the last, or a part of it is"
     GAPS = "rows or columns are missing"
@@ -58,6 +61,7 @@ class Fault(Enum):
     BLURRED = "edges are not sharp"
     SMEARED = "edges are not sharp along one direction"
     SUN_ELSEWHERE = "shadows do not fall away from the Sun"
+    MISPLACED = "rocks that were seen before are not where they should be"
     SUN_UNPROVEN = "shadows do not tell that the Sun is where it is taken to be"
 
 
@@ -75,7 +79,8 @@ class Health:
         The first that was found; None: the picture counts.
     figures
         What was measured until then, by name: `lit` (counts), `saturated`, `gaps`, `dark` (shares),
-        `noise` (over the brightness of lit ground), `shadows` (number), `width`, `smear` (pixels,
+        `noise` (over the brightness of lit ground), `shadows` (number), `shade` (over lit ground),
+        `width`, `smear` (pixels,
         1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side` (standard deviations).
     """
 
@@ -113,6 +118,8 @@ class HealthSettings:
         Share of the pixels that may be no numbers, and of rows or columns that may be missing.
     most_same
         Share of the lit pixels of a band of the picture that may be as in one of the last.
+    most_shade
+        Brightness over that of lit ground of the darkest of what lies in shadow.
     least_shadows
         Of rocks, to judge by.
     most_width, most_smear
@@ -127,6 +134,9 @@ class HealthSettings:
     least_agreement
         Length of the mean direction from lit faces to shadows from which on it is rocks that tell
         that the Sun is elsewhere: craters and slopes turn it too, and agree less.
+    proof_agreement
+        The same from which on shadows show that the Sun is in its place: where shadows run into
+        each other, what lies between them passes for lit faces on the wrong side, and fewer agree.
     wrong_turn, wrong_by
         What the Sun may be wrong by, rad. Under a high Sun an angle that is less well known shows
         it in its place too, if it is so many standard deviations from that.
@@ -139,6 +149,7 @@ class HealthSettings:
     most_dark: float = 0.6
     most_gaps: float = 0.02
     most_same: float = 0.9
+    most_shade: float = 0.4
     least_shadows: int = 4
     most_width: float = 1.25
     most_smear: float = 1.15
@@ -147,6 +158,7 @@ class HealthSettings:
     turn_sigma: float = float(np.deg2rad(5.0))
     least_side: float = 4.0
     least_agreement: float = 0.55
+    proof_agreement: float = 0.2
     wrong_turn: float = float(np.deg2rad(30.0))
     wrong_by: float = 3.5
 
@@ -156,9 +168,9 @@ class HealthSettings:
         for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
-        for name in ("least_lit", "most_noise", "least_shadows", "most_width", "most_smear",
-                     "most_turn", "least_turn", "turn_sigma", "least_side",
-                     "least_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
+        for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
+                     "most_smear", "most_turn", "least_turn", "turn_sigma", "least_side",
+                     "least_agreement", "proof_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
 
@@ -174,9 +186,12 @@ class SunProof:
     ----------
     seen
         Whether they have.
+    side
+        Of the picture that showed it most surely, see `SunAngle.side`.
     """
 
     seen: bool = False
+    side: float = 0.0
 
 
 class PictureHealth:
@@ -283,6 +298,9 @@ class PictureHealth:
         if widths.number < s.least_shadows:
             return Health(Fault.NO_SHADOWS, figures)
         fault = self._blur(widths)
+        figures["shade"] = _shade(seen)
+        if fault is None and figures["shade"] > s.most_shade:
+            fault = Fault.VEILED
         return Health(fault or self._sun(turn), figures)
 
     def _blur(self, widths: EdgeWidths) -> Fault | None:
@@ -312,15 +330,29 @@ class PictureHealth:
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings
         if self.contradicts(turn):
-            self.sun.seen = False
+            self.sun.seen, self.sun.side = False, 0.0
             return Fault.SUN_ELSEWHERE
-        known = self.tells(turn) or (
+        far = turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
+        if far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
+            # Craters and shadows that run into each other do so, or the Sun is elsewhere.
+            self.sun.seen &= turn.side <= self.sun.side
+            return Fault.SUN_UNPROVEN
+        agree = turn.high_sun or turn.agreement >= s.proof_agreement
+        known = (self.tells(turn) and agree) or (
             turn.high_sun
             and turn.side >= s.least_side
             and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
         )
-        self.sun.seen |= bool(known and abs(turn.angle) <= s.most_turn)
+        if known and abs(turn.angle) <= s.most_turn:
+            self.sun.seen, self.sun.side = True, max(self.sun.side, turn.side)
         return None if self.sun.seen else Fault.SUN_UNPROVEN
+
+
+def _shade(seen: Detections) -> float:
+    """Return how bright the darkest of what lies in rocks' shadows is, over lit ground."""
+    shaded = seen.relative[seen.rock > 0]
+    at = int(_DARKEST_SHADE * shaded.size)
+    return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
 
 
 def _brightness(seen: NDArray[Any]) -> float:

@@ -19,6 +19,8 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
+from lunarsim.onboard.hazards.shadows.aspect import aspect
+from lunarsim.onboard.hazards.shadows.blind_parts import blind_parts, middles
 from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
 from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
@@ -187,28 +189,55 @@ class ShadowMapper(HazardMapper):
                 ground=self._ground(picture.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
+            before = self.health.sun.seen
             health = self._by_shadows(seen, picture, estimate, sun, health)
+            if before and not self.health.sun.seen:
+                # What was looked at under another Sun may be anything.
+                self.probability.forget()
+                self._residual = None
+        if health.good and not self._take(seen, picture, sun):
+            health = Health(Fault.MISPLACED, health.figures)
         self._report(picture.time, health)
-        if health.good:
-            self._take(seen, picture, sun)
 
-    def _take(self, seen: Detections, picture: Picture, sun: Array) -> None:
-        """Take in what a picture that counts shows."""
+    def _take(self, seen: Detections, picture: Picture, sun: Array) -> bool:
+        """Take in what a picture shows; return whether it shows the rocks that are there.
+
+        If not, it is another's or an older one, or rocks and lander are not where they are taken to
+        be: the rocks are told, and clear ground is none.
+        """
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
         plane = self._relief.plane() or LEVEL
+        blind = self._blind(seen, picture, sun, plane)
         self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
+        if not self.tracker.as_expected:
+            return False
         self.probability.ground = self._height_in_view(picture.camera)
         # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
-            picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
+            picture.camera.view(rocks.inertial), sun, seen.hiding(blind), rocks.ground_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
             self.health.settings.blur_sigma,
         )  # fmt: skip
+        return True
+
+    def _blind(
+        self, seen: Detections, picture: Picture, sun: Array, plane: GroundPlane
+    ) -> NDArray[np.bool_]:
+        """Return in which pixels (height, width) of a picture nothing would show."""
+        camera, rocks = picture.camera, self.tracker.filter
+        counts = np.asarray(picture.counts)
+        points = rocks.ground_points(camera, middles(camera.width, camera.height))
+        focal = float(np.sqrt(camera.fx * camera.fy))
+        azimuth, depression, pixel = aspect(points, rocks.inertial.position, focal, sun, plane)
+        model = along(self.tracker.model, plane, sun)
+        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
+        area = counts.size / len(points) * pixel**2 / np.sin(depression)
+        return blind_parts(counts, seen, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:
         """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m."""

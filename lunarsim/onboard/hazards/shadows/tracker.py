@@ -11,6 +11,7 @@ from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.association import associate
+from lunarsim.onboard.hazards.shadows.dark_places import in_the_dark
 from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
 from lunarsim.onboard.hazards.shadows.tentative import Tentative
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
@@ -23,7 +24,7 @@ from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
-from lunarsim.onboard.perception.shadow_model import ShadowModel, ShadowPatch
+from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_direction import (
     look_stretch,
@@ -40,6 +41,8 @@ _MISS = 0.6
 _GONE = 0.05
 # From this probability and number of images on a rock should be seen again.
 _SURE, _SURE_HITS = 0.9, 5
+# Of so many rocks, found in more images than so many, an image must show more than this share.
+_SEEN_ROCKS, _SEEN_HITS, _SEEN_SHARE = 3.0, 2, 0.35
 # A rock that turns out smaller than this share of the least radius is let go.
 _SHRUNK = 0.85
 # A second look that shows a place so many times worse than a first one may is none.
@@ -72,6 +75,8 @@ class RockTracker:
         What was seen in the last image and is not tracked.
     explained
         Which of the detections of the last image are rocks that are surely there (d,).
+    as_expected
+        Whether the last image in which some were due showed enough of the rocks seen before.
     renewals
         How often all rocks were let go, since they could not be explained.
     """
@@ -91,6 +96,7 @@ class RockTracker:
         self.hits = np.empty(0, np.int64)
         self.tentative = Tentative.none()
         self.explained = np.zeros(0, np.bool_)
+        self.as_expected = True
         self.renewals = 0
         self.corrected = np.empty(0)
         self._established = np.empty(0, bool)
@@ -319,8 +325,14 @@ class RockTracker:
         )
         # A rock whose shadow runs into another's is no missing rock.
         unit = model.patch(azimuth, depression)
-        miss[self._in_the_dark(lost, unit, seen, camera, sun, plane)] = 1.0
+        miss[in_the_dark(self.filter, lost, unit, seen, camera, sun, plane)] = 1.0
         self._established |= (self.existence > _SURE) & (self.hits >= _SURE_HITS)
+        # A few rocks tell that this image is not of the place; more that the map is not.
+        seen_before = (self.existence > _SURE) & (self.hits > _SEEN_HITS)
+        shown = float(np.count_nonzero(seen_before[hit]))
+        hidden = float(((1.0 - miss) * seen_before[lost]).sum())
+        if shown + hidden >= _SEEN_ROCKS:
+            self.as_expected = shown > _SEEN_SHARE * (shown + hidden)
         found = float(np.count_nonzero(self._established[hit]))
         missed = float(((1.0 - miss) * self._established[lost]).sum())
         odds[lost] *= np.clip(miss, _MISS, 1.0)
@@ -328,26 +340,6 @@ class RockTracker:
         if found + missed < self.settings.least_expected:
             return Outcome(np.nan, 0, False)
         return Outcome(1.0, 1, found > self.settings.least_found * (found + missed))
-
-    def _in_the_dark(
-        self,
-        index: Index,
-        unit: ShadowPatch,
-        seen: Detections,
-        camera: CameraModel,
-        sun: Array,
-        plane: GroundPlane,
-    ) -> NDArray[np.bool_]:
-        """Return whether the image is dark where the patch of each rock (n,) should be."""
-        s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
-        offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
-        middle = self.filter.xyz[index]
-        offset *= self.filter.radius[index, None]
-        middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
-        u, v = np.rint(self.filter.sight(camera, middle).pixel).T
-        u = np.clip(u, 0, camera.width - 1).astype(int)
-        v = np.clip(v, 0, camera.height - 1).astype(int)
-        return np.asarray(seen.labels[v, u] > 0)
 
     def _keep_tentative(
         self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,

@@ -1,0 +1,48 @@
+"""Where a picture is dark anyway: no rock is missing there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowPatch
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+def in_the_dark(
+    rocks: RockFilter,
+    index: Index,
+    unit: ShadowPatch,
+    seen: Detections,
+    camera: CameraModel,
+    sun: Array,
+    plane: GroundPlane,
+) -> NDArray[np.bool_]:
+    """Return whether a picture is dark where the patch of each rock (n,) should be.
+
+    Parameters
+    ----------
+    rocks, index
+        The filter that tracks them, and which (n,).
+    unit
+        The patches of rocks of radius 1 there.
+    seen, camera
+        What was found in the picture, and what took it.
+    sun, plane
+        Direction towards the Sun (3,), ENU, and the ground along which shadows fall.
+    """
+    s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
+    offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])
+    middle = rocks.xyz[index]
+    offset *= rocks.radius[index, None]
+    middle += np.column_stack((offset, offset @ np.array(plane.gradient)))
+    u, v = np.rint(rocks.sight(camera, middle).pixel).T
+    u = np.clip(u, 0, camera.width - 1).astype(int)
+    v = np.clip(v, 0, camera.height - 1).astype(int)
+    return np.asarray(seen.labels[v, u] > 0)
