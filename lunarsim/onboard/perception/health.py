@@ -149,7 +149,7 @@ class HealthSettings:
     most_dark: float = 0.6
     most_gaps: float = 0.02
     most_same: float = 0.9
-    most_shade: float = 0.4
+    most_shade: float = 0.35
     least_shadows: int = 4
     most_width: float = 1.25
     most_smear: float = 1.15

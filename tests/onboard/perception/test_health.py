@@ -184,6 +184,44 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     assert SunAngle(np.nan, np.inf, 0.0, 0).agreement == 0.0
 
 
+def test_a_sun_that_shadows_put_elsewhere_is_not_proven_and_no_more_believed(scene):
+    """Where shadows run into each other few directions agree, and they may be the wrong ones."""
+    state, camera, counts, sun, level = scene
+    seen = detect_rocks(counts, camera, state, sun, ground=level)
+
+    def told(degrees, sigma, side, number):
+        turn = SunAngle(np.radians(degrees), np.radians(sigma), side, number)
+        return health.after_detection(seen, turn, 0.02).fault
+
+    health = PictureHealth()
+    # Agreement of 0.18 proves nothing, one of 0.25 does.
+    assert told(-6.0, 3.0, 8.4, 1110) is Fault.SUN_UNPROVEN
+    assert told(-6.0, 3.0, 8.4, 570) is None
+    # Craters may say otherwise: such a picture does not count, and changes nothing as long as it
+    # says so less surely.
+    assert told(179.0, 3.3, 7.1, 90) is Fault.SUN_UNPROVEN
+    assert told(179.0, 5.2, 4.6, 56) is Fault.SUN_UNPROVEN  # no less so if known less well
+    assert told(np.nan, np.inf, 0.0, 0) is None
+    assert told(174.0, 3.0, 9.3, 340) is Fault.SUN_UNPROVEN
+    assert told(np.nan, np.inf, 0.0, 0) is Fault.SUN_UNPROVEN
+    assert told(1.0, 3.0, 5.0, 60) is None
+    # An angle far less certain than that it is elsewhere tells nothing.
+    assert told(17.0, 4.0, 3.0, 60) is None
+    assert told(14.0, 4.0, 6.0, 60) is None
+
+
+@pytest.mark.parametrize(("veil", "fault"), [(0.0, None), (0.6, Fault.VEILED)])
+def test_dust_or_stray_light_over_all_of_a_picture_is_noticed(scene, veil, fault):
+    counts = scene[2] + veil * (np.median(scene[2]) - scene[2])
+    noisy = counts + 0.4 * np.random.default_rng(0).standard_normal(counts.shape)
+    found = judge(scene, np.rint(noisy).clip(0, 255).astype(np.uint8))
+    if fault is None:
+        assert found.fault is None and found.figures["shade"] < 0.3
+    else:
+        assert found.fault in {fault, Fault.NO_SHADOWS, Fault.BLURRED, Fault.SUN_UNPROVEN}
+        assert found.figures.get("shade", 1.0) > 0.35
+
+
 def test_mild_defocus_is_told_by_the_cameras_own_point_spread(scene):
     soft = defocused(scene[2], np.random.default_rng(2), 1.5)
     assert judge(scene, soft).fault in {Fault.BLURRED, Fault.SMEARED, Fault.NO_SHADOWS}

@@ -166,6 +166,30 @@ def test_frames_that_are_stuck_add_nothing_though_the_lander_moves_on(scene):
     assert mapper.refused.total() == 4
 
 
+@pytest.mark.parametrize("honest_looks", [4, 9])
+def test_pictures_of_elsewhere_add_nothing_though_no_two_are_alike(scene, honest_looks):
+    """Frames that come late, again or from another's memory show other rocks than are there."""
+    mapper = look(scene, 0.1 * np.arange(honest_looks))
+    before = mapper.probability.observed.copy()
+    rng = np.random.default_rng(4)
+    for k in range(3):
+        again = scene[1][k] + rng.integers(-2, 3, scene[1][k].shape)
+        mapper.tracker.filter.inertial.position[:2] += (3.0, -2.0)
+        see(mapper, scene[0], again.clip(0, 255).astype(np.uint8), 2.0 + 0.3 * k)
+    assert mapper.refused[Fault.MISPLACED] == 3
+    assert not (mapper.probability.observed & ~before).any()
+    assert mapper.tracker.filter.events[-1].details["why"] == Fault.MISPLACED.value
+
+
+def test_what_was_looked_at_under_a_sun_that_is_no_longer_believed_is_not_seen(scene):
+    mapper = look(scene, 0.1 * np.arange(4))
+    assert mapper.probability.observed.any()
+    mapper.sun = turned(180.0)
+    see(mapper, scene[0], scene[1][4], 0.5)
+    assert mapper.refused[Fault.SUN_ELSEWHERE] == 1
+    assert not mapper.probability.observed.any()
+
+
 def test_a_pose_that_is_none_adds_nothing(scene):
     mapper = look(scene, [])
     rocks = mapper.tracker.filter
