@@ -328,7 +328,7 @@ def calibrate(
     help="Azimuth of the top of the picture, deg.",
 )  # fmt: skip
 @click.option(
-    "--exposure", type=FloatRange(min=0.0, min_open=True), default=None,
+    "--exposure", type=FloatRange(0.0, 100.0, min_open=True), default=None,
     help="s; left out: so that the brightest ground nearly fills the detector.",
 )  # fmt: skip
 @click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")

@@ -6,7 +6,11 @@ import difflib
 import reprlib
 import tempfile
 from collections.abc import Iterable
+from dataclasses import fields
+from numbers import Integral, Real
 from pathlib import Path
+
+import numpy as np
 
 
 class InputError(ValueError):
@@ -35,6 +39,51 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
         return InputError, (self.field, self.value, self.expected)
+
+
+def check_types(where: str, settings: object) -> None:
+    """Refuse settings whose numbers, flags or pairs of numbers are none.
+
+    Parameters
+    ----------
+    where
+        What the names of the fields follow in the message.
+    settings
+        Of a dataclass; fields annotated as `float`, `int`, `bool` or tuples of numbers are looked
+        at, optional ones unless they are None.
+
+    Raises
+    ------
+    InputError
+        Naming the first that is wrong.
+    """
+    for one in fields(settings):  # type: ignore[arg-type]
+        value, kind = getattr(settings, one.name), str(one.type)
+        if value is None and "None" in kind:
+            continue
+        for begins, right, expected in _KINDS:
+            if kind.startswith(begins) and not right(value):
+                raise InputError(f"{where}.{one.name}", value, expected)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
+
+
+def _are_numbers(value: object) -> bool:
+    return isinstance(value, tuple | list | np.ndarray) and all(_is_number(v) for v in value)
+
+
+_KINDS = (
+    ("float", _is_number, "a number"),
+    ("int", _is_whole, "a whole number"),
+    ("bool", lambda value: isinstance(value, bool | np.bool_), "true or false"),
+    ("tuple[float", _are_numbers, "numbers in a row"),
+)
 
 
 def _shown(value: object) -> str:

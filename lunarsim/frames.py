@@ -110,9 +110,28 @@ def is_rotation(q: ArrayLike) -> bool:
     >>> is_rotation([0.0, 0.0, 0.0, 1.0]), is_rotation([0.0, 0.0, 0.0, 2.0])
     (True, False)
     """
-    q = np.asarray(q, dtype=np.float64)
-    good = q.shape == (4,) and np.isfinite(q).all()
-    return bool(good and abs(np.linalg.norm(q) - 1.0) <= 1e-3)
+    numbers = _numbers(q, 4)
+    return bool(numbers is not None and abs(np.linalg.norm(numbers) - 1.0) <= 1e-3)
+
+
+def is_place(position: ArrayLike) -> bool:
+    """Tell whether something is three finite numbers.
+
+    Examples
+    --------
+    >>> is_place([0.0, 1.0, 2.0]), is_place([0.0, 1.0]), is_place(None)
+    (True, False, False)
+    """
+    return _numbers(position, 3) is not None
+
+
+def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
+    """Return values (count,) if they are finite numbers, else None."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        return None
+    return array if array.shape == (count,) and np.isfinite(array).all() else None
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:

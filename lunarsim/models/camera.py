@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 from lunarsim.frames import quat_to_matrix
 from lunarsim.models.pinhole import Pinhole, View
 from lunarsim.models.pose import Pose
 
 Array = NDArray[np.float64]
 
+# Distortion is tried at so many places along each side, and taken out to so many pixels.
+_CHECKED, _OFF = 17, 0.5
 # Body z points up through the lander: a camera that looks straight down, its x along body -y.
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -51,18 +53,47 @@ class CameraModel:
     mount: Array = field(default_factory=DOWN.copy)
 
     def __post_init__(self) -> None:
+        check_types("camera", self)
         if self.width < 1 or self.height < 1:
             raise InputError("camera.pixels", (self.width, self.height), "at least 1 x 1")
         for name in ("fx", "fy"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
         mount = np.asarray(self.mount, dtype=np.float64)
-        if mount.shape != (3, 3) or not np.allclose(mount @ mount.T, np.eye(3), atol=1e-6):
-            raise InputError("camera.mount", self.mount, "a rotation matrix (3, 3)")
-        if self.cx is None:
-            object.__setattr__(self, "cx", 0.5 * (self.width - 1))
-        if self.cy is None:
-            object.__setattr__(self, "cy", 0.5 * (self.height - 1))
+        proper = mount.shape == (3, 3) and np.allclose(mount @ mount.T, np.eye(3), atol=1e-6)
+        if not (proper and np.linalg.det(mount) > 0.0):
+            raise InputError("camera.mount", np.array(self.mount).tolist(), "a rotation (3, 3)")
+        for name, middle in (("cx", 0.5 * (self.width - 1)), ("cy", 0.5 * (self.height - 1))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, middle)
+            elif not np.isfinite(getattr(self, name)):
+                raise InputError(f"camera.{name}", getattr(self, name), "a number of pixels")
+        for name, number in (("distortion", 5), ("offset", 3)):
+            value = getattr(self, name)
+            if len(value) != number or not np.isfinite(value).all():
+                raise InputError(f"camera.{name}", value, f"{number} finite numbers")
+        self._check_distortion()
+
+    def _check_distortion(self) -> None:
+        """Refuse distortion that folds the picture over, or that cannot be taken out."""
+        if not any(self.distortion):
+            return
+        u, v = np.meshgrid(
+            np.linspace(0.0, self.width - 1.0, _CHECKED),
+            np.linspace(0.0, self.height - 1.0, _CHECKED),
+        )
+        pixels = np.stack((u, v), -1).reshape(-1, 2)
+        ideal = _undistorted(pixels, self.pinhole, tuple(self.distortion))
+        back, _ = cv2.projectPoints(
+            np.column_stack((ideal, np.ones(len(ideal)))), np.zeros(3), np.zeros(3),
+            self.pinhole.matrix, np.array(self.distortion),
+        )  # fmt: skip
+        off = np.hypot(*(back.reshape(-1, 2) - pixels).T)
+        if not (off <= _OFF).all():
+            raise InputError(
+                "camera.distortion", tuple(self.distortion),
+                "weaker, or a narrower field of view: it cannot be taken out of all of the picture",
+            )  # fmt: skip
 
     @property
     def pinhole(self) -> Pinhole:
@@ -83,6 +114,15 @@ class CameraModel:
         return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 
+def _undistorted(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
+    """Return the tangents of the lines of sight of pixels (n, 2)."""
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    ideal = cv2.undistortPoints(
+        pixels[:, None], pinhole.matrix, np.array(distortion), criteria=stop
+    )
+    return np.asarray(ideal.reshape(-1, 2))
+
+
 # A gimballed camera is a new object for every picture: what its optics cost is kept here.
 @lru_cache(maxsize=8)
 def _tangents(
@@ -91,8 +131,6 @@ def _tangents(
     if not any(distortion):
         return pinhole.tangents(width, height)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    pixels = np.stack((u, v), axis=-1).reshape(-1, 1, 2)
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-    ideal = cv2.undistortPoints(pixels, pinhole.matrix, np.array(distortion), criteria=stop)
-    ideal = ideal.reshape(height, width, 2)
+    pixels = np.stack((u, v), axis=-1).reshape(-1, 2)
+    ideal = _undistorted(pixels, pinhole, distortion).reshape(height, width, 2)
     return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, IRREGULAR, IRREGULAR_COUNT, shape_table
 
@@ -116,6 +116,7 @@ class RockModel:
     )
 
     def __post_init__(self) -> None:
+        check_types("rocks", self)
         if self.shape not in {"hemisphere", "ellipsoid", "cube", "irregular", "mixed"}:
             raise InputError(
                 "rocks.shape", self.shape, "hemisphere, ellipsoid, cube, irregular or mixed"

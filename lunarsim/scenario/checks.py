@@ -14,6 +14,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.hazards.fusion import FusedMapping
 from lunarsim.onboard.hazards.mapper import check_map, sensors_of
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
+from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVATION
 from lunarsim.parts import loadable
 
 
@@ -99,6 +100,11 @@ class Tables(Protocol):
         ...
 
     @property
+    def sun(self) -> Any:
+        """A table."""
+        ...
+
+    @property
     def faults(self) -> Any:
         """A table or None."""
         ...
@@ -181,6 +187,7 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
             continue
         if isinstance(mapper, ShadowMapping):
             _check_others(field, mapper.check_ground, scenario)
+            _check_shadows(field, scenario.sun.elevation_deg)
         _check_map(field, mapper, scenario)
         _check_eyes(field, mapper, sensors)
         wanted = getattr(mapper, "navigation", None)
@@ -190,6 +197,16 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
                 f"{_kinds_of('navigation', wanted)}: {field} of kind {part.kind!r} maps with that "
                 "filter",
             )  # fmt: skip
+
+
+def _check_shadows(field: str, elevation: float) -> None:
+    """Refuse a Sun under which a mapper of shadows sees none."""
+    least, most = np.rad2deg([LEAST_ELEVATION, MOST_ELEVATION])
+    if not least - 1e-9 <= elevation <= most + 1e-9:
+        raise InputError(
+            "sun.elevation_deg", elevation,
+            f"from {least:.0f} to {most:.0f}: {field} maps rocks by their shadows",
+        )  # fmt: skip
 
 
 def _check_eyes(field: str, mapper: Any, sensors: dict[str, Any]) -> None:

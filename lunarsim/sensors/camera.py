@@ -122,7 +122,9 @@ class Camera(CameraModel):
         for name in ("stray_light", "hot_pixels"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InputError(f"camera.{name}", getattr(self, name), "a share from 0 to 1")
-        if self.shutter not in {"global", "rolling"}:
+        if self.detector_seed < 0:
+            raise InputError("camera.detector_seed", self.detector_seed, "0 or more")
+        if self.shutter not in ("global", "rolling"):
             raise InputError("camera.shutter", self.shutter, "global or rolling")
         if not (isinstance(self.antialias, int) and 1 <= self.antialias <= 4):
             raise InputError("camera.antialias", self.antialias, "a whole number from 1 to 4")
@@ -130,7 +132,7 @@ class Camera(CameraModel):
     @classmethod
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
         """Return a camera with square pixels whose width covers `degrees`."""
-        if not 0.0 < degrees < 170.0:
+        if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
             raise InputError("camera.field_of_view_deg", degrees, "between 0 and 170")
         focal = 0.5 * width / np.tan(0.5 * np.deg2rad(degrees))
         return cls(width, height, focal, focal, **more)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class ExposureControl:
     most_change: float = 8.0
 
     def __post_init__(self) -> None:
+        check_types("camera.exposure_control", self)
         if not 0.0 < self.level < 1.0:
             raise InputError("camera.exposure_level", self.level, "between 0 and 1")
         if not 0.0 < self.share < 1.0:
@@ -41,7 +42,7 @@ class ExposureControl:
         if not 0.0 < self.shortest <= self.longest < np.inf:
             bounds = (self.shortest, self.longest)
             raise InputError("camera.exposure_bounds", bounds, "two positive times, shortest first")
-        if not self.most_change > 1.0:
+        if not 1.0 < self.most_change < np.inf:
             raise InputError("camera.exposure_change", self.most_change, "a factor above 1")
 
     def after(self, counts: NDArray[np.unsignedinteger[Any]], bits: int, exposure: float) -> float:

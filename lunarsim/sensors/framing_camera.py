@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lunarsim.errors import InputError
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.instruments import CameraInstrument
 from lunarsim.parts.quantity import quantity
@@ -39,19 +40,21 @@ class FramingCamera:
     distortion: tuple[float, float, float, float, float] = quantity(
         (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
     )
-    exposure: float = quantity(2e-3, "s", gt=0, help="time that the shutter is open")
-    sensitivity: float = quantity(5e7, "e-/s", gt=0, help="for I/F = 1")
-    blur_sigma: float = quantity(0.6, "px", ge=0, help="point spread, 1 sigma")
+    exposure: float = quantity(2e-3, "s", gt=0, le=100, help="time that the shutter is open")
+    sensitivity: float = quantity(5e7, "e-/s", gt=0, le=1e15, help="for I/F = 1")
+    blur_sigma: float = quantity(0.6, "px", ge=0, le=20, help="point spread, 1 sigma")
     motion_blur: bool = quantity(True, help="whether turning smears the picture")
     shot_noise: bool = quantity(True, help="whether photons arrive at random")
-    read_noise: float = quantity(12.0, "e-", ge=0, help="1 sigma")
-    full_well: float = quantity(20_000.0, "e-", gt=0, help="electrons that saturate a pixel")
+    read_noise: float = quantity(12.0, "e-", ge=0, le=1e6, help="1 sigma")
+    full_well: float = quantity(
+        20_000.0, "e-", ge=1, le=1e9, help="electrons that saturate a pixel"
+    )
     bits: int = quantity(8, ge=1, le=16, help="of the converter")
     gain: float = quantity(1.0, gt=0, le=100, help="1: full scale is the full well")
     vignetting: float = quantity(0.0, ge=0, le=10, help="power of the cosine; 4: natural")
     stray_light: float = quantity(0.0, ge=0, le=0.5, help="share spread over the picture")
     hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="share of all pixels")
-    hot_current: float = quantity(2e5, "e-/s", ge=0, help="their mean dark current")
+    hot_current: float = quantity(2e5, "e-/s", ge=0, le=1e12, help="their mean dark current")
     shutter: Literal["global", "rolling"] = quantity("global", help="all lines at once or in turn")
     line_time: float = quantity(2e-5, "s", ge=0, le=1e-2, help="from line to line when rolling")
     antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
@@ -67,6 +70,19 @@ class FramingCamera:
 
     gives: ClassVar[type] = Picture
     tasked: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if self.exposure_shortest > self.exposure_longest:
+            raise InputError(
+                "exposure_shortest", self.exposure_shortest,
+                f"at most exposure_longest_s, {self.exposure_longest:g} s",
+            )  # fmt: skip
+        try:
+            self.camera()
+        except InputError as error:
+            raise InputError(
+                error.field.removeprefix("camera."), error.value, error.expected
+            ) from None
 
     def camera(self) -> Camera:
         """Return the camera."""

@@ -147,6 +147,8 @@ def hapke_of_albedo(
     InputError
         If no grain is white enough for it.
     """
+    if not 0.0 <= albedo <= 1.0:
+        raise InputError("sun.albedo", albedo, "from 0 to 1")
 
     def excess(w: float) -> float:
         law = Hapke(w, b, c, surge, surge_width, roughness)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 
 Array = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class DetectionRates:
     blur: float = 0.6
 
     def __post_init__(self) -> None:
+        check_types("rates", self)
         for name in ("missed", "false", "cleared"):
             _, slope, floor = getattr(self, name)
             if not (slope <= 0.0 and 0.0 < floor < 1.0):

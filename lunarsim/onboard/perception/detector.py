@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 from lunarsim.frames import is_rotation
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
@@ -82,6 +82,7 @@ class DetectorSettings:
     look_small: tuple[float, float] = (0.62, 0.22)
 
     def __post_init__(self) -> None:
+        check_types("detector", self)
         if not self.least_pixels >= 1:
             raise InputError("detector.least_pixels", self.least_pixels, "1 or more")
         for name in ("gamma", "largest_radius", "pixel_sigma"):

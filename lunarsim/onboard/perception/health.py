@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
-from lunarsim.errors import InputError
-from lunarsim.frames import is_rotation
+from lunarsim.errors import InputError, check_types
+from lunarsim.frames import is_place, is_rotation
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
@@ -163,6 +163,7 @@ class HealthSettings:
     wrong_by: float = 3.5
 
     def __post_init__(self) -> None:
+        check_types("health", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
             raise InputError("health.blur_sigma", self.blur_sigma, "0 or a positive number")
         for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
@@ -173,6 +174,12 @@ class HealthSettings:
                      "least_agreement", "proof_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
+        for name in ("least_agreement", "proof_agreement"):
+            if getattr(self, name) > 1.0:
+                raise InputError(f"health.{name}", getattr(self, name), "at most 1")
+        if not self.most_turn <= self.least_turn <= np.pi:
+            turns = (self.most_turn, self.least_turn)
+            raise InputError("health.most_turn, least_turn", turns, "rising angles up to pi, rad")
 
 
 @dataclass
@@ -221,10 +228,13 @@ class PictureHealth:
         camera, pose
             What took it, and from where.
         """
-        raw = np.asarray(counts)
+        try:
+            raw = np.asarray(counts)
+        except ValueError:
+            return Health(Fault.FORM, {})
         if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
             return Health(Fault.FORM, {})
-        if not (np.isfinite(pose.position).all() and is_rotation(pose.attitude)):
+        if not (is_place(pose.position) and is_rotation(pose.attitude)):
             return Health(Fault.POSE, {})
         figures: dict[str, float] = {}
         return Health(self._by_itself(raw, _below_horizon(camera.view(pose)), figures), figures)

@@ -119,7 +119,8 @@ class ShadowModel:
     slope = 0.0
 
     def __init__(self, elevation: float, shapes: RockModel | None = None) -> None:
-        if not LEAST_ELEVATION <= elevation <= MOST_ELEVATION:
+        number = isinstance(elevation, float | int | np.floating)
+        if not (number and LEAST_ELEVATION <= elevation <= MOST_ELEVATION):
             raise InputError(
                 "sun.elevation", elevation, "from 2 to 80 degrees, in radians, to see shadows by"
             )

@@ -103,6 +103,8 @@ class ShapeMixture:
     """
 
     def __init__(self, elevation: float, told: str | None = None) -> None:
+        if told is not None:
+            RockModel(told)  # type: ignore[arg-type]  # refuses a shape that there is not
         self.elevation = elevation
         self.models = tuple(ShadowModel(elevation, shape) for shape in SHAPES)
         self.slopes = SLOPES

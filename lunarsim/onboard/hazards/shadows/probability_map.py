@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -57,8 +57,9 @@ class HazardPrior:
     largest_diameter: float = 4.0
 
     def __post_init__(self) -> None:
+        check_types("prior", self)
         golombek_cover(1.0, self.cover)  # refuses a cover that is no fraction
-        if not 0.0 < self.least_diameter < self.largest_diameter:
+        if not 0.0 < self.least_diameter < self.largest_diameter < np.inf:
             raise InputError(
                 "prior.least_diameter", self.least_diameter,
                 f"more than 0, less than {self.largest_diameter} m",

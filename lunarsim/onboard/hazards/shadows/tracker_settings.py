@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,7 @@ class TrackerSettings:
     most_updates: int = 60
 
     def __post_init__(self) -> None:
+        check_types("tracker", self)
         for name in ("least_radius", "landmark_radius", "few", "radius_wander", "radius_doubt",
                      "range_wander", "birth_q", "birth_sigma", "radius_floor", "most_off",
                      "least_expected", "large", "most_rocks", "most_updates"):  # fmt: skip
