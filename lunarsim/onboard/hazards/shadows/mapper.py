@@ -231,12 +231,16 @@ class ShadowMapper(HazardMapper):
         """Return in which pixels (height, width) of a picture nothing would show."""
         camera, rocks = picture.camera, self.tracker.filter
         counts = np.asarray(picture.counts)
-        points = rocks.ground_points(camera, middles(camera.width, camera.height))
+        pixels = middles(camera.width, camera.height)
+        points = rocks.ground_points(camera, pixels)
         focal = float(np.sqrt(camera.fx * camera.fy))
         azimuth, depression, pixel = aspect(points, rocks.inertial.position, focal, sun, plane)
         model = along(self.tracker.model, plane, sun)
         sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
-        area = counts.size / len(points) * pixel**2 / np.sin(depression)
+        # A pixel off the boresight sees less of the sky, by the cube of the cosine.
+        aside = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        solid = (1.0 + (aside**2).sum(1)) ** -1.5
+        area = counts.size / len(points) * solid * pixel**2 / np.sin(depression)
         return blind_parts(counts, seen, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:

@@ -12,6 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.onboard.hazards.shadows.blind_parts import middles
 from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.world import World
@@ -329,6 +330,49 @@ def test_rocks_tell_how_well_the_height_is_known_unless_it_was_measured(scene, m
     told = ShadowMapper(tracker_at(PLACE), mapping, SUN, 1.0, relief=Slope((0.0, 0.0)))
     see(told, camera, honest[0], 0.0)
     assert told.probability.evidence.lit.any()
+
+
+def test_places_need_not_be_known_better_than_the_least_rock_is_large(scene, monkeypatch):
+    asked = []
+
+    def told(rocks, xy, enough):
+        asked.append(enough)
+        return np.full(len(xy), 0.01)
+
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.place_sigma", told)
+    mapper = look(scene, [0.0])
+    assert asked == [mapper.tracker.settings.least_radius]
+    assert mapper.probability.observed.any()
+
+
+def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monkeypatch):
+    """Seen aslant; by the shoelace formula, and by the length of a shadow of 1 m of radius."""
+    place = (-30.0, 20.0, 40.0)
+    terrain = rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0)
+    state, camera, counts = picture(terrain, place)
+    found = []
+
+    def told(counts, seen, sharpness, area, cover):
+        found.extend((sharpness, area, cover))
+        return np.zeros(counts.shape, bool)
+
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_parts", told)
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.07, 0.5))
+    mapper = ShadowMapper(tracker_at(place), mapping, SUN, 1.0)
+    see(mapper, camera.model, counts, 0.0)
+    view = camera.model.view(state)
+    corners = middles(640, 480)[:, None] + 20.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    rays = np.dstack(((corners - [view.cx, view.cy]) / [view.fx, view.fy], np.ones((192, 4))))
+    rays = rays @ view.into
+    ground = view.position[:2] - rays[..., :2] / rays[..., 2:] * view.position[2]
+    after = np.roll(ground, -1, axis=1)
+    cross = ground[..., 0] * after[..., 1] - ground[..., 1] * after[..., 0]
+    sharpness, area, cover = found
+    np.testing.assert_allclose(area, 0.5 * np.abs(cross.sum(1)), rtol=0.03)
+    assert cover == 0.07
+    away = np.linalg.norm(ground.mean(1) - view.position[:2], axis=1)
+    # Farther off shadows are smaller.
+    assert np.corrcoef(sharpness, away)[0, 1] < -0.8
 
 
 def test_a_map_counts_the_point_spread_that_its_camera_is_judged_by(scene):
