@@ -200,6 +200,8 @@ def test_a_mapper_is_built_after_the_one_whose_ground_it_asks_for(scene):
     built = built_mappers(briefing, navigation)
     assert list(built) == list(parts)
     assert set(told) == {"eye", "dem"}
+    tracked = built["eye"].tracker.settings
+    assert tracked.landmark_radius < 0.5 * tracked.least_radius
     assert not relief.asked
     update(built["eye"], scene)
     assert relief.asked
