@@ -267,6 +267,7 @@ class RockTracker:
         """Let all rocks go, to begin anew with those that are seen from where the lander is."""
         self._drop(np.arange(self.filter.count))
         self.tentative = Tentative.none()
+        self.as_expected = True
         self.renewals += 1
 
     def _explained(self, found: Outcome, expected: Outcome, time: float) -> bool:
