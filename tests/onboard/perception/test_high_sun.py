@@ -17,8 +17,10 @@ from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import SunAngle
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
+from lunarsim.world import World
+from lunarsim.world.light import Light
 from lunarsim.world.terrain import Terrain, place_rocks
-from tests.shadow_scene import picture
+from tests.shadow_scene import at, picture
 from tests.worlds import flat_terrain
 
 # Shape, camera's azimuth from the Sun's, elevation of the Sun (deg).
@@ -57,6 +59,22 @@ def test_a_high_sun_is_told_to_be_in_its_place(scene):
     assert abs(np.degrees(turn.angle)) < 10.0
     assert turn.side > 5.0
     assert fault is None
+
+
+@pytest.mark.parametrize("beside", [20.0, 100.0, 250.0])
+def test_boulders_brighter_than_the_ground_turn_a_high_sun_by_no_more_than_is_said(beside):
+    rng = np.random.default_rng(8)
+    relief = flat_terrain(160.0, 2.0).relief
+    diameters = sample_diameters(160.0**2, 0.06, 0.3, 3.0, rng)
+    model = RockModel("cube")
+    terrain = Terrain(relief, place_rocks(relief, diameters, rng, model=model))
+    back = direction_from_angles(AZIMUTH + np.radians(beside), np.radians(65.0))
+    state, eye = at(60.0 * back)
+    light = Light(AZIMUTH, np.radians(42.0), boulder_albedo=1.3)
+    counts = eye.expose(World(terrain, 1.622, light), state, 0.0, rng).counts
+    turn, fault = looked_at((state, eye.model, counts, 42.0), 0.0)
+    assert abs(turn.angle) < 2.5 * turn.sigma
+    assert fault is not Fault.SUN_ELSEWHERE
 
 
 @pytest.mark.parametrize("off", [30.0, -30.0, 90.0, 180.0])
