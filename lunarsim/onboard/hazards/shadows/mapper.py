@@ -141,7 +141,8 @@ class ShadowMapper(HazardMapper):
         self._time = -np.inf
         self._checked = -np.inf
         self._renewals = 0
-        self._all_safe = False
+        # What was last told of the whole map, an event's name; empty: nothing.
+        self._told = ""
 
     @property
     def health(self) -> PictureHealth:
@@ -369,12 +370,12 @@ class ShadowMapper(HazardMapper):
         few = too_few(found, expected)
         unsafe = drawn.observed & (drawn.p_safe < _UNSAFE)
         all_safe = bool(drawn.observed.any() and not unsafe.any())
-        if (few or all_safe) and not self._all_safe:
+        name = "few-rocks" if few else "all-safe" if all_safe else ""
+        if name and name != self._told:
             area = float(np.count_nonzero(drawn.observed)) * self.grid.posting**2
             details = {"observed_m2": area, "rocks": found, "expected": expected}
-            name = "few-rocks" if few else "all-safe"
             self.tracker.filter.events.append(NavigationEvent(self._time, name, details))
-        self._all_safe = few or all_safe
+        self._told = name
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if few else drawn
 
     def ground_height(self, xy: Array) -> float:

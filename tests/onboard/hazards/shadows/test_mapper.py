@@ -227,6 +227,30 @@ def test_a_map_on_which_no_rock_is_found_says_so(scene):
     assert told.details["rocks"] == 0 and told.details["expected"] > 10.0
 
 
+def test_a_map_that_calls_all_safe_says_so_and_what_follows_too(scene, monkeypatch):
+    mapper = look(scene, [])
+    probability = mapper.probability
+    draw = probability.hazard_map
+
+    def safe(*args):
+        drawn = draw(*args)
+        return replace(drawn, p_safe=np.full_like(drawn.p_safe, 0.999))
+
+    monkeypatch.setattr(probability, "hazard_map", safe)
+    few = []
+    monkeypatch.setattr(
+        "lunarsim.onboard.hazards.shadows.mapper.too_few", lambda found, expected: bool(few)
+    )
+    names = []
+    for k in range(4):
+        see(mapper, scene[0], scene[1][k], 1.5 * k)
+        if k == 2:
+            few.append(True)
+        mapper.hazard_map()
+        names = [e.name for e in mapper.tracker.filter.events if e.name.endswith(("safe", "rocks"))]
+        assert names == [["all-safe"], ["all-safe"], *2 * [["all-safe", "few-rocks"]]][k]
+
+
 @pytest.mark.parametrize("forgotten", [False, True])
 def test_what_was_seen_moves_with_what_a_picture_tells_of_the_lander(scene, monkeypatch, forgotten):
     """What corrects the lander moves the rocks; what was seen, and is seen now, goes with them."""
