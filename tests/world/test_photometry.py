@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.world.light import FULL_EARTH, Light
-from lunarsim.world.photometry import Hapke, hapke_of_albedo
+from lunarsim.world.photometry import Hapke, hapke_of_albedo, lunar_lambert
 from tests.reference.photometry import chandrasekhar, lunar_if
 
 
@@ -121,3 +121,17 @@ def test_full_earth_is_a_ten_thousandth_of_the_sun():
 def test_light_that_cannot_be_is_refused(field, value):
     with pytest.raises(InputError, match="sun"):
         Light(**{field: value})
+
+
+@pytest.mark.parametrize("phase", [0.0, 10.0, 40.0, 75.0, 90.0])
+def test_lunar_lambert_has_mcewens_share_at_every_phase(phase):
+    """Looking along the ground's normal, under a Sun so many degrees off it."""
+    share = np.clip(np.polyval([-1.46e-6, 2.42e-4, -0.019, 1.0], phase), 0.0, 1.0)
+    sun = np.cos(np.radians(phase))
+    expected = 0.12 * (2.0 * share * sun / (1.0 + sun) + (1.0 - share) * sun)
+    assert lunar_lambert(0.12, sun, 1.0, sun) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_moons_mean_slope_is_as_published():
+    """Sato et al. (2014): 23.4 deg."""
+    assert np.degrees(Light().hapke_roughness) == pytest.approx(23.4)

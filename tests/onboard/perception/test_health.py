@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import SunAngle, turn_from_sun
 from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
+from tests.conftest import ROOT
 from tests.picture_faults import all_faults, defocused, halved, rocky
 from tests.shadow_scene import at, picture
 
@@ -242,3 +244,17 @@ def test_half_a_picture_from_before_the_shutter_is_noticed(scene):
 def test_settings_must_make_sense(name, value):
     with pytest.raises(InputError, match=rf"health\.{name}"):
         HealthSettings(**{name: value})
+
+
+def test_limits_are_those_of_the_page():
+    page = (ROOT / "docs" / "shadow-filter.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\w+) \| [^|]+\| ([^|]*?) \|$", page, re.MULTILINE))
+    s = HealthSettings()
+    told = {
+        "numbers": [100 * s.most_gaps], "exposure": [s.least_lit, 100 * s.most_saturated],
+        "gaps": [100 * s.most_gaps], "stuck": [100 * s.most_same], "noise": [100 * s.most_noise],
+        "dark": [100 * s.most_dark], "shadows": [s.least_shadows], "focus": [s.most_width],
+        "smear": [s.most_smear], "veil": [s.most_shade], "Sun": [np.degrees(s.most_turn)],
+    }  # fmt: skip
+    for name, limits in told.items():
+        assert [float(n) for n in re.findall(r"[\d.]+", rows[name])] == pytest.approx(limits), name
