@@ -50,7 +50,7 @@ _FACE_Q = 3.0
 _AGREE = 0.8
 # Where boulders are brighter than the ground, or lit by it, faces under a high Sun lie beside where
 # those of grey ones do: by as much in the mean of a picture, rad.
-_FACES_OFF = float(np.deg2rad(6.0))
+_FACES_OFF = float(np.deg2rad(5.0))
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
 _AXIS_OFF = float(np.deg2rad(3.0))
 
