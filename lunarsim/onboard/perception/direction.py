@@ -48,9 +48,6 @@ _FACE_Q = 3.0
 # Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
 # bright ground lies on any side.
 _AGREE = 0.8
-# Where boulders are brighter than the ground, or lit by it, faces under a high Sun lie beside where
-# those of grey ones do: by as much in the mean of a picture, rad.
-_FACES_OFF = float(np.deg2rad(5.0))
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
 _AXIS_OFF = float(np.deg2rad(3.0))
 
@@ -137,7 +134,7 @@ def turn_from_sun(
     agree = len(faces) > 0 and bool(abs(faces.mean()) > _AGREE)
     if model.elevation >= LEAST_ELEVATION:
         grey = turn_by_grey(seen, view, points, sun, model, cut)
-        found = more_certain(grey, _with_doubt(_by_faces(faces))) if agree else grey
+        found = more_certain(grey, _by_faces(faces)) if agree else grey
         return replace(found, high_sun=True)
     faces = faces if agree else faces[large]
     axis, axis_sigma = mean_angle(_axes(seen, view, points, sun, model))
@@ -150,11 +147,6 @@ def turn_from_sun(
             same = np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0
             found = _told(faces, axis if same else axis + np.pi, axis_sigma)
     return found
-
-
-def _with_doubt(told: SunAngle) -> SunAngle:
-    """Return what lit faces under a high Sun tell, with what they are off by besides chance."""
-    return replace(told, sigma=float(np.hypot(told.sigma, _FACES_OFF)))
 
 
 def _by_faces(faces: NDArray[np.complex128]) -> SunAngle:

@@ -128,6 +128,8 @@ class HealthSettings:
     most_turn, least_turn
         By what angle shadows may fall beside where the Sun throws them for it to be there, and
         from what angle on it is not; between them they tell neither, rad.
+    high_turn
+        The latter under a high Sun: boulders brighter than the ground turn it by up to 18 deg.
     turn_sigma, least_side
         How well that angle must be known to tell, rad, and by how many standard deviations that it
         is not half a turn more.
@@ -155,6 +157,7 @@ class HealthSettings:
     most_smear: float = 1.15
     most_turn: float = float(np.deg2rad(10.0))
     least_turn: float = float(np.deg2rad(15.0))
+    high_turn: float = float(np.deg2rad(25.0))
     turn_sigma: float = float(np.deg2rad(5.0))
     least_side: float = 4.0
     least_agreement: float = 0.55
@@ -170,8 +173,8 @@ class HealthSettings:
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
         for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
-                     "most_smear", "most_turn", "least_turn", "turn_sigma", "least_side",
-                     "least_agreement", "proof_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
+                     "most_smear", "most_turn", "least_turn", "high_turn", "turn_sigma",
+                     "least_side", "least_agreement", "proof_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
         for name in ("least_agreement", "proof_agreement"):
@@ -335,7 +338,8 @@ class PictureHealth:
         """Say whether shadows tell that the Sun is elsewhere: so many that it is rocks that do."""
         s = self.settings
         agree = turn.high_sun or turn.agreement >= s.least_agreement
-        return self.tells(turn) and agree and abs(turn.angle) >= s.least_turn
+        elsewhere = s.high_turn if turn.high_sun else s.least_turn
+        return self.tells(turn) and agree and abs(turn.angle) >= elsewhere
 
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings

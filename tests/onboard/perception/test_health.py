@@ -180,6 +180,10 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     high = replace(craters, high_sun=True)
     assert health.after_detection(seen, high, 0.02).fault is Fault.SUN_ELSEWHERE
     assert health.judges(high)
+    # Bright boulders turn it there.
+    turned = replace(high, angle=np.radians(20.0))
+    assert health.after_detection(seen, turned, 0.02).fault is Fault.SUN_UNPROVEN
+    assert not health.judges(turned)
     # Directions that agree less may show the Sun in its place, and what tells nothing judges not.
     assert health.judges(replace(craters, angle=np.radians(14.0)))
     assert not health.judges(SunAngle(np.nan, np.inf, 0.0, 0))
