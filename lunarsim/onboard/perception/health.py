@@ -174,7 +174,8 @@ class HealthSettings:
                 raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
         for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
                      "most_smear", "most_turn", "least_turn", "high_turn", "turn_sigma",
-                     "least_side", "least_agreement", "proof_agreement", "wrong_turn", "wrong_by"):  # fmt: skip
+                     "least_side", "least_agreement", "proof_agreement", "wrong_turn",
+                     "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"health.{name}", getattr(self, name), "a positive number")
         for name in ("least_agreement", "proof_agreement"):
