@@ -10,8 +10,6 @@ from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
 
-import numpy as np
-
 
 class InputError(ValueError):
     """A value that the user gave cannot be used.
@@ -66,22 +64,27 @@ def check_types(where: str, settings: object) -> None:
                 raise InputError(f"{where}.{one.name}", value, expected)
 
 
+def _is_flag(value: object) -> bool:
+    # NumPy's, which is no bool, without loading it.
+    return type(value).__name__ in ("bool", "bool_")
+
+
 def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    return isinstance(value, Real) and not _is_flag(value)
 
 
 def _is_whole(value: object) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
+    return isinstance(value, Integral) and not _is_flag(value)
 
 
 def _are_numbers(value: object) -> bool:
-    return isinstance(value, tuple | list | np.ndarray) and all(_is_number(v) for v in value)
+    return isinstance(value, Iterable) and all(_is_number(v) for v in value)
 
 
 _KINDS = (
     ("float", _is_number, "a number"),
     ("int", _is_whole, "a whole number"),
-    ("bool", lambda value: isinstance(value, bool | np.bool_), "true or false"),
+    ("bool", _is_flag, "true or false"),
     ("tuple[float", _are_numbers, "numbers in a row"),
 )
 
