@@ -82,7 +82,7 @@ OWN = {
         ([GOOD, "--out", "x.png", "--altitude", "nan"], ["--altitude = nan", "above the ground"]),
         ([GOOD, "--out", "x.png", "--off-nadir", "89"], ["--off-nadir = 89", "from 0 to 85"]),
         ([GOOD, "--out", "x.png", "--sun-elevation", "95"], ["sun.elevation_deg = 95.0", "90"]),
-        ([GOOD, "--out", "x.png", "--exposure", "0"], ["--exposure", "x>0"]),
+        ([GOOD, "--out", "x.png", "--exposure", "0"], ["--exposure", "0.0<x<=100.0"]),
         ([GOOD, "--out", "x.png", "--truth", "x.txt"], ["--truth = 'x.txt'", ".npz"]),
         ([GOOD, "--out", "x.png", "--heading", "inf"], ["--heading = inf", "finite"]),
     ],

@@ -138,4 +138,5 @@ def test_ground_behind_a_part_that_shows_nothing_is_not_seen(spoil):
         saturated_disc: np.hypot(u - 320, v - 240) < 85,
     }[spoil].reshape(observed.shape)  # fmt: skip
     assert not observed[behind].any()
-    assert observed[~behind].mean() > (0.5 if spoil is good else 0.03)
+    # Windows that reach over a part that shows nothing are not seen whole.
+    assert observed[~behind].mean() > (0.5 if spoil is good else 0.01)
