@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.errors import InputError
+from lunarsim.errors import InputError, check_types
 
 # Unit to the ending of the scenario's key. Radians are degrees in scenarios.
 _SUFFIXES = {
@@ -177,7 +177,7 @@ def check_direction(field: str, vector: Any) -> None:
 
 
 def check_bounds(part: Any, table: str) -> None:
-    """Refuse numbers of a dataclass that are not finite or beyond what its fields declare.
+    """Refuse numbers of a dataclass that are none, or beyond what its fields declare.
 
     Scenario files are checked before the part is made; this is for parts made in Python.
 
@@ -204,3 +204,4 @@ def check_bounds(part: Any, table: str) -> None:
         for one in given if isinstance(given, tuple) else (given,):
             if isinstance(one, Real) and not q.allows(float(one)):
                 raise InputError(f"{table}.{f.name}", given, q.expected)
+    check_types(table, part)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim.errors import InputError, check_types
+from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.parts.quantity import check_bounds, hidden, quantity
 from lunarsim.world.photometry import Hapke, hapke_of_albedo, lambert, lunar_lambert
@@ -86,7 +86,6 @@ class Light:
 
     def __post_init__(self) -> None:
         check_bounds(self, "sun")
-        check_types("sun", self)
         if self.photometry not in ("lambert", "lunar-lambert", "hapke"):
             raise InputError("sun.photometry", self.photometry, "lambert, lunar-lambert or hapke")
         if self.photometry == "hapke":

@@ -178,6 +178,8 @@ class Detections:
 
     def hiding(self, left_out: NDArray[np.bool_]) -> Detections:
         """Return the same with a label for pixels (height, width) that tell nothing."""
+        if not left_out.any():
+            return self
         label = np.int32(len(self.largest))
         return replace(
             self,

@@ -80,8 +80,8 @@ class Health:
     figures
         What was measured until then, by name: `lit` (counts), `saturated`, `gaps`, `dark` (shares),
         `noise` (over the brightness of lit ground), `shadows` (number), `shade` (over lit ground),
-        `width`, `smear` (pixels,
-        1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side` (standard deviations).
+        `width`, `smear` (pixels, 1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side`
+        (standard deviations).
     """
 
     fault: Fault | None

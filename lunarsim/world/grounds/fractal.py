@@ -60,10 +60,10 @@ class FractalGround(Roughness):
             return self.detail or None
         if self.preset == "none" or self.posting > _FARTHEST:
             return None
-        coarsest = max(_FINEST, self.size / _MOST_ALONG)
-        # A whole number of new posts lies between two of the old.
-        between = int(self.posting / coarsest * (1.0 + 1e-9))
-        return self.posting / between if between > 1 else None
+        finest = max(_FINEST, self.size / _MOST_ALONG)
+        # Whole steps of the new posts make one of the old.
+        steps = int(self.posting / finest * (1.0 + 1e-9))
+        return self.posting / steps if steps > 1 else None
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""

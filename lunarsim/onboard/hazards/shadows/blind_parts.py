@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import poisson
 
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.hazards.shadows.aspect import aspect
+from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.laws import golombek_number
 
 Array = NDArray[np.float64]
@@ -39,6 +45,39 @@ def middles(width: int, height: int) -> Array:
     u = (np.arange(COLS) + 0.5) * width / COLS - 0.5
     v = (np.arange(ROWS) + 0.5) * height / ROWS - 0.5
     return np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
+
+
+def ground_of_cells(
+    camera: CameraModel,
+    points: Array,
+    eye: Array,
+    sun: Array,
+    plane: GroundPlane,
+    model: ShadowModel | ShapeMixture,
+) -> tuple[Array, Array]:
+    """Return how sharply cells show rocks, and their ground, as `expected_shares` has it (cells,).
+
+    Parameters
+    ----------
+    camera
+        Whose picture it is.
+    points
+        Ground in the `middles` of the cells (cells, 3), m; NaN for none.
+    eye
+        Place of the camera (3,), m.
+    sun, plane
+        Direction towards the Sun (3,), ENU, and the ground along which shadows fall.
+    model
+        What shadows rocks have.
+    """
+    focal = float(np.sqrt(camera.fx * camera.fy))
+    azimuth, depression, pixel = aspect(points, eye, focal, sun, plane)
+    sharpness = along(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
+    # A pixel off the boresight sees less of the sky, by the cube of the cosine.
+    off = middles(camera.width, camera.height) - [camera.cx, camera.cy]
+    solid = (1.0 + ((off / [camera.fx, camera.fy]) ** 2).sum(1)) ** -1.5
+    pixels = camera.width * camera.height / len(points)
+    return sharpness, pixels * solid * pixel**2 / np.sin(depression)
 
 
 def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:

@@ -19,8 +19,7 @@ from lunarsim.models.pose import Pose
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside
 from lunarsim.onboard.hazards.published import RockEvidence
-from lunarsim.onboard.hazards.shadows.aspect import aspect
-from lunarsim.onboard.hazards.shadows.blind_parts import blind_parts, middles
+from lunarsim.onboard.hazards.shadows.blind_parts import blind_parts, ground_of_cells, middles
 from lunarsim.onboard.hazards.shadows.ground_height import height_sigma
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
 from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
@@ -190,9 +189,9 @@ class ShadowMapper(HazardMapper):
                 ground=self._ground(picture.camera), model=self.tracker.model,
                 settings=self.detector,
             )  # fmt: skip
-            before = self.health.sun.seen
+            proven = self.health.sun.seen
             health = self._by_shadows(seen, picture, estimate, sun, health)
-            if before and not self.health.sun.seen:
+            if proven and not self.health.sun.seen:
                 # What was looked at under another Sun may be anything.
                 self.probability.forget()
                 self._residual = None
@@ -231,17 +230,11 @@ class ShadowMapper(HazardMapper):
     ) -> NDArray[np.bool_]:
         """Return in which pixels (height, width) of a picture nothing would show."""
         camera, rocks = picture.camera, self.tracker.filter
+        points = rocks.ground_points(camera, middles(camera.width, camera.height))
+        sharpness, area = ground_of_cells(
+            camera, points, rocks.inertial.position, sun, plane, self.tracker.model
+        )
         counts = np.asarray(picture.counts)
-        pixels = middles(camera.width, camera.height)
-        points = rocks.ground_points(camera, pixels)
-        focal = float(np.sqrt(camera.fx * camera.fy))
-        azimuth, depression, pixel = aspect(points, rocks.inertial.position, focal, sun, plane)
-        model = along(self.tracker.model, plane, sun)
-        sharpness = model.visible_pixels(1.0, azimuth, depression, pixel)
-        # A pixel off the boresight sees less of the sky, by the cube of the cosine.
-        aside = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        solid = (1.0 + (aside**2).sum(1)) ** -1.5
-        area = counts.size / len(points) * solid * pixel**2 / np.sin(depression)
         return blind_parts(counts, seen, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:
