@@ -82,21 +82,23 @@ def highest(rises, x0: float, y0: float, posting: float, place, reach: float) ->
     return max(found) if found else 0.0
 
 
-def scale(rocks: list, height_ratio: float) -> float:
-    """Height over radius; rocks are (radius, existence, top, density)."""
+def scale(rocks: list, height_ratio: float) -> tuple:
+    """Height over radius and what it errs by; rocks are (radius, existence, top, density)."""
     logs = []
     for radius, there, top, density in rocks:
         samples = density * math.pi * radius * radius
         if there > 0.5 and top > 0.0 and samples >= 1.5:
             logs.append(math.log(top / radius / math.sqrt(1.0 - math.log(2.0) / samples)))
     told = math.log(2.0 * height_ratio)
+    usual = told + math.log(1.2)
     if not logs:
-        return math.exp(told)
+        return math.exp(usual), 0.2
     logs.sort()
     half = len(logs) // 2
     middle = logs[half] if len(logs) % 2 else 0.5 * (logs[half - 1] + logs[half])
     weight = 0.5 * len(logs)
-    return math.exp(max((weight * middle + told) / (weight + 1.0), told))
+    found = max((weight * middle + usual) / (weight + 1.0), told)
+    return math.exp(found), 0.2 / math.sqrt(weight + 1.0)
 
 
 def hazard(

@@ -7,19 +7,25 @@ apart as scalar filters, which is exact.
 The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
 its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
 their errors, so that what a height is off by counts once, however often the rock is seen. Where
-somebody else has measured the ground, it has the shape of that, laid on the rocks.
+somebody else has measured the ground, it has the shape of that, laid on the rocks, and each time
+that it is measured rocks of which less is known are laid on it (`measured_heights.py`).
 """
 
 from __future__ import annotations
-
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.error_state import MAP, ErrorState
+from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
+from lunarsim.onboard.navigation.measured_heights import (
+    COMMON,
+    OWN,
+    GroundHeights,
+    lay,
+    pose_shares,
+)
 from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
 
 Array = NDArray[np.float64]
@@ -29,14 +35,6 @@ Index = NDArray[np.int64]
 AXES = 3
 # So many rocks tell how high ground lies that was measured otherwise.
 _LEAST_ROCKS = 5
-
-
-class GroundHeights(Protocol):
-    """Somebody who has measured the ground."""
-
-    def heights(self, xy: Array) -> Array:
-        """Return its heights (n,) at points (n, 2), local frame, m; NaN where it is not known."""
-        ...
 
 
 class RockStates:
@@ -241,20 +239,57 @@ class RockStates:
         return index
 
     def follow_ground(self, rock: int) -> None:
-        """Let a rock's height err as those of its neighbours and the ground under the lander."""
+        """Let a rock's height err as those of its neighbours and the ground under the lander.
+
+        Where the ground was measured, as those of its neighbours there.
+        """
         if not self.state.has(GROUND):
             return
+        on_measured = self._on_measured(rock + 1)
+        if on_measured[rock]:
+            self._follow_measured(rock, np.flatnonzero(on_measured[:rock]))
+            return
         at = self._xyz[rock, :2]
-        away = np.hypot(*(self._xyz[:rock, :2] - at).T)
-        near = np.argsort(away, kind="stable")[:NEIGHBOURS]
+        near = self._nearest(rock, np.arange(rock))
         places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
         weights, variance = kriging(places[None], at[None], self._level.growth)
         below = [self.state.block(name).start + at for name, at in self._level_parts()]
         sources = np.concatenate((below, self.places(near)[:, 2]))
         shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
-        self.state.follow(
-            int(self.places(np.array([rock]))[0, 2]), sources, shares, float(variance[0])
-        )
+        self._follow(rock, sources, shares, float(variance[0]))
+
+    def _follow_measured(self, rock: int, others: Index) -> None:
+        """Let a rock's height err as those of its neighbours on measured ground (k,).
+
+        Without any as the ground does, which was measured from where the lander is.
+        """
+        near = self._nearest(rock, others)
+        if len(near):
+            shares = np.full(len(near), 1.0 / len(near))
+            self._follow(rock, self.places(near)[:, 2], shares, OWN**2)
+        else:
+            shares = pose_shares(self.state, self._xyz[rock])
+            self._follow(rock, POSE, shares, OWN**2 + COMMON**2)
+
+    def _follow(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
+        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, shares, variance)
+
+    def _nearest(self, rock: int, others: Index) -> Index:
+        """Return which of other rocks (k,) are a rock's neighbours."""
+        away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
+        return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
+
+    def _on_measured(self, count: int) -> NDArray[np.bool_]:
+        """Return which of the first rocks (count,) stand on measured ground."""
+        if self.measured is None:
+            return np.zeros(count, np.bool_)
+        return np.isfinite(self.measured.heights(self._xyz[:count, :2]))
+
+    def lay_on_measured(self) -> Outcome:
+        """Let rocks stand on ground that was measured from the lander just now, see `lay`."""
+        if self.measured is None or not self.state.has(GROUND) or self.count == 0:
+            return Outcome(0.0, 0, False)
+        return lay(self, self.measured)
 
     def remove(self, index: Index) -> Index:
         """Stop tracking rocks; those from the end take their places.

@@ -48,6 +48,9 @@ _FACE_Q = 3.0
 # Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
 # bright ground lies on any side.
 _AGREE = 0.8
+# So many faces whose directions agree so well may be believed before axes that are off by so many
+# standard deviations of both.
+_MANY_FACES, _ALIKE, _APART = 20, 0.7, 2.0
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
 _AXIS_OFF = float(np.deg2rad(3.0))
 
@@ -145,8 +148,26 @@ def turn_from_sun(
         axis_sigma = float(np.hypot(raw, _AXIS_OFF))
         if raw < _AXIS_KNOWN or axis_sigma < found.sigma:
             same = np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0
-            found = _told(faces, axis if same else axis + np.pi, axis_sigma)
+            by_axes = _told(faces, axis if same else axis + np.pi, axis_sigma)
+            found = _of_two(found, by_axes, faces)
     return found
+
+
+def _of_two(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]) -> SunAngle:
+    """Return the angle of the axes, but where many faces (n,) that are alike deny it.
+
+    Then patches lie along something else: seen from far and from the side, those of rocks that
+    stand one behind the other run into each other, and on slopes the ground's own are long. Or what
+    is bright lies beside the rocks. Of the two that counts which is nearer the line along which the
+    Sun is taken to throw shadows: another Sun turns both.
+    """
+    off = float(np.hypot(by_faces.sigma, _AXIS_OFF))
+    apart = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
+    many = len(faces) >= _MANY_FACES and abs(faces.mean()) >= _ALIKE
+    nearer = abs(np.sin(by_faces.angle)) < abs(np.sin(by_axes.angle))
+    if many and nearer and apart > _APART * np.hypot(off, by_axes.sigma):
+        return replace(by_faces, sigma=off)
+    return by_axes
 
 
 def _by_faces(faces: NDArray[np.complex128]) -> SunAngle:

@@ -26,7 +26,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
+from lunarsim.onboard.hazards.fusion.heights import USUAL, clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
@@ -41,9 +41,6 @@ from lunarsim.safety.thinning import Thinning
 
 Array = NDArray[np.float64]
 
-# Before it is measured, height over radius is taken to be so many times what is expected: shadows
-# tell radii too small rather than too large.
-_USUAL = 1.2
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
 
@@ -175,7 +172,7 @@ def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> t
         return clear, np.zeros(grid.shape)
     ratio = terms.height_ratio
     samples = Samples(relief.rises, relief.judged.density, grid, ratio)
-    placed = registered(tracks, samples, _USUAL * 2.0 * ratio)
+    placed = registered(tracks, samples, USUAL * 2.0 * ratio)
     heights = heights_of(placed, samples, lander, terms.rocks.shape)
     none_missed = none_missed_by(rocks, placed, heights, grid, lander.roughness_limit)
     return clear_of(placed, heights, grid, lander), none_missed

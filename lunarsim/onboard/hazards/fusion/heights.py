@@ -7,10 +7,11 @@ shadow.
 
 - **Scale.** A sample falls on a rock's top so and so often; of n samples on a half ellipsoid the
   highest stands above ``sqrt(1 - log 2 / n)`` of its height in one case of two. The median over
-  the rocks of what that makes of height over radius is drawn to what the mission expects, as if by
-  a few rocks. Samples only ever fall short, and confused rises make it less, so it is taken to be
-  no less than the mission expects.
-- **Height.** Log-normal about scale times radius, by how well the radius is known.
+  the rocks of what that makes of height over radius is drawn to what is usual, as if by two rocks:
+  shadows tell radii too small rather than too large, so that is more than the mission expects of
+  height over radius. Samples only ever fall short, and confused rises make it less, so it is taken
+  to be no less than that.
+- **Height.** Log-normal about scale times radius, by how well the radius is known and the scale.
 - **Samples that show nothing.** On a rock of height H with no sample above m they are
   ``exp(-c (H^2 - m^2))`` likely, c their density times pi / (2 height_ratio)^2. The odds of a rock
   that is too high are multiplied by the ratio of this likelihood if it is, to that if it is lower
@@ -43,8 +44,10 @@ Array = NDArray[np.float64]
 # Samples belong to a rock within so many radii of it and so far, m, and as far as its place is
 # unknown, but no farther than that, m.
 _RADII, _ASIDE, _FARTHEST = 1.4, 0.1, 0.3
-# Rocks tell the scale from so many samples on; each counts by this share of the mission's word.
+# Rocks tell the scale from so many samples on; each counts by this share of what is usual: so many
+# times what the mission expects, give or take this share, 1 sigma.
 _LEAST_SAMPLES, _WORTH = 1.5, 0.5
+USUAL, _UNMEASURED = 1.2, 0.2
 # What no look averages out: spread of a height, as a share, and of a place, an axis, in radii.
 _SPREAD, _PLACE = 0.12, 0.2
 # Spread of how far the part of a rock reaches that is too high, as a share and m.
@@ -99,10 +102,10 @@ def heights_of(
     radius = np.maximum(tracks.radius, LEAST_RADIUS)
     dense = _at(samples.density, samples.grid, tracks.xy)
     top = highest(tracks, samples.rises, samples.grid)
-    scale = height_scale(radius, tracks.existence, top, dense, height_ratio)
+    scale, vague = height_scale(radius, tracks.existence, top, dense, height_ratio)
     limit = lander.roughness_limit
     tried = limit * _TRIED
-    spread = np.hypot(_SPREAD, np.sqrt(tracks.radius_variance) / radius)
+    spread = np.hypot(np.hypot(_SPREAD, vague), np.sqrt(tracks.radius_variance) / radius)
     middle = np.minimum(scale * radius, tried[-1])
     prior = np.exp(-0.5 * (np.log(tried / middle[:, None]) / spread[:, None]) ** 2)
     prior /= prior.sum(axis=1, keepdims=True)
@@ -128,8 +131,8 @@ def heights_of(
 
 def height_scale(
     radius: Array, existence: Array, top: Array, density: Array, height_ratio: float
-) -> float:
-    """Return height over radius, from rocks on which enough samples fell.
+) -> tuple[float, float]:
+    """Return height over radius, from rocks on which enough samples fell, and what it errs by.
 
     Parameters
     ----------
@@ -140,17 +143,23 @@ def height_scale(
     density
         Samples on a square metre about each (n,).
     height_ratio
-        Height over diameter that the mission expects: what is told without any rock.
+        Height over diameter that the mission expects.
+
+    Returns
+    -------
+    scale, sigma
+        The ratio, and its standard deviation as a share of it.
     """
     samples = density * np.pi * radius**2
     told = 2.0 * height_ratio
     good = (samples >= _LEAST_SAMPLES) & (existence > 0.5) & (top > 0.0)
     if not good.any():
-        return told
+        return USUAL * told, _UNMEASURED
     share = np.sqrt(1.0 - np.log(2.0) / samples[good])
     median = float(np.median(np.log(top[good] / (radius[good] * share))))
     count = _WORTH * np.count_nonzero(good)
-    return float(max(np.exp((count * median + np.log(told)) / (count + 1.0)), told))
+    scale = np.exp((count * median + np.log(USUAL * told)) / (count + 1.0))
+    return float(max(scale, told)), float(_UNMEASURED / np.sqrt(count + 1.0))
 
 
 def highest(tracks: RockTracks, rises: NDArray[np.float32], grid: Grid) -> Array:

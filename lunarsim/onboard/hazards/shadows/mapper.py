@@ -181,6 +181,8 @@ class ShadowMapper(HazardMapper):
                 f"at least {self._time} s: time does not run backwards",
             )  # fmt: skip
         self._time = picture.time
+        if self._relief.anew():
+            rocks.lay_on_measured()
         health = self.health.before_detection(picture.counts, picture.camera, estimate)
         if health.good:
             sun = rocks.in_frame(self.sun)

@@ -32,6 +32,13 @@ class MeasuredGround:
         self._of: Surface | None = None
         self._plane: GroundPlane | None = None
         self._heights: Array | None = None
+        self._anew = False
+
+    def anew(self) -> bool:
+        """Tell whether it was measured anew since last asked."""
+        self._drawn()
+        anew, self._anew = self._anew, False
+        return anew
 
     def plane(self) -> GroundPlane | None:
         """Return the plane of it; None where too little was measured, see `relief_plane`."""
@@ -59,6 +66,7 @@ class MeasuredGround:
         drawn = self._mapper.surface()
         if drawn is not self._of:
             self._of, self._plane, self._heights = drawn, relief_plane(drawn), _smoothed(drawn)
+            self._anew = True
         return drawn
 
 

@@ -87,11 +87,22 @@ def test_rocks_read_as_too_small_are_found_to_be_so():
     top = np.array([
         h * np.sqrt(rng.random(max(n, 1)).max()) for h, n in zip(true, count, strict=True)
     ])  # fmt: skip
-    found = height_scale(0.7 * true, np.ones(40), top, density, 0.5)
+    found, sigma = height_scale(0.7 * true, np.ones(40), top, density, 0.5)
     assert found == pytest.approx(1.0 / 0.7, rel=0.1)
+    assert abs(np.log(0.7 * found)) < 2.0 * sigma < 0.1
     # Samples fall short; nothing makes rocks lower than the mission expects.
-    assert height_scale(0.7 * true, np.ones(40), 0.1 * top, density, 0.5) == 1.0
-    assert height_scale(true[:0], true[:0], true[:0], true[:0], 0.4) == pytest.approx(0.8)
+    assert height_scale(0.7 * true, np.ones(40), 0.1 * top, density, 0.5)[0] == 1.0
+
+
+def test_a_scale_that_nobody_has_measured_holds_every_shape_that_a_shadow_may_be_read_as():
+    """Half spheres read as cubes have 0.7 of their radius; cubes have their own."""
+    none = np.zeros(0)
+    scale, sigma = height_scale(none, none, none, none, 0.4)
+    assert 0.8 < scale < 0.8 / 0.7
+    assert abs(np.log([0.8 / scale, 0.8 / 0.7 / scale])).max() < 1.5 * sigma
+    # So rocks that may be too high are not passed over.
+    read = 0.7 * 1.1 * LIMIT
+    assert heights(tracks((0.0, 5.0, read, 1.0)), 0.0, 0.0).hazard[0] > 0.3
 
 
 # --- the height of each ------------------------------------------------------------------------
@@ -101,12 +112,12 @@ def test_rocks_read_as_too_small_are_found_to_be_so():
     st.floats(0.1, 0.6), st.floats(0.0, 1.0), st.floats(0.0, 0.4), st.floats(0.0, 2.0)
 )  # fmt: skip
 def test_the_probability_that_a_rock_is_too_high_equals_a_plain_sum(radius, there, top, density):
-    # So few samples that the scale is what the mission expects.
     rock = tracks((0.0, 5.0, radius, there))
     found = heights(rock, top, density)
-    assert found.scale == 1.0
-    spread = np.hypot(0.12, 0.04 / radius)
-    expected = plain.hazard(radius, spread, there, top, density, LIMIT, 0.5, COMMON)
+    scale, vague = plain.scale([(radius, there, top, density)], 0.5)
+    assert found.scale == pytest.approx(scale)
+    spread = np.sqrt(0.12**2 + vague**2 + (0.04 / radius) ** 2)
+    expected = plain.hazard(scale * radius, spread, there, top, density, LIMIT, 0.5, COMMON)
     assert found.hazard[0] == pytest.approx(expected, abs=0.01)
 
 
@@ -142,7 +153,7 @@ def test_larger_rocks_are_no_less_likely_too_high_and_reach_no_less_far():
     # Far above the limit they are so all the way out.
     large = radius > 3.0
     assert found.hazard[large] == pytest.approx(0.8)
-    assert found.reach[large] == pytest.approx(radius[large], rel=0.15)
+    assert found.reach[large] == pytest.approx(found.scale * radius[large], rel=0.15)
     under = clear_of(
         tracks((0.0, 5.0, 1000.0, 0.8)), heights(tracks((0.0, 5.0, 1000.0, 0.8))), GRID, LANDER
     )
@@ -181,8 +192,9 @@ def test_rocks_of_flat_tops_are_too_high_as_far_as_they_reach():
     round_one, flat = (
         heights_of(rock, samples, LANDER, shape).reach[0] for shape in ("ellipsoid", "cube")
     )
-    assert round_one < flat == pytest.approx(0.5, rel=0.1)
-    assert round_one == pytest.approx(np.sqrt(0.5**2 - LIMIT**2), rel=0.1)
+    high = heights(rock, 0.0, 0.0).scale * 0.5
+    assert round_one < flat == pytest.approx(high, rel=0.1)
+    assert round_one == pytest.approx(np.sqrt(high**2 - LIMIT**2), rel=0.1)
 
 
 def test_rises_of_other_cells_than_the_map_are_refused():
@@ -209,7 +221,8 @@ def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are
     assert found.scale > 1.7
     assert height == pytest.approx(found.scale * rocks.radius)
     assert tells.tolist() == [True, False, False]
+    vague = plain.scale([(r, 0.8, top, 200.0) for r in rocks.radius[:2]], 0.5)[1]
     for n, there in enumerate((0.4, 0.8, 0.2)):
-        spread = np.hypot(0.12, 0.04 / rocks.radius[n])
+        spread = np.sqrt(0.12**2 + vague**2 + (0.04 / rocks.radius[n]) ** 2)
         expected = plain.hazard(height[n], spread, there, top, 200.0, LIMIT, 0.5, COMMON)
         assert found.hazard[n] == pytest.approx(expected, abs=0.01)

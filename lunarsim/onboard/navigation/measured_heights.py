@@ -1,0 +1,119 @@
+"""Rocks on ground that another eye has measured.
+
+A LiDAR measures the ground from where it flies: how high rocks lie below the lander is then known
+to decimetres, where pictures alone leave metres, and with it how far away they are. Seen from the
+side a metre of height is a metre and more along the ground.
+
+Ground and rocks are both laid down from the estimated pose. With m the measured height at a rock,
+g the ground's gradient there and r the rock less the lander, in true errors (estimate plus error is
+truth)
+
+    m - z = d(z) - g d(xy) - d(p_z) + g d(p_xy) - (r x up) d(attitude) + noise,
+
+attitude errors being about body axes, in which r and up are taken. Noise is a rock's own in part
+and in part all rocks' of one scan.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
+
+if TYPE_CHECKING:
+    from lunarsim.onboard.navigation.rock_states import RockStates
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# What a rock's height errs by on measured ground, by itself and with all others, 1 sigma, m.
+OWN, COMMON = 0.15, 0.15
+# A rock is laid down if its height below the lander has more than this many times the variance.
+_VAGUE = 2.0
+# So many rocks at most, those that are known worst.
+_MOST = 100
+# Normalised innovation squared a degree of freedom, beyond which the ground is another's.
+_GATE = 10.0
+# Slopes are taken between places so far to either side, m.
+_ASIDE = 2.0
+
+
+class GroundHeights(Protocol):
+    """Somebody who has measured the ground."""
+
+    def heights(self, xy: Array) -> Array:
+        """Return its heights (n,) at points (n, 2), local frame, m; NaN where it is not known."""
+        ...
+
+
+def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
+    """Let rocks stand on ground that was measured from the lander just now.
+
+    Of rocks whose height below the lander is known as well nothing is told; they move with the
+    others by what they share. To be called once a scan: its error is the same each time.
+
+    Parameters
+    ----------
+    rocks
+        The rocks.
+    ground
+        Who has measured it.
+
+    Returns
+    -------
+    outcome
+        Of the heights; one degree of freedom a rock.
+    """
+    height = ground.heights(rocks.xy)
+    index = np.flatnonzero(np.isfinite(height))
+    by_pose, by_rock = _jacobians(rocks.state, rocks.xyz[index], _gradient(ground, rocks.xy[index]))
+    variance = _variances(rocks, index, by_pose, by_rock)
+    order = np.argsort(-variance, kind="stable")[:_MOST]
+    told = order[variance[order] > _VAGUE * (OWN**2 + COMMON**2)]
+    if not len(told):
+        return Outcome(0.0, 0, False)
+    index, by_pose, by_rock = index[told], by_pose[told], by_rock[told]
+    state, columns = rocks.state, rocks.places(index)
+    p = state.covariance
+    with BLAS.limit(limits=1, user_api="blas"):
+        hp = by_pose @ p[POSE] + np.einsum("ka,kas->ks", by_rock, p[columns])
+        s = hp[:, POSE] @ by_pose.T + np.einsum("jka,ka->jk", hp[:, columns], by_rock)
+    s = 0.5 * (s + s.T) + OWN**2 * np.eye(len(index)) + COMMON**2
+    return state.absorb(hp, s, height[index] - rocks.xyz[index, 2], _GATE * len(index))
+
+
+def pose_shares(state: ErrorState, point: Array) -> Array:
+    """Return how the height of ground measured at a point (3,) errs with the pose (6,)."""
+    return -_jacobians(state, point[None], np.zeros((1, 2)))[0][0]
+
+
+def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:
+    """Return how the innovation errs with the pose (k, 6) and with the rock itself (k, 3)."""
+    body = quat_to_matrix(state.inertial.attitude)
+    arm, up = (points - state.inertial.position) @ body, body[2]
+    down = np.full((len(points), 1), -1.0)
+    by_pose = np.hstack((gradient, down, -np.cross(arm, up)))
+    return by_pose, np.hstack((-gradient, -down))
+
+
+def _variances(rocks: RockStates, index: Index, by_pose: Array, by_rock: Array) -> Array:
+    """Return the variance of what the height of rocks (k,) on the ground errs by (k,), m^2."""
+    p, columns = rocks.state.covariance, rocks.places(index)
+    both = np.hstack((by_pose, by_rock))
+    at = np.hstack((np.broadcast_to(POSE, (len(index), len(POSE))), columns))
+    own = p[at[:, :, None], at[:, None, :]]
+    return np.asarray(np.einsum("ka,kab,kb->k", both, own, both))
+
+
+def _gradient(ground: GroundHeights, xy: Array) -> Array:
+    """Return the gradient of measured ground at points (k, 2); 0 where it is not known."""
+    out = np.zeros((len(xy), 2))
+    for axis in range(2):
+        step = _ASIDE * np.eye(2)[axis]
+        rise = ground.heights(xy + step) - ground.heights(xy - step)
+        out[:, axis] = np.where(np.isfinite(rise), rise, 0.0) / (2.0 * _ASIDE)
+    return out
