@@ -32,12 +32,17 @@ Index = NDArray[np.int64]
 _LEAST_TURN = 0.02
 # Rocks are not seen from nearer than this, m.
 _NEAREST = 0.1
-# Passes that find where a line of sight meets ground that is not level.
-_PASSES = 2
+# Passes that find where a line of sight meets ground that is not level, and how far beside a region
+# it is taken to be level at first, m.
+_PASSES, _BESIDE = 2, 10.0
 # Variances grow at least and at most by these factors where rocks are doubted; standard deviations
 # not beyond: m, m/s, rad.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
 _MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
+
+
+# West, east, south and north limits, m.
+Region = tuple[float, float, float, float]
 
 
 class RockFilter(RockStates):
@@ -106,20 +111,27 @@ class RockFilter(RockStates):
         """Of the lander's error state (15), what aids need, and the rocks' coordinates (3 n)."""
         return self.state.covariance
 
-    def ground_points(self, camera: CameraModel, pixel: Array) -> Array:
+    def ground_points(self, camera: CameraModel, pixel: Array, near: Region | None = None) -> Array:
         """Return where lines of sight through pixels (n, 2), undistorted, meet the ground (n, 3).
 
-        NaN where they do not.
+        NaN where they do not, and for those that do so farther than `_BESIDE` beside a region that
+        is given: west, east, south and north limits, m.
         """
+        out = np.full((len(pixel), AXES), np.nan)
         if len(pixel) == 0:
-            return np.empty((0, AXES))
+            return out
         eye, per_drop = self._lines(camera, pixel)
-        height = np.full(len(pixel), self.ground)
+        middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
+        out[:, 2] = self.ground if middle is None else self.ground_at(middle)[0]
+        out[:, :2] = eye[:2] + per_drop * (eye[2] - out[:, 2:])
+        lie = np.isfinite(out[:, :2]).all(1)
+        if near is not None:
+            lie &= _beside(out[:, :2], near)
+            out[~lie] = np.nan
         for _ in range(_PASSES):
-            xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
-            seen = np.isfinite(xy).all(1)
-            height[seen] = self.ground_at(xy[seen])
-        return np.column_stack((xy, height))
+            out[lie, :2] = eye[:2] + per_drop[lie] * (eye[2] - out[lie, 2:])
+            out[lie, 2] = self.ground_at(out[lie, :2])
+        return out
 
     def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.
@@ -411,3 +423,12 @@ class RockFilter(RockStates):
         at = np.arange(2 * b).reshape(b, 2)
         block[at[:, :, None], at[:, None, :]] += own
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
+
+
+def _beside(xy: Array, near: Region) -> NDArray[np.bool_]:
+    """Return which points (n, 2) lie in a region or little beside it."""
+    west, east, south, north = near
+    x, y = xy.T
+    return np.asarray(
+        (x > west - _BESIDE) & (x < east + _BESIDE) & (y > south - _BESIDE) & (y < north + _BESIDE)
+    )

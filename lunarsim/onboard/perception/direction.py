@@ -48,9 +48,10 @@ _FACE_Q = 3.0
 # Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
 # bright ground lies on any side.
 _AGREE = 0.8
-# So many faces whose directions agree so well may be believed before axes that are off by so many
-# standard deviations of both.
-_MANY_FACES, _ALIKE, _APART = 20, 0.7, 2.0
+# So many faces are believed before axes that are so far off them, rad, if their directions agree so
+# well: of rocks that cover 15 % of the ground faces are turned by up to 16 deg, axes by up to 45.
+_MANY_FACES = 20
+_ALIKE = ((0.7, float(np.deg2rad(27.0))), (0.88, float(np.deg2rad(15.0))))
 # What axes are off by however many there are, rad, as found between rendered shadows and the model.
 _AXIS_OFF = float(np.deg2rad(3.0))
 
@@ -157,17 +158,15 @@ def _of_two(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]
     """Return the angle of the axes, but where many faces (n,) that are alike deny it.
 
     Then patches lie along something else: seen from far and from the side, those of rocks that
-    stand one behind the other run into each other, and on slopes the ground's own are long. Or what
-    is bright lies beside the rocks. Of the two that counts which is nearer the line along which the
-    Sun is taken to throw shadows: another Sun turns both.
+    stand one behind the other run into each other, and on slopes the ground's own are long.
     """
-    off = float(np.hypot(by_faces.sigma, _AXIS_OFF))
     apart = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
-    many = len(faces) >= _MANY_FACES and abs(faces.mean()) >= _ALIKE
-    nearer = abs(np.sin(by_faces.angle)) < abs(np.sin(by_axes.angle))
-    if many and nearer and apart > _APART * np.hypot(off, by_axes.sigma):
-        return replace(by_faces, sigma=off)
-    return by_axes
+    alike = abs(faces.mean())
+    if len(faces) < _MANY_FACES or alike < _ALIKE[0][0]:
+        return by_axes
+    if any(alike >= least and apart > far for least, far in _ALIKE):
+        return replace(by_faces, sigma=float(np.hypot(by_faces.sigma, _AXIS_OFF)))
+    return replace(by_axes, by_faces=by_faces.angle)
 
 
 def _by_faces(faces: NDArray[np.complex128]) -> SunAngle:

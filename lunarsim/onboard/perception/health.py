@@ -336,11 +336,16 @@ class PictureHealth:
         return self.contradicts(turn) or (self.tells(turn) and near)
 
     def contradicts(self, turn: SunAngle) -> bool:
-        """Say whether shadows tell that the Sun is elsewhere: so many that it is rocks that do."""
+        """Say whether shadows tell that the Sun is elsewhere: so many that it is rocks that do.
+
+        Where lit faces say that it is in its place, shadows that lie otherwise are not those of
+        single rocks.
+        """
         s = self.settings
         agree = turn.high_sun or turn.agreement >= s.least_agreement
         elsewhere = s.high_turn if turn.high_sun else s.least_turn
-        return self.tells(turn) and agree and abs(turn.angle) >= elsewhere
+        denied = abs(turn.by_faces) < elsewhere
+        return self.tells(turn) and agree and abs(turn.angle) >= elsewhere and not denied
 
     def _sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings

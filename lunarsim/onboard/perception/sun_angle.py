@@ -40,6 +40,8 @@ class SunAngle:
         Of rocks by which the side is told.
     high_sun
         Whether it was told under a high Sun, where it is known less well however many rocks tell.
+    by_faces
+        What lit faces say of the angle where the axes of shadows tell it, rad; NaN: too little.
     """
 
     angle: float
@@ -47,6 +49,7 @@ class SunAngle:
     side: float
     number: int
     high_sun: bool = False
+    by_faces: float = float("nan")
 
     @property
     def agreement(self) -> float:

@@ -150,7 +150,7 @@ class RockTracker:
         s = self.settings
         self._pass_time(camera, plane.direction(unit_vector(sun)), time)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
-        points = self.filter.ground_points(camera, seen.pixel)
+        points = self.filter.ground_points(camera, seen.pixel, s.region)
         parted = self._split(seen, points, camera, radius_variance)
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
@@ -188,7 +188,7 @@ class RockTracker:
         if not self._explained(found, expected, time):
             self.renew()
             self.explained[:] = False
-        points = self.filter.ground_points(camera, seen.pixel)
+        points = self.filter.ground_points(camera, seen.pixel, s.region)
         begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
