@@ -5,13 +5,13 @@ to decimetres, where pictures alone leave metres, and with it how far away they 
 side a metre of height is a metre and more along the ground.
 
 Ground and rocks are both laid down from the estimated pose. With m the measured height at a rock,
-g the ground's gradient there and r the rock less the lander, in true errors (estimate plus error is
-truth)
+n the ground's normal there of which up is 1, and r the rock less the lander, in true errors
+(estimate plus error is truth)
 
-    m - z = d(z) - g d(xy) - d(p_z) + g d(p_xy) - (r x up) d(attitude) + noise,
+    m - z = n d(rock) - n d(position) - (r x n) d(attitude) + noise,
 
-attitude errors being about body axes, in which r and up are taken. Noise is a rock's own in part
-and in part all rocks' of one scan.
+attitude errors being about body axes, in which r and n are taken there. Noise is a rock's own in
+part and in part all rocks' of one scan.
 """
 
 from __future__ import annotations
@@ -94,10 +94,9 @@ def pose_shares(state: ErrorState, point: Array) -> Array:
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:
     """Return how the innovation errs with the pose (k, 6) and with the rock itself (k, 3)."""
     body = quat_to_matrix(state.inertial.attitude)
-    arm, up = (points - state.inertial.position) @ body, body[2]
-    down = np.full((len(points), 1), -1.0)
-    by_pose = np.hstack((gradient, down, -np.cross(arm, up)))
-    return by_pose, np.hstack((-gradient, -down))
+    normal = np.hstack((-gradient, np.ones((len(points), 1))))
+    arm = (points - state.inertial.position) @ body
+    return np.hstack((-normal, -np.cross(arm, normal @ body))), normal
 
 
 def _variances(rocks: RockStates, index: Index, by_pose: Array, by_rock: Array) -> Array:

@@ -241,3 +241,27 @@ def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
     far.elevation[:, GRID.x < 45.0] = np.nan
     rocks.measured = MeasuredGround(Maps(far))
     np.testing.assert_allclose(rocks.ground_at([[50.0, -25.0]]), 12.0, atol=0.03)
+
+
+def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, monkeypatch):
+    """The error of one scan is the same however many pictures follow it."""
+    calls = []
+    plain = RockFilter.lay_on_measured
+    monkeypatch.setattr(
+        RockFilter, "lay_on_measured", lambda rocks: (calls.append(rocks.count), plain(rocks))[1]
+    )
+    seen = terrace(60.0, 0.5)
+    maps = Maps(measured(seen.z, seen.grid))
+    _, mapper = tracked(terrain, maps)
+    assert calls == [0]
+    _, camera, counts = picture(terrain, PLACE, (AZIMUTH, np.degrees(ELEVATION)))
+    rocks = mapper.tracker.filter
+    estimate = rocks.inertial.estimate(rocks.covariance, 0.5, 1.0)
+    black = np.zeros_like(counts)
+    for time in (0.5, 1.0):
+        mapper.update(Picture(time, black, camera.model), estimate)
+    assert calls == [0]
+    maps.drawn = measured(seen.z + np.float32(0.1), seen.grid)
+    # Even if the picture is none.
+    mapper.update(Picture(1.5, black, camera.model), estimate)
+    assert calls == [0, rocks.count] and rocks.count > 15

@@ -1,0 +1,180 @@
+"""Rocks laid on ground that was measured from the lander."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lunarsim.frames import quat_from_rotation_vector
+from lunarsim.models.gimbal import gimbal_mount
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.measured_heights import COMMON, OWN
+from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.sensors.camera import Camera
+from tests.reference import laid
+
+EYE = np.array([-300.0, 40.0, 250.0])
+STARTS = StartSigmas(3.0, 0.05, 2e-4)
+
+
+class Plane:
+    """Ground as it was measured; not known west of a limit."""
+
+    def __init__(self, gradient=(0.0, 0.0), height=0.0, west=-np.inf):
+        self.gradient, self.height, self.west = np.array(gradient), height, west
+
+    def heights(self, xy):
+        z = self.height + xy @ self.gradient
+        return np.where(xy[:, 0] >= self.west, z, np.nan)
+
+
+def rocks_seen(xyz, ground=None, seed=0, attitude=(0.02, -0.05, 0.3), sigma=3.0):
+    """Return a filter, and its camera, that has begun to track rocks which it takes to be there."""
+    level = quat_from_rotation_vector(np.array(attitude))
+    inertial = StrapdownState(EYE, np.zeros(3), level, 1.622)
+    rocks = RockFilter.of(inertial, STARTS, ground=LevelGround(0.0, sigma))
+    rocks.measured = ground
+    camera = replace(Camera.with_field_of_view(640, 480, 20.0), mount=gimbal_mount(level, -EYE))
+    n = len(xyz)
+    rocks.add(camera, xyz, np.tile(0.1 * np.eye(2), (n, 1, 1)), np.full(n, 0.4), np.full(n, 0.01))
+    return rocks, camera
+
+
+def places(count, seed=0, height=0.0):
+    xy = np.random.default_rng(seed).uniform(-25.0, 25.0, (count, 2))
+    return np.column_stack((xy, np.full(count, height)))
+
+
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.15, -0.1)])
+@pytest.mark.parametrize("off", [0.0, 1.5])
+def test_laying_rocks_equals_a_plain_update(gradient, off):
+    ground = Plane(gradient, off)
+    rocks, _ = rocks_seen(places(9))
+    before = rocks.covariance.copy()
+    xyz, lander = rocks.xyz.copy(), rocks.inertial
+    at = lander.position.copy(), lander.attitude.copy()
+    rocks.measured = ground
+    outcome = rocks.lay_on_measured()
+    assert outcome.taken and outcome.degrees == 9
+    columns = rocks.places()
+    error, after = laid.laid(before, xyz, *at, gradient, off, columns, OWN, COMMON)
+    np.testing.assert_allclose(rocks.covariance, after, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(rocks.xyz - xyz, error[columns], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(lander.position - at[0], error[:3], rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [-3.0, 2.0])
+def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_ground(wrong):
+    """Seen at 40 deg from the horizon they lay metres beside."""
+    true = places(12, seed=3)
+    away = true - EYE
+    taken = EYE + away * ((wrong - EYE[2]) / away[:, 2])[:, None]
+    rocks, _ = rocks_seen(taken)
+    beside = np.linalg.norm((rocks.xyz - true)[:, :2], axis=1)
+    assert beside.min() > 1.5
+    rocks.measured = Plane()
+    assert rocks.lay_on_measured().taken
+    off = rocks.xyz - rocks.inertial.position - (true - EYE)
+    assert np.abs(off).max() < 0.15
+    assert np.sqrt(rocks.relative_covariance()[:, 2, 2]).max() < 0.25
+
+
+def test_rocks_that_are_known_as_well_are_told_nothing():
+    rocks, _ = rocks_seen(places(6))
+    rocks.measured = Plane()
+    assert rocks.lay_on_measured().taken
+    before = rocks.covariance.copy()
+    rocks.measured = Plane(height=0.3)
+    outcome = rocks.lay_on_measured()
+    assert not outcome.taken and outcome.degrees == 0
+    np.testing.assert_array_equal(rocks.covariance, before)
+
+
+def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
+    rocks, _ = rocks_seen(places(6))
+    rocks.measured = Plane(height=60.0)
+    before = rocks.xyz.copy()
+    assert not rocks.lay_on_measured().taken
+    np.testing.assert_array_equal(rocks.xyz, before)
+
+
+@pytest.mark.parametrize("ground", [None, Plane(west=1e3)])
+def test_without_measured_ground_nothing_is_told(ground):
+    rocks, _ = rocks_seen(places(6))
+    rocks.measured = ground
+    assert not rocks.lay_on_measured().taken
+
+
+def test_a_rock_begun_on_measured_ground_errs_as_that_does():
+    """Height, lander and tilt apart: the first by what ground errs by, others as neighbours do."""
+    gradient = (0.0, 0.0)
+    xyz = places(7, seed=5)
+    rocks, _ = rocks_seen(xyz, Plane(gradient))
+    lander, columns = rocks.inertial, rocks.places()
+    jacobian = laid.jacobian(
+        xyz, lander.position, lander.attitude, gradient, 0.0, columns, rocks.state.size
+    )
+    errs = jacobian @ rocks.covariance @ jacobian.T
+    assert errs[0, 0] == pytest.approx(OWN**2 + COMMON**2, rel=1e-3)
+    assert errs[1, 1] == pytest.approx(2.0 * OWN**2 + COMMON**2, rel=0.05)
+    # What all share is not averaged out.
+    assert errs.mean() > 0.9 * COMMON**2
+    west = xyz[:, 0] < 0.0
+    assert 0 < west.sum() < 7
+    beyond, _ = rocks_seen(xyz, Plane(west=0.0))
+    sigma = np.sqrt(beyond.relative_covariance()[:, 2, 2])
+    assert sigma[west].min() > 1.0 > sigma[~west].max()
+
+
+def test_what_rocks_are_told_of_height_is_consistent():
+    """Normalised squares of rocks' places from the lander, over flights whose errors are drawn."""
+    squares = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        rocks, _ = rocks_seen(places(8, seed))
+        # Errors of all, drawn from the filter's own covariance: the truth is elsewhere.
+        size = rocks.state.size
+        drawn = rng.multivariate_normal(np.zeros(size), rocks.covariance, method="cholesky",
+                                        check_valid="ignore")  # fmt: skip
+        lander, columns = rocks.inertial, rocks.places()
+        jacobian = laid.jacobian(
+            rocks.xyz, lander.position, lander.attitude, (0.0, 0.0), 0.0, columns, size
+        )
+        scatter = OWN * rng.standard_normal(8) + COMMON * rng.standard_normal()
+        rocks.measured = Scattered(rocks.xy.copy(), rocks.xyz[:, 2] + jacobian @ drawn + scatter)
+        true = rocks.xyz + drawn[columns] - (lander.position + drawn[:3])
+        rocks.lay_on_measured()
+        error = rocks.xyz - rocks.inertial.position - true
+        covariance = rocks.relative_covariance()
+        squares += [e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)]
+    assert np.mean(squares) == pytest.approx(3.0, rel=0.25)
+
+
+class Scattered:
+    """Heights known at rocks, level otherwise."""
+
+    def __init__(self, xy, height):
+        self.xy, self.height = xy, height
+
+    def heights(self, xy):
+        away = np.linalg.norm(xy[:, None] - self.xy, axis=2)
+        return np.where(away.min(1) < 1e-6, self.height[away.argmin(1)], np.nan)
+
+
+def test_lines_of_sight_far_beside_a_region_are_left_out():
+    rocks, camera = rocks_seen(places(5))
+    pixel = np.random.default_rng(0).uniform(0.0, [640.0, 480.0], (200, 2))
+    whole = rocks.ground_points(camera, pixel)
+    near = (-10.0, 20.0, -15.0, 5.0)
+    found = rocks.ground_points(camera, pixel, near)
+    beside = np.maximum(
+        np.maximum(near[0] - whole[:, 0], whole[:, 0] - near[1]),
+        np.maximum(near[2] - whole[:, 1], whole[:, 1] - near[3]),
+    )
+    assert (beside < 8.0).sum() > 9
+    np.testing.assert_allclose(found[beside < 8.0], whole[beside < 8.0], atol=0.02)
+    assert (beside > 12.0).sum() > 9
+    assert np.isnan(found[beside > 12.0]).all()
