@@ -13,6 +13,7 @@ from lunarsim.onboard.perception.health import Fault, PictureHealth
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.laws import sample_diameters
+from lunarsim.sensors.camera import Camera
 from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 from tests.shadow_scene import picture
 
@@ -67,3 +68,37 @@ def test_the_sun_is_told_to_be_elsewhere(scene, off):
     beside = np.degrees(np.angle(np.exp(1j * (turn.angle - np.radians(off)))))
     assert abs(beside) < 15.0
     assert fault is Fault.SUN_ELSEWHERE
+
+
+@pytest.fixture(scope="module")
+def dense():
+    """Half spheres that cover 15 % of the ground."""
+    rng = np.random.default_rng(44)
+    grid = Grid.centred((0.0, 0.0), 300.0, 2.0)
+    relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(0.5))
+    diameters = sample_diameters(300.0**2, 0.15, 0.3, 3.0, rng)
+    return Terrain(relief, place_rocks(relief, diameters, rng, model=RockModel("hemisphere")))
+
+
+# Distance, m, and pixels along a side: axes that faces deny, and axes that they make doubtful.
+@pytest.mark.parametrize(("distance", "wide"), [(1100.0, 800), (900.0, 640)])
+def test_shadows_that_run_into_each_other_far_away_accuse_no_sun_that_is_in_its_place(
+    dense, distance, wide
+):
+    """Seen 40 deg below the horizon their axes are turned by 15 deg, on the other side than faces.
+
+    A Sun that is elsewhere turns both.
+    """
+    level = float(dense.elevation(np.zeros((1, 2)))[0])
+    down = np.radians(40.0)
+    place = np.array([-distance * np.cos(down), 0.0, distance * np.sin(down) + level])
+    eye = Camera.with_field_of_view(wide, wide * 3 // 4, 8.0)
+    sun = (np.radians(210.0), 20.0)
+    state, camera, counts = picture(
+        dense, place, sun,
+        width=eye.width, height=eye.height, fx=eye.fx, fy=eye.fy, cx=eye.cx, cy=eye.cy,
+    )  # fmt: skip
+    scene = state, camera, counts, level, sun
+    assert looked_at(scene, 0.0)[1] in (None, Fault.SUN_UNPROVEN)
+    for off in (30.0, -30.0, 180.0):
+        assert looked_at(scene, off)[1] is Fault.SUN_ELSEWHERE
