@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from click.testing import CliRunner
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion import FusedMapper
 from lunarsim.onboard.hazards.hazard_map import HazardMap
+from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
+from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain import Terrain
 from tests.made_mapper import TERMS, Slow
@@ -262,3 +265,34 @@ def test_a_flight_is_judged(study, tmp_path):
     # Nothing was seen above 400 m that could have been mapped: the LiDAR's map is what is left.
     assert maps["fused"] == maps["dem"]
     assert maps["dem"]["objects"][0] > 20
+
+
+def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
+    """All rocks a step beside their places: the error of the mean, by the filter's own word."""
+    places = script(".", "eyes_places")
+    rng = np.random.default_rng(0)
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    lander = StrapdownState(np.array([-30.0, 10.0, 40.0]), np.zeros(3), level, 1.62)
+    rocks = RockFilter.of(lander, StartSigmas(2.0, 0.1, 1e-3))
+    true = rng.uniform(-20.0, 20.0, (30, 2))
+    rocks.add_known(true + [0.3, -0.1], np.full(30, 0.2), np.full(30, 0.4), np.full(30, 0.01))
+    terrain = SimpleNamespace(
+        rocks=SimpleNamespace(
+            x=true[:, 0] - 5.0, y=true[:, 1] + 7.0, a=np.full(30, 0.4), b=np.full(30, 0.4)
+        )
+    )
+    existence = np.where(np.arange(30) < 24, 0.99, 0.3)
+    mapper = SimpleNamespace(tracker=SimpleNamespace(filter=rocks, existence=existence))
+    simulation = SimpleNamespace(
+        computer=SimpleNamespace(mappers={"rocks": mapper}),
+        world=SimpleNamespace(terrain=terrain), navigation_error=np.array([5.0, -7.0, 0.0]),
+    )  # fmt: skip
+    off, claim, nees, count = places.judged(simulation)
+    assert count == 24
+    assert off == pytest.approx(np.sqrt(0.05))
+    # Rocks that are known beforehand share nothing with the lander.
+    variance = 0.2**2 / 24 + 2.0**2
+    assert claim == pytest.approx(np.sqrt(variance))
+    assert nees == pytest.approx(0.1 / variance)
+    existence[4:] = 0.0
+    assert places.judged(simulation) is None

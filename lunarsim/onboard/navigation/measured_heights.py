@@ -88,7 +88,7 @@ def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
 
 def pose_shares(state: ErrorState, point: Array) -> Array:
     """Return how the height of ground measured at a point (3,) errs with the pose (6,)."""
-    return -_jacobians(state, point[None], np.zeros((1, 2)))[0][0]
+    return np.asarray(-_jacobians(state, point[None], np.zeros((1, 2)))[0][0])
 
 
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:

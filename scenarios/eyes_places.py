@@ -1,0 +1,122 @@
+"""How well rocks' places are known from the lander on the descents of the study of all eyes.
+
+A rock is on the map where the lander has it from itself: what both err by alike does not matter.
+Printed are, by ground and altitude, how far tracked rocks lie off the nearest true ones in the mean
+over a flight's rocks (root mean square over flights), what the filter claims for that mean, and
+its normalised square: 2 if the claim holds.
+
+python scenarios/eyes_places.py --fields 4 --jobs 2
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import click
+import numpy as np
+from eyes_flights import WORLDS, scenario_of, world_of
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from scipy.spatial import cKDTree
+
+from lunarsim.campaign.pool import outcomes
+from lunarsim.rng import flight_seed
+from lunarsim.simulation import Simulation
+
+Array = NDArray[np.float64]
+
+# Rocks that exist so surely count, from so many on; true ones of smaller radii throw no shadow that
+# would be tracked, m; a rock is paired with a true one within that, m, or thrice the median.
+_SURE, _FEWEST, _LEAST, _NEAR = 0.9, 5, 0.15, 0.7
+
+
+class Task(NamedTuple):
+    """One flight."""
+
+    world: str
+    field: int
+    seed: int
+    altitudes: tuple[float, ...]
+
+
+def fly(task: Task) -> dict[float, Any]:
+    """Return what `judged` tells at each altitude, by that."""
+    seed = flight_seed(task.seed, task.field)
+    scenario = scenario_of(task.world, task.altitudes)
+    simulation = Simulation(scenario, seed, "no-divert", world=world_of(task.world, seed))
+    found = {}
+    for altitude in task.altitudes:
+        while simulation.altitude > altitude and not simulation.done:
+            simulation.step()
+        found[altitude] = judged(simulation)
+    return found
+
+
+def judged(simulation: Simulation) -> tuple[float, float, float, int] | None:
+    """Return error and claim of the mean place, 1 sigma an axis, m, its normalised square, rocks.
+
+    None with fewer than five of them.
+    """
+    tracker = simulation.computer.mappers["rocks"].tracker  # type: ignore[attr-defined]
+    sure = np.flatnonzero(tracker.existence > _SURE)
+    rocks = simulation.world.terrain.rocks
+    true = np.column_stack((rocks.x, rocks.y)) + simulation.navigation_error[:2]
+    true = true[np.sqrt(rocks.a * rocks.b) > _LEAST]
+    if len(sure) < _FEWEST:
+        return None
+    away, nearest = cKDTree(true).query(tracker.filter.xy[sure])
+    paired = away < max(_NEAR, 3.0 * float(np.median(away)))
+    error = (tracker.filter.xy[sure] - true[nearest])[paired].mean(axis=0)
+    covariance = _of_mean(tracker.filter, sure[paired])
+    nees = float(error @ np.linalg.solve(covariance, error))
+    claim = float(np.sqrt(0.5 * np.trace(covariance)))
+    return float(np.sqrt(0.5 * error @ error)), claim, nees, int(paired.sum())
+
+
+def _of_mean(rocks: Any, index: NDArray[np.int64]) -> Array:
+    """Return the covariance (2, 2) of the mean place of some rocks less the lander's, m^2."""
+    weights = np.zeros((2, rocks.state.size))
+    for axis in range(2):
+        weights[axis, rocks.places(index)[:, axis]] = 1.0 / len(index)
+        weights[axis, axis] = -1.0
+    return np.asarray(weights @ rocks.covariance @ weights.T)
+
+
+@click.command()
+@click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
+              help="Fields a ground.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Processes; results do not depend on it.")  # fmt: skip
+def main(fields: int, seed: int, jobs: int) -> None:
+    """Fly and print how far rocks lie off their places."""
+    altitudes = (1000.0, 700.0, 500.0, 200.0, 100.0)
+    tasks = [Task(world, n, seed, altitudes) for world in WORLDS for n in range(fields)]
+    flights: list[Any] = [None] * len(tasks)
+    console = Console(width=110)
+    with Progress(console=console) as progress:
+        bar = progress.add_task("flights", total=len(tasks))
+        for index, found in outcomes(fly, tasks, jobs):
+            flights[index] = found
+            progress.advance(bar)
+    table = Table(title=f"Mean place of tracked rocks from the lander, seed {seed}")
+    for name in ("ground", "altitude, m", "flights", "rocks", "off, m", "claimed, m", "NEES of 2"):
+        table.add_column(name)
+    for world in WORLDS:
+        own = [f for task, f in zip(tasks, flights, strict=True) if task.world == world]
+        for altitude in altitudes:
+            rows = np.array([f[altitude] for f in own if f[altitude] is not None])
+            if not len(rows):
+                table.add_row(world, f"{altitude:g}", "0", *4 * ["-"])
+                continue
+            off = np.sqrt((rows[:, 0] ** 2).mean())
+            nees, count = rows[:, 2:].mean(axis=0)
+            table.add_row(world, f"{altitude:g}", str(len(rows)), f"{count:.0f}", f"{off:.3f}",
+                          f"{np.median(rows[:, 1]):.3f}", f"{nees:.1f}")  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
