@@ -181,8 +181,7 @@ class ShadowMapper(HazardMapper):
                 f"at least {self._time} s: time does not run backwards",
             )  # fmt: skip
         self._time = picture.time
-        if self._relief.anew():
-            rocks.lay_on_measured()
+        self.refresh(picture.time)
         health = self.health.before_detection(picture.counts, picture.camera, estimate)
         if health.good:
             sun = rocks.in_frame(self.sun)
@@ -200,6 +199,11 @@ class ShadowMapper(HazardMapper):
         if health.good and not self._take(seen, picture, sun):
             health = Health(Fault.MISPLACED, health.figures)
         self._report(picture.time, health)
+
+    def refresh(self, time: float) -> None:
+        """Lay rocks on ground that was measured since last asked, be there a picture or none."""
+        if self._relief.anew():
+            self.tracker.filter.lay_on_measured()
 
     def _take(self, seen: Detections, picture: Picture, sun: Array) -> bool:
         """Take in what a picture shows; return whether it shows the rocks that are there.

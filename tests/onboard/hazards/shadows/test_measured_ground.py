@@ -262,6 +262,10 @@ def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, mo
         mapper.update(Picture(time, black, camera.model), estimate)
     assert calls == [0]
     maps.drawn = measured(seen.z + np.float32(0.1), seen.grid)
-    # Even if the picture is none.
+    # Even if the picture is none, or none comes.
     mapper.update(Picture(1.5, black, camera.model), estimate)
     assert calls == [0, rocks.count] and rocks.count > 15
+    maps.drawn = measured(seen.z, seen.grid)
+    mapper.refresh(1.6)
+    mapper.refresh(1.7)
+    assert len(calls) == 3
