@@ -40,6 +40,9 @@ SHAPES = (
     RockModel("cube", burial=(0.2, 0.5)),
     RockModel("cube", burial=(0.0, 0.0)),
 )
+# And half spheres, where the mission expects them: their shadows are as long over as wide as those of
+# cubes sunk in, of two thirds of their radius, and only what is expected tells the two apart.
+HALF_SPHERE = RockModel("hemisphere", burial=(0.0, 0.0))
 # Spreads of the ground's slope, tangents.
 SLOPES = np.array([0.0, 0.06, 0.15])
 # The start counts as much as so many patches.
@@ -106,14 +109,15 @@ class ShapeMixture:
         if told is not None:
             RockModel(told)  # type: ignore[arg-type]  # refuses a shape that there is not
         self.elevation = elevation
-        self.models = tuple(ShadowModel(elevation, shape) for shape in SHAPES)
+        shapes = (*SHAPES, HALF_SPHERE) if told == HALF_SPHERE.shape else SHAPES
+        self.models = tuple(ShadowModel(elevation, shape) for shape in shapes)
         self.slopes = SLOPES
-        cubes = np.array([shape.shape == "cube" for shape in SHAPES])
+        cubes = np.array([shape.shape == "cube" for shape in shapes])
         # Low ones are taken to be as high as rocks are in the mean: most of them are round.
-        heights = [max(shape.height_ratio, RockModel.height_ratio) for shape in SHAPES]
+        heights = [max(shape.height_ratio, RockModel.height_ratio) for shape in shapes]
         bare = [bare_share(round(elevation, 3), height) for height in heights]
         self._bare = np.where(cubes, 0.0, bare)
-        share = np.ones(len(SHAPES))
+        share = np.ones(len(shapes))
         if told is not None:
             share[cubes == (told == "cube")] = 2.0
         start = np.repeat(share / share.sum(), len(SLOPES)) / len(SLOPES)

@@ -178,3 +178,21 @@ def test_what_was_learnt_of_shapes_holds_under_another_sun(models):
     np.testing.assert_array_equal(other.shares, mixture.shares)
     assert (other.patch(1.0, 1.0).length > 1.2 * mixture.patch(1.0, 1.0).length).all()
     assert mixture.under(SUN) is mixture
+
+
+def test_half_spheres_are_told_from_cubes_sunk_in_where_the_mission_expects_them(models):
+    """Their shadows are as long over as wide; told nothing, radii are a sixth too small and more."""
+    rng = np.random.default_rng(12)
+    r, seen = patches(HALF_SPHERES, rng, 1000)
+    ratio = {
+        told: np.median(taught(HALF_SPHERES, rng, told).read(*seen).radius / r)
+        for told in ("hemisphere", None)
+    }
+    assert ratio["hemisphere"] == pytest.approx(1.0, abs=0.06)
+    assert ratio[None] < 0.85
+    # What is told in vain costs no rock: cubes sunk in are read as no smaller than they are.
+    r, seen = patches(models["sunk"], rng, 1000)
+    assert np.median(taught(models["sunk"], rng, "hemisphere").read(*seen).radius / r) > 0.95
+    r, seen = patches(models["cube"], rng, 1000)
+    read = taught(models["cube"], rng, "hemisphere").read(*seen)
+    assert np.median(read.radius / r) == pytest.approx(1.0, abs=0.15)
