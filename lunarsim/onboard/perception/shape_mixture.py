@@ -40,8 +40,8 @@ SHAPES = (
     RockModel("cube", burial=(0.2, 0.5)),
     RockModel("cube", burial=(0.0, 0.0)),
 )
-# And half spheres, where the mission expects them: their shadows are as long over as wide as those of
-# cubes sunk in, of two thirds of their radius, and only what is expected tells the two apart.
+# And half spheres, where the mission expects them: their shadows are as long over as wide as those
+# of cubes sunk in, of two thirds of their radius, and only what is expected tells the two apart.
 HALF_SPHERE = RockModel("hemisphere", burial=(0.0, 0.0))
 # Spreads of the ground's slope, tangents.
 SLOPES = np.array([0.0, 0.06, 0.15])

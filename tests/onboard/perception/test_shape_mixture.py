@@ -181,7 +181,7 @@ def test_what_was_learnt_of_shapes_holds_under_another_sun(models):
 
 
 def test_half_spheres_are_told_from_cubes_sunk_in_where_the_mission_expects_them(models):
-    """Their shadows are as long over as wide; told nothing, radii are a sixth too small and more."""
+    """Shadows of both are as long over as wide; told nothing, radii are a sixth too small."""
     rng = np.random.default_rng(12)
     r, seen = patches(HALF_SPHERES, rng, 1000)
     ratio = {
