@@ -49,7 +49,7 @@ _SHARES = (1.0, 0.7)
 _DARK = 4
 # A look counts if it is sharper than those before by this factor, and takes back what a dark one
 # said if it is sharper by that.
-_SHARPER, _SURER = 1.10, 1.15
+_SHARPER, _SURER = 1.03, 1.15
 # The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
 _REACH, _FAR = 2.0, 1e3
 # Rocks of a size cannot be crowded into less than this many of their own areas.
