@@ -176,6 +176,10 @@ def test_craters_do_not_tell_that_the_sun_is_elsewhere(scene):
     assert not health.judges(craters)
     assert health.after_detection(seen, rocks, 0.02).fault is Fault.SUN_ELSEWHERE
     assert health.judges(rocks)
+    # Nor do axes tell it that lit faces deny.
+    for faces, fault in ((-14.0, Fault.SUN_UNPROVEN), (16.0, Fault.SUN_ELSEWHERE)):
+        both = replace(rocks, by_faces=np.radians(faces))
+        assert PictureHealth().after_detection(seen, both, 0.02).fault is fault
     # Under a high Sun the side is told by other means, which agreement does not measure.
     high = replace(craters, high_sun=True)
     assert health.after_detection(seen, high, 0.02).fault is Fault.SUN_ELSEWHERE
