@@ -38,8 +38,8 @@ _VAGUE = 2.0
 _MOST = 100
 # Normalised innovation squared a degree of freedom, beyond which the ground is another's.
 _GATE = 10.0
-# Slopes are taken between places so far to either side, m.
-_ASIDE = 2.0
+# Slopes are taken between places so far to either side, m: each is a mean over 2 m.
+_ASIDE = 4.0
 
 
 class GroundHeights(Protocol):
@@ -86,9 +86,10 @@ def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
     return state.absorb(hp, s, height[index] - rocks.xyz[index, 2], _GATE * len(index))
 
 
-def pose_shares(state: ErrorState, point: Array) -> Array:
+def pose_shares(state: ErrorState, ground: GroundHeights, point: Array) -> Array:
     """Return how the height of ground measured at a point (3,) errs with the pose (6,)."""
-    return np.asarray(-_jacobians(state, point[None], np.zeros((1, 2)))[0][0])
+    by_pose, _ = _jacobians(state, point[None], _gradient(ground, point[None, :2]))
+    return np.asarray(-by_pose[0])
 
 
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:

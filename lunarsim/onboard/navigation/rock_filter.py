@@ -32,9 +32,13 @@ Index = NDArray[np.int64]
 _LEAST_TURN = 0.02
 # Rocks are not seen from nearer than this, m.
 _NEAREST = 0.1
-# Passes that find where a line of sight meets ground that is not level, and how far beside a region
-# it is taken to be level at first, m.
-_PASSES, _BESIDE = 2, 10.0
+# Passes at most that find where a line of sight meets ground that is not level; none is made once
+# heights change by less, m. Ground is not taken to rise along a line by more than this share of how
+# fast the line does.
+_PASSES, _FOUND, _GRAZING = 8, 0.01, 0.7
+# How far beside a region ground that is taken to be level at first may lie, m, and how steep ground
+# may be that rises from the region's middle, a tangent.
+_BESIDE, _STEEPEST = 10.0, 0.36
 # Variances grow at least and at most by these factors where rocks are doubted; standard deviations
 # not beyond: m, m/s, rad.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
@@ -114,8 +118,8 @@ class RockFilter(RockStates):
     def ground_points(self, camera: CameraModel, pixel: Array, near: Region | None = None) -> Array:
         """Return where lines of sight through pixels (n, 2), undistorted, meet the ground (n, 3).
 
-        NaN where they do not, and for those that do so farther than `_BESIDE` beside a region that
-        is given: west, east, south and north limits, m.
+        NaN where they do not, and for those that do so well beside a region that is given: west,
+        east, south and north limits, m.
         """
         out = np.full((len(pixel), AXES), np.nan)
         if len(pixel) == 0:
@@ -126,12 +130,30 @@ class RockFilter(RockStates):
         out[:, :2] = eye[:2] + per_drop * (eye[2] - out[:, 2:])
         lie = np.isfinite(out[:, :2]).all(1)
         if near is not None:
-            lie &= _beside(out[:, :2], near)
+            lie &= _beside(out[:, :2], per_drop, near)
             out[~lie] = np.nan
-        for _ in range(_PASSES):
-            out[lie, :2] = eye[:2] + per_drop[lie] * (eye[2] - out[lie, 2:])
-            out[lie, 2] = self.ground_at(out[lie, :2])
+        out[lie] = self._met(eye, per_drop[lie], out[lie, 2])
         return out
+
+    def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
+        """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m.
+
+        By secants: where the ground is as steep along a line as between the last two passes.
+        """
+        old = told = height
+        for count in range(_PASSES):
+            xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
+            ground = self.ground_at(xy)
+            change = ground - height
+            if not np.abs(change).max(initial=0.0) > _FOUND:
+                break
+            rise, step = ground - told, height - old
+            share = np.divide(rise, step, out=np.zeros_like(rise), where=np.abs(step) > _FOUND)
+            if count == 0:
+                share[:] = 0.0
+            old, told = height, ground
+            height = height + change / (1.0 - np.clip(share, -_GRAZING, _GRAZING))
+        return np.column_stack((xy, ground))
 
     def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.
@@ -425,10 +447,14 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _beside(xy: Array, near: Region) -> NDArray[np.bool_]:
-    """Return which points (n, 2) lie in a region or little beside it."""
+def _beside(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
+    """Return which points (n, 2) may lie in a region, or little beside it.
+
+    They were found as if the ground were as high as the region's middle; along lines that go so far
+    east and north for each metre that they go down (n, 2).
+    """
     west, east, south, north = near
+    rise = _STEEPEST * 0.5 * max(east - west, north - south)
+    off = _BESIDE + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T
-    return np.asarray(
-        (x > west - _BESIDE) & (x < east + _BESIDE) & (y > south - _BESIDE) & (y < north + _BESIDE)
-    )
+    return np.asarray((x > west - off) & (x < east + off) & (y > south - off) & (y < north + off))

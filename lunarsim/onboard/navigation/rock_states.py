@@ -245,10 +245,11 @@ class RockStates:
         """
         if not self.state.has(GROUND):
             return
-        on_measured = self._on_measured(rock + 1)
-        if on_measured[rock]:
-            self._follow_measured(rock, np.flatnonzero(on_measured[:rock]))
-            return
+        if self.measured is not None:
+            known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
+            if known[rock]:
+                self._follow_measured(rock, np.flatnonzero(known[:rock]), self.measured)
+                return
         at = self._xyz[rock, :2]
         near = self._nearest(rock, np.arange(rock))
         places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
@@ -258,7 +259,7 @@ class RockStates:
         shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self._follow(rock, sources, shares, float(variance[0]))
 
-    def _follow_measured(self, rock: int, others: Index) -> None:
+    def _follow_measured(self, rock: int, others: Index, ground: GroundHeights) -> None:
         """Let a rock's height err as those of its neighbours on measured ground (k,).
 
         Without any as the ground does, which was measured from where the lander is.
@@ -268,7 +269,7 @@ class RockStates:
             shares = np.full(len(near), 1.0 / len(near))
             self._follow(rock, self.places(near)[:, 2], shares, OWN**2)
         else:
-            shares = pose_shares(self.state, self._xyz[rock])
+            shares = pose_shares(self.state, ground, self._xyz[rock])
             self._follow(rock, POSE, shares, OWN**2 + COMMON**2)
 
     def _follow(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
@@ -278,12 +279,6 @@ class RockStates:
         """Return which of other rocks (k,) are a rock's neighbours."""
         away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
-
-    def _on_measured(self, count: int) -> NDArray[np.bool_]:
-        """Return which of the first rocks (count,) stand on measured ground."""
-        if self.measured is None:
-            return np.zeros(count, np.bool_)
-        return np.isfinite(self.measured.heights(self._xyz[:count, :2]))
 
     def lay_on_measured(self) -> Outcome:
         """Let rocks stand on ground that was measured from the lander just now, see `lay`."""

@@ -176,5 +176,25 @@ def test_lines_of_sight_far_beside_a_region_are_left_out():
     )
     assert (beside < 8.0).sum() > 9
     np.testing.assert_allclose(found[beside < 8.0], whole[beside < 8.0], atol=0.02)
-    assert (beside > 12.0).sum() > 9
-    assert np.isnan(found[beside > 12.0]).all()
+    assert (beside > 20.0).sum() > 9
+    assert np.isnan(found[beside > 20.0]).all()
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.17, 0.27, -0.27])
+@pytest.mark.parametrize("depression", [25.0, 40.0])
+def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
+    """And none that does so within a region is left out, however steep and low it is seen."""
+    ground = Plane((slope, 0.0))
+    down = np.radians(depression)
+    eye = np.array([-1000.0 * np.cos(down), 0.0, 1000.0 * np.sin(down)])
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    rocks = RockFilter.of(
+        StrapdownState(eye, np.zeros(3), level, 1.622), STARTS, ground=LevelGround(0.0, 3.0)
+    )
+    rocks.measured = ground
+    camera = replace(Camera.with_field_of_view(640, 480, 10.0), mount=gimbal_mount(level, -eye))
+    xy = np.random.default_rng(0).uniform(-40.0, 40.0, (300, 2))
+    true = np.column_stack((xy, ground.heights(xy)))
+    pixel = rocks.sight(camera, true).pixel
+    found = rocks.ground_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))
+    assert np.abs(found - true).max() < 0.03

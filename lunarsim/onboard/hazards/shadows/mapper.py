@@ -201,9 +201,17 @@ class ShadowMapper(HazardMapper):
         self._report(picture.time, health)
 
     def refresh(self, time: float) -> None:
-        """Lay rocks on ground that was measured since last asked, be there a picture or none."""
-        if self._relief.anew():
-            self.tracker.filter.lay_on_measured()
+        """Lay rocks on ground that was measured since last asked, be there a picture or none.
+
+        Ground that cannot be the one under them is reported: "measured-ground-refused".
+        """
+        if not self._relief.anew():
+            return
+        rocks = self.tracker.filter
+        laid = rocks.lay_on_measured()
+        if laid.degrees and not laid.taken:
+            told = {"rocks": laid.degrees, "nis": laid.nis}
+            rocks.events.append(NavigationEvent(time, "measured-ground-refused", told))
 
     def _take(self, seen: Detections, picture: Picture, sun: Array) -> bool:
         """Take in what a picture shows; return whether it shows the rocks that are there.

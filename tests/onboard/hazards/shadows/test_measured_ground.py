@@ -13,6 +13,7 @@ from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
+from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
@@ -269,3 +270,18 @@ def test_rocks_are_laid_on_ground_once_each_time_that_it_is_measured(terrain, mo
     mapper.refresh(1.6)
     mapper.refresh(1.7)
     assert len(calls) == 3
+
+
+def test_ground_that_cannot_be_under_the_rocks_is_told(terrain, monkeypatch):
+    seen = terrace(60.0, 0.5)
+    maps = Maps(measured(seen.z, seen.grid))
+    _, mapper = tracked(terrain, maps)
+    refused = Outcome(90.0, 4, False)
+    monkeypatch.setattr(RockFilter, "lay_on_measured", lambda _: refused)
+    mapper.refresh(2.0)
+    assert not mapper.tracker.filter.events
+    maps.drawn = measured(seen.z, seen.grid)
+    mapper.refresh(2.5)
+    (event,) = mapper.tracker.filter.events
+    assert (event.name, event.time) == ("measured-ground-refused", 2.5)
+    assert event.details == {"rocks": 4, "nis": 90.0}
