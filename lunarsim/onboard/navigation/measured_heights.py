@@ -70,10 +70,12 @@ def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
     """
     height = ground.heights(rocks.xy)
     index = np.flatnonzero(np.isfinite(height))
-    by_pose, by_rock = _jacobians(rocks.state, rocks.xyz[index], _gradient(ground, rocks.xy[index]))
-    variance = _variances(rocks, index, by_pose, by_rock)
-    order = np.argsort(-variance, kind="stable")[:_MOST]
-    told = order[variance[order] > _VAGUE * (OWN**2 + COMMON**2)]
+    gradient, bend = _shape(ground, rocks.xy[index])
+    by_pose, by_rock = _jacobians(rocks.state, rocks.xyz[index], gradient)
+    own = OWN**2 + bend**2
+    excess = _variances(rocks, index, by_pose, by_rock) / (own + COMMON**2)
+    order = np.argsort(-excess, kind="stable")[:_MOST]
+    told = order[excess[order] > _VAGUE]
     if not len(told):
         return Outcome(0.0, 0, False)
     index, by_pose, by_rock = index[told], by_pose[told], by_rock[told]
@@ -82,13 +84,16 @@ def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
     with BLAS.limit(limits=1, user_api="blas"):
         hp = by_pose @ p[POSE] + np.einsum("ka,kas->ks", by_rock, p[columns])
         s = hp[:, POSE] @ by_pose.T + np.einsum("jka,ka->jk", hp[:, columns], by_rock)
-    s = 0.5 * (s + s.T) + OWN**2 * np.eye(len(index)) + COMMON**2
+    s = 0.5 * (s + s.T) + np.diag(own[told]) + COMMON**2
     return state.absorb(hp, s, height[index] - rocks.xyz[index, 2], _GATE * len(index))
 
 
-def pose_shares(state: ErrorState, ground: GroundHeights, point: Array) -> Array:
-    """Return how the height of ground measured at a point (3,) errs with the pose (6,)."""
-    by_pose, _ = _jacobians(state, point[None], _gradient(ground, point[None, :2]))
+def pose_shares(state: ErrorState, point: Array) -> Array:
+    """Return how a rock's height on measured ground at a point (3,) errs with the pose (6,).
+
+    However that slopes: what moves it aside moves the rock, seen from the same pose, by as much.
+    """
+    by_pose, _ = _jacobians(state, point[None], np.zeros((1, 2)))
     return np.asarray(-by_pose[0])
 
 
@@ -109,11 +114,18 @@ def _variances(rocks: RockStates, index: Index, by_pose: Array, by_rock: Array) 
     return np.asarray(np.einsum("ka,kab,kb->k", both, own, both))
 
 
-def _gradient(ground: GroundHeights, xy: Array) -> Array:
-    """Return the gradient of measured ground at points (k, 2); 0 where it is not known."""
-    out = np.zeros((len(xy), 2))
+def _shape(ground: GroundHeights, xy: Array) -> tuple[Array, Array]:
+    """Return the gradient of measured ground at points (k, 2), and how far it bends there (k,), m.
+
+    The latter is what a rock's height errs by besides if it stands a little beside its place. Where
+    the ground about is not known both are 0.
+    """
+    gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
+    middle = ground.heights(xy)
     for axis in range(2):
         step = _ASIDE * np.eye(2)[axis]
-        rise = ground.heights(xy + step) - ground.heights(xy - step)
-        out[:, axis] = np.where(np.isfinite(rise), rise, 0.0) / (2.0 * _ASIDE)
-    return out
+        more, less = ground.heights(xy + step), ground.heights(xy - step)
+        known = np.isfinite(more - less)
+        gradient[known, axis] = (more - less)[known] / (2.0 * _ASIDE)
+        bend[known] = np.hypot(bend, 0.5 * (more + less) - middle)[known]
+    return gradient, bend

@@ -33,9 +33,8 @@ _LEAST_TURN = 0.02
 # Rocks are not seen from nearer than this, m.
 _NEAREST = 0.1
 # Passes at most that find where a line of sight meets ground that is not level; none is made once
-# heights change by less, m. Ground is not taken to rise along a line by more than this share of how
-# fast the line does.
-_PASSES, _FOUND, _GRAZING = 8, 0.01, 0.7
+# heights change by less, m.
+_PASSES, _FOUND = 8, 0.01
 # How far beside a region ground that is taken to be level at first may lie, m, and how steep ground
 # may be that rises from the region's middle, a tangent.
 _BESIDE, _STEEPEST = 10.0, 0.36
@@ -136,24 +135,13 @@ class RockFilter(RockStates):
         return out
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
-        """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m.
-
-        By secants: where the ground is as steep along a line as between the last two passes.
-        """
-        old = told = height
-        for count in range(_PASSES):
+        """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
+        for _ in range(_PASSES):
             xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
-            ground = self.ground_at(xy)
-            change = ground - height
-            if not np.abs(change).max(initial=0.0) > _FOUND:
+            before, height = height, self.ground_at(xy)
+            if not np.abs(height - before).max(initial=0.0) > _FOUND:
                 break
-            rise, step = ground - told, height - old
-            share = np.divide(rise, step, out=np.zeros_like(rise), where=np.abs(step) > _FOUND)
-            if count == 0:
-                share[:] = 0.0
-            old, told = height, ground
-            height = height + change / (1.0 - np.clip(share, -_GRAZING, _GRAZING))
-        return np.column_stack((xy, ground))
+        return np.column_stack((xy, height))
 
     def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.

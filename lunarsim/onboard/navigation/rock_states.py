@@ -248,7 +248,7 @@ class RockStates:
         if self.measured is not None:
             known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
             if known[rock]:
-                self._follow_measured(rock, np.flatnonzero(known[:rock]), self.measured)
+                self._follow_measured(rock, np.flatnonzero(known[:rock]))
                 return
         at = self._xyz[rock, :2]
         near = self._nearest(rock, np.arange(rock))
@@ -259,7 +259,7 @@ class RockStates:
         shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
         self._follow(rock, sources, shares, float(variance[0]))
 
-    def _follow_measured(self, rock: int, others: Index, ground: GroundHeights) -> None:
+    def _follow_measured(self, rock: int, others: Index) -> None:
         """Let a rock's height err as those of its neighbours on measured ground (k,).
 
         Without any as the ground does, which was measured from where the lander is.
@@ -269,7 +269,7 @@ class RockStates:
             shares = np.full(len(near), 1.0 / len(near))
             self._follow(rock, self.places(near)[:, 2], shares, OWN**2)
         else:
-            shares = pose_shares(self.state, ground, self._xyz[rock])
+            shares = pose_shares(self.state, self._xyz[rock])
             self._follow(rock, POSE, shares, OWN**2 + COMMON**2)
 
     def _follow(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
