@@ -16,16 +16,13 @@ part and in part all rocks' of one scan.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
-
-if TYPE_CHECKING:
-    from lunarsim.onboard.navigation.rock_states import RockStates
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -50,7 +47,27 @@ class GroundHeights(Protocol):
         ...
 
 
-def lay(rocks: RockStates, ground: GroundHeights) -> Outcome:
+class Rocks(Protocol):
+    """Rocks in an error state, as `RockStates` has them."""
+
+    state: ErrorState
+
+    @property
+    def xyz(self) -> Array:
+        """Their centres on the ground (n, 3), ENU, m."""
+        ...
+
+    @property
+    def xy(self) -> Array:
+        """East and north (n, 2), m."""
+        ...
+
+    def places(self, index: Index | None = None) -> Index:
+        """Return where their coordinates lie in the error state (n, 3)."""
+        ...
+
+
+def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
     """Let rocks stand on ground that was measured from the lander just now.
 
     Of rocks whose height below the lander is known as well nothing is told; they move with the
@@ -105,7 +122,7 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
     return np.hstack((-normal, -np.cross(arm, normal @ body))), normal
 
 
-def _variances(rocks: RockStates, index: Index, by_pose: Array, by_rock: Array) -> Array:
+def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Array:
     """Return the variance of what the height of rocks (k,) on the ground errs by (k,), m^2."""
     p, columns = rocks.state.covariance, rocks.places(index)
     both = np.hstack((by_pose, by_rock))
