@@ -71,7 +71,8 @@ def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
     """Let rocks stand on ground that was measured from the lander just now.
 
     Of rocks whose height below the lander is known as well nothing is told; they move with the
-    others by what they share. To be called once a scan: its error is the same each time.
+    others by what they share. To be called once a scan, whose error is the same each time; called
+    again it tells nothing of rocks that it has laid.
 
     Parameters
     ----------

@@ -43,7 +43,6 @@ _BESIDE, _STEEPEST = 10.0, 0.36
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
 _MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
 
-
 # West, east, south and north limits, m.
 Region = tuple[float, float, float, float]
 

@@ -52,8 +52,9 @@ _AGREE = 0.8
 # well: of rocks that cover 15 % of the ground faces are turned by up to 16 deg, axes by up to 45.
 _MANY_FACES = 20
 _ALIKE = ((0.7, float(np.deg2rad(27.0))), (0.88, float(np.deg2rad(15.0))))
-# What axes are off by however many there are, rad, as found between rendered shadows and the model.
-_AXIS_OFF = float(np.deg2rad(3.0))
+# What axes are off by however many there are, rad, as found between rendered shadows and the model;
+# faces that are believed before them err by that at least.
+_OFF = float(np.deg2rad(3.0))
 
 
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
@@ -146,7 +147,7 @@ def turn_from_sun(
     if np.isfinite(axis_sigma) and len(faces):
         # Axes come back after half a turn: their angles are doubled.
         axis, raw = 0.5 * axis, 0.5 * axis_sigma
-        axis_sigma = float(np.hypot(raw, _AXIS_OFF))
+        axis_sigma = float(np.hypot(raw, _OFF))
         if raw < _AXIS_KNOWN or axis_sigma < found.sigma:
             same = np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0
             by_axes = _told(faces, axis if same else axis + np.pi, axis_sigma)
@@ -165,7 +166,7 @@ def _of_two(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]
     if len(faces) < _MANY_FACES or alike < _ALIKE[0][0]:
         return by_axes
     if any(alike >= least and apart > far for least, far in _ALIKE):
-        return replace(by_faces, sigma=float(np.hypot(by_faces.sigma, _AXIS_OFF)))
+        return replace(by_faces, sigma=float(np.hypot(by_faces.sigma, _OFF)))
     return replace(by_axes, by_faces=by_faces.angle)
 
 

@@ -93,6 +93,32 @@ def test_rocks_that_are_known_as_well_are_told_nothing():
     np.testing.assert_array_equal(rocks.covariance, before)
 
 
+class Crest(Plane):
+    """Ground that falls away from a line from south to north."""
+
+    def heights(self, xy):
+        return -0.4 * np.abs(xy[:, 0])
+
+
+def test_less_is_told_where_ground_bends():
+    """Beside its place a rock stands at another height: two steps of 4 m down, 1.6 m."""
+    xyz = np.array([[0.0, -3.0, 0.0], [0.0, 4.0, 0.0], [20.0, 1.0, -8.0]])
+    rocks, _ = rocks_seen(xyz)
+    rocks.measured = Crest()
+    before = rocks.covariance.copy()
+    lander, columns = rocks.inertial, rocks.places()
+    at = lander.position.copy(), lander.attitude.copy()
+    assert rocks.lay_on_measured().taken
+    h = np.vstack([
+        laid.jacobian(xyz[k : k + 1], *at, (g, 0.0), xyz[k, 2] - g * xyz[k, 0],
+                      columns[k : k + 1], len(before))
+        for k, g in enumerate((0.0, 0.0, -0.4))
+    ])  # fmt: skip
+    noise = np.diag(OWN**2 + np.array([1.6, 1.6, 0.0]) ** 2) + COMMON**2
+    gain = before @ h.T @ np.linalg.inv(h @ before @ h.T + noise)
+    np.testing.assert_allclose(rocks.covariance, before - gain @ h @ before, rtol=1e-4, atol=1e-4)
+
+
 def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
     rocks, _ = rocks_seen(places(6))
     rocks.measured = Plane(height=60.0)

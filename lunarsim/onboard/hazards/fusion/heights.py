@@ -8,9 +8,9 @@ shadow.
 - **Scale.** A sample falls on a rock's top so and so often; of n samples on a half ellipsoid the
   highest stands above ``sqrt(1 - log 2 / n)`` of its height in one case of two. The median over
   the rocks of what that makes of height over radius is drawn to what is usual, as if by two rocks:
-  shadows tell radii too small rather than too large, so that is more than the mission expects of
-  height over radius. Samples only ever fall short, and confused rises make it less, so it is taken
-  to be no less than that.
+  more than the mission expects, since shadows tell radii too small rather than too large. Samples
+  only ever fall short, and confused rises make it less, so it is taken to be no less than the
+  mission expects.
 - **Height.** Log-normal about scale times radius, by how well the radius is known and the scale.
 - **Samples that show nothing.** On a rock of height H with no sample above m they are
   ``exp(-c (H^2 - m^2))`` likely, c their density times pi / (2 height_ratio)^2. The odds of a rock

@@ -31,6 +31,7 @@ from lunarsim.onboard.hazards.shadows.probability_map import (
 from lunarsim.onboard.hazards.shadows.tracker import RockTracker
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import Estimate, NavigationEvent
+from lunarsim.onboard.navigation.rock_filter import Region
 from lunarsim.onboard.perception.along_plane import along
 from lunarsim.onboard.perception.detector import (
     Detections,
@@ -427,7 +428,7 @@ class ShadowMapper(HazardMapper):
         }  # fmt: skip
 
 
-def tracked_region(grid: Grid) -> tuple[float, float, float, float]:
+def tracked_region(grid: Grid) -> Region:
     """Return the west, east, south and north limits of where rocks are tracked for a map, m."""
     west, east, south, north = grid.extent
     return west - _MARGIN, east + _MARGIN, south - _MARGIN, north + _MARGIN

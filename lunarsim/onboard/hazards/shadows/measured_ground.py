@@ -35,7 +35,7 @@ class MeasuredGround:
         self._anew = False
 
     def anew(self) -> bool:
-        """Tell whether it was measured anew since last asked."""
+        """Tell whether it was drawn anew since last asked: after a scan, or laid or turned anew."""
         self._drawn()
         anew, self._anew = self._anew, False
         return anew

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lunarsim.errors import InputError, check_types
+from lunarsim.onboard.navigation.rock_filter import Region
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class TrackerSettings:
     least_radius: float = 0.1
     landmark_radius: float = 0.1
     few: int = 30
-    region: tuple[float, float, float, float] | None = None
+    region: Region | None = None
     birth_q: float = 2.4
     birth_sigma: float = 0.25
     radius_wander: float = 0.02
