@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
@@ -188,6 +189,7 @@ class OnboardComputer:
         """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
         return self.outlook.cost_of(sites, estimate or self.estimate)
 
+    @one_blas_thread()
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
         course = Course(self.time, self.mass, self.estimate, self.site, self.time_to_go)
@@ -203,11 +205,13 @@ class OnboardComputer:
         self.decide()
         return self.command()
 
+    @one_blas_thread()
     def decide(self) -> None:
         """Ask the policy, if there is one and a decision is due."""
         if self.policy is not None and self.decision_due:
             self.apply(self.policy.decide(self.observe()))
 
+    @one_blas_thread()
     def update(self, measurements: Measurements) -> None:
         """Navigate and map by what has been measured since the last cycle.
 

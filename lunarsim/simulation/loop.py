@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.messages.measurements import Measurements
@@ -265,6 +266,7 @@ class Simulation:
             return policy.decide_by_truth(observation, *told)  # type: ignore[no-any-return]
         return policy.decide(observation)  # type: ignore[no-any-return]
 
+    @one_blas_thread()
     def move(self) -> None:
         """Let the computer command, the plant move and measure, and the computer take that in."""
         if self.done:

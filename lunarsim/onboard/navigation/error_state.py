@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc
-from threadpoolctl import ThreadpoolController
 
+from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
 from lunarsim.onboard.navigation.covariance_update import subtract_square
@@ -40,9 +40,6 @@ POSE = np.r_[0:3, 9:12]
 MAP = "map"
 # Name of a block: the pose at the scan that later ones are compared with.
 KEY = "key"
-# One thread for the small products of an update: more would wait for each other, and the bits must
-# not depend on how many there are.
-BLAS = ThreadpoolController()
 # Two errors that are the same but for this share of their variance are so by rounding.
 _SINGULAR = 1e-9
 # Corrections of the velocity so small change nothing in what errs with it, m/s.
@@ -146,7 +143,7 @@ class ErrorState:
     def _settle(self) -> None:
         """Take in what has been put off: of the head it has been taken in at once."""
         if self._put_off.rows:
-            with BLAS.limit(limits=1, user_api="blas"):
+            with one_blas_thread():
                 self._put_off.settle(self._p[self.head :, self.head :])
 
     @property
@@ -253,7 +250,7 @@ class ErrorState:
         turns, pushes = _samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
         p, n = self._for(INERTIAL - 1), INERTIAL
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
             p[:n, n:] = transition @ p[:n, n:]
         p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
@@ -326,7 +323,7 @@ class ErrorState:
         if self.tail == 0:
             subtract_square(p, w)
             return
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             p[:n] -= w[:, :n].T @ w
         p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
         p[n:, :n] = p[:n, n:].T
@@ -371,7 +368,7 @@ class ErrorState:
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
         if not np.isfinite(error).all():
             return Outcome(np.inf, degrees, False)
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             self._take_off(w, None)
         self.correct(error)
         return Outcome(distance, degrees, True, white)

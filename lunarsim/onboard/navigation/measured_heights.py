@@ -21,8 +21,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim._blas import one_blas_thread
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.error_state import BLAS, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -99,7 +100,7 @@ def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
     index, by_pose, by_rock = index[told], by_pose[told], by_rock[told]
     state, columns = rocks.state, rocks.places(index)
     p = state.covariance
-    with BLAS.limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         hp = by_pose @ p[POSE] + np.einsum("ka,kas->ks", by_rock, p[columns])
         s = hp[:, POSE] @ by_pose.T + np.einsum("jka,ka->jk", hp[:, columns], by_rock)
     s = 0.5 * (s + s.T) + np.diag(own[told]) + COMMON**2

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._blas import one_blas_thread
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.aids import Aids, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import BLAS, KEY, ErrorState
+from lunarsim.onboard.navigation.error_state import KEY, ErrorState
 from lunarsim.onboard.navigation.estimate import (
     Estimate,
     GroundTurn,
@@ -197,8 +197,7 @@ class Navigator(Navigation):
             if not np.isfinite(width_of(measurement)) or self._drowns(sensor, measurement, time):
                 return
             self._hang(sensor, measurement)
-        # Products of a scan are too small to share: threads that wait for them cost as much again.
-        with BLAS.limit(limits=1, user_api="blas") if scan else nullcontext():
+        with one_blas_thread():
             self._offer(sensor, measurement, time)
 
     def _drowns(self, sensor: str, scan: LidarScan, time: float) -> bool:

@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._blas import one_blas_thread
 from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import add_outer, measured_rows
 from lunarsim.onboard.navigation.aids import Aids, blocks_of
-from lunarsim.onboard.navigation.error_state import BLAS, KEY, MAP, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.error_state import KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
@@ -135,10 +136,14 @@ class RockFilter(RockStates):
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
+        xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
+        left = np.arange(len(height))
         for _ in range(_PASSES):
-            xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
-            before, height = height, self.ground_at(xy)
-            if not np.abs(height - before).max(initial=0.0) > _FOUND:
+            xy[left] = eye[:2] + per_drop[left] * (eye[2] - height[left])[:, None]
+            before, height[left] = height[left], self.ground_at(xy[left])
+            # Those that have arrived rest: others bounce between two steps of the ground.
+            left = left[np.abs(height[left] - before) > _FOUND]
+            if len(left) == 0:
                 break
         return np.column_stack((xy, height))
 
@@ -239,7 +244,7 @@ class RockFilter(RockStates):
         good = np.isfinite(pixel).all(1) & positive(pixel_covariance)
         if not good.any():
             return Outcome(0.0, 0, False)
-        with BLAS.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             return self._update_places(
                 index[good], sight, pixel[good], pixel_covariance[good], common, gate
             )
