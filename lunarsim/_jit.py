@@ -6,6 +6,7 @@ survive (it means no data), so `fastmath` is limited to flags that keep NaN and 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Literal, TypeVar, overload
@@ -14,6 +15,11 @@ import numba
 from numba.core.registry import CPUDispatcher
 
 from lunarsim._shares import Shared
+
+# Threads that have done their share sleep, where the user has not said otherwise: those that spin
+# until the next kernel take a fifth of the processor of a flight with cameras. It is read when the
+# first kernel is spread over threads.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 F = TypeVar("F", bound=Callable[..., Any])
 

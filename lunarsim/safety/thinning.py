@@ -28,8 +28,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.rocks.laws import golombek_number
+from lunarsim.safety._thinning_kernels import mean_ratios
 
 Array = NDArray[np.float64]
 
@@ -144,15 +146,15 @@ class Thinning:
 
     def _mean(self, height: ArrayLike, falling: Array) -> Array:
         """Return the mean over the law's rocks above heights of ratios that do not rise."""
-        d = np.maximum(np.asarray(height, dtype=np.float64), _LEAST) / self.height_ratio
-        number = _number(d, self.cover)
-        left: Array = falling[0].copy()
-        for n, least in enumerate(self.diameter, start=1):
-            # Share of the rocks above the height that are of this class or a larger one.
-            larger = np.where(d < least, _number(least, self.cover), number)
-            share = np.divide(larger, number, out=np.ones_like(number), where=number > 0.0)
-            left += (falling[n] - falling[n - 1]) * share
-        return left
+        flat = falling.reshape(len(falling), -1)
+        out = np.empty(flat.shape[1])
+        with threads_for(0.05 * out.size):
+            mean_ratios(
+                np.ravel(np.asarray(height, np.float64)), flat, np.asarray(self.diameter, float),
+                _number(self.diameter, self.cover), _LEAST, self.height_ratio, _LOG_TABLE[0],
+                _LOG_TABLE[1] - _LOG_TABLE[0], _law(self.cover), out,
+            )  # fmt: skip
+        return out.reshape(self.shape)
 
     @cached_property
     def _fewer(self) -> Array:

@@ -41,6 +41,21 @@ def test_it_never_rises_with_the_height_nor_falls_with_a_ratio(ratio, height, mo
     assert thinning(bad, (1, 1)).at(height)[0, 0] >= here.at(height)[0, 0] - 1e-12
 
 
+def test_each_site_has_its_own_height_and_none_without_one():
+    rng = np.random.default_rng(5)
+    told = rng.uniform(0.1, 3.0, (3, 4, 5)).astype(np.float32)
+    heights = rng.uniform(0.0, 3.0, (4, 5))
+    heights[1, 2] = np.nan
+    found = Thinning(DIAMETERS, told, 0.05, 0.5).at(heights)
+    for at in np.ndindex(heights.shape):
+        ratio = [float(r) for r in told[:, *at]]
+        if np.isnan(heights[at]):
+            assert np.isnan(found[at])
+        else:
+            expected = plain.left(heights[at], list(DIAMETERS), ratio, 0.05, 0.5)
+            assert found[at] == pytest.approx(expected, rel=2e-3)
+
+
 def unseen(height, where=None, *, number=2.0, density=10.0):
     """Return rocks above heights that samples have missed."""
     h = np.asarray(height, np.float64)

@@ -36,6 +36,8 @@ _NEAREST = 0.1
 # Passes at most that find where a line of sight meets ground that is not level; none is made once
 # heights change by less, m.
 _PASSES, _FOUND = 8, 0.01
+# A height may go beyond what was found there, and fall short of it, by these factors at most.
+_STEPS = (0.5, 3.0)
 # How far beside a region ground that is taken to be level at first may lie, m, and how steep ground
 # may be that rises from the region's middle, a tangent.
 _BESIDE, _STEEPEST = 10.0, 0.36
@@ -137,12 +139,18 @@ class RockFilter(RockStates):
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
         xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
-        left = np.arange(len(height))
+        left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
         for _ in range(_PASSES):
             xy[left] = eye[:2] + per_drop[left] * (eye[2] - height[left])[:, None]
-            before, height[left] = height[left], self.ground_at(xy[left])
-            # Those that have arrived rest: others bounce between two steps of the ground.
-            left = left[np.abs(height[left] - before) > _FOUND]
+            found = self.ground_at(xy[left])
+            now = found - height[left]
+            on = np.abs(now) > _FOUND
+            # Where the line would meet ground that goes on as it did from the last height to this.
+            with np.errstate(invalid="ignore", divide="ignore"):
+                step = now / np.clip((off - now) / (height[left] - tried), *_STEPS)
+            tried, off = height[left][on], now[on]
+            height[left] = np.where(on & np.isfinite(step), height[left] + step, found)
+            left = left[on]
             if len(left) == 0:
                 break
         return np.column_stack((xy, height))

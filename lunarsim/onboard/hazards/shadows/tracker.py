@@ -188,7 +188,8 @@ class RockTracker:
         if not self._explained(found, expected, time):
             self.renew()
             self.explained[:] = False
-        points = self.filter.ground_points(camera, seen.pixel, s.region)
+        points = np.full((len(seen), 3), np.nan)
+        points[~close] = self.filter.ground_points(camera, seen.pixel[~close], s.region)
         begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
