@@ -44,6 +44,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/onboard/hazards/shadows/_evidence_kernels.py": (
         "tests/onboard/hazards/shadows/test_evidence.py",
     ),
+    "lunarsim/onboard/hazards/shadows/_lit_tile_kernels.py": (
+        "tests/onboard/hazards/shadows/test_lit_tiles.py",
+    ),
     "lunarsim/onboard/hazards/shadows/_probability_kernels.py": (
         "tests/onboard/hazards/shadows/test_probability_map.py",
         "tests/onboard/hazards/shadows/test_probability.py",

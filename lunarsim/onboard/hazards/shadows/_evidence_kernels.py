@@ -6,14 +6,25 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 from lunarsim.models._pinhole_kernels import to_pixel
+from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
+    CORE,
+    FAR,
+    MOST_STEPS,
+    SHARP,
+    E,
+    H,
+    N,
+    X,
+    Y,
+    Z,
+    all_lit,
+    largest_of_blocks,
+    lit_tiles,
+    tile_at,
+)
 
 # Columns of a node of the coarse grid before those of the core's points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
-# And of a node as the camera has it: sharpness, reach, the place off the camera, east, north, up,
-# the same along the sensor's axes, and along these the core's points, x of all, then y, then z.
-_SHARP, _FAR, _E, _N, _H, _X, _Y, _Z, _CORE = range(9)
-# Ground that may show farther aside than so many radii of a rock is not searched for it.
-_MOST_STEPS = 16
 # What shows so far beyond an edge is out of view whatever rounding does, pixels.
 _BEYOND = 0.01
 
@@ -23,20 +34,20 @@ def _along_sensor(coarse, position, axes):
     """Return nodes of the coarse grid as the camera has them (rows, cols, columns)."""
     rows, cols, width = coarse.shape
     points = (width - POINTS) // 2
-    out = np.empty((rows, cols, _CORE + 3 * points))
+    out = np.empty((rows, cols, CORE + 3 * points))
     off = np.empty(3)
     for i in range(rows):
         for j in range(cols):
-            out[i, j, _SHARP] = coarse[i, j, SHARPNESS]
-            out[i, j, _FAR] = coarse[i, j, REACH]
+            out[i, j, SHARP] = coarse[i, j, SHARPNESS]
+            out[i, j, FAR] = coarse[i, j, REACH]
             for c in range(3):
                 off[c] = coarse[i, j, EAST + c] - position[c]
-                out[i, j, _E + c] = off[c]
+                out[i, j, E + c] = off[c]
             for c in range(3):
-                out[i, j, _X + c] = axes[0, c] * off[0] + axes[1, c] * off[1] + axes[2, c] * off[2]
+                out[i, j, X + c] = axes[0, c] * off[0] + axes[1, c] * off[1] + axes[2, c] * off[2]
                 for k in range(points):
                     e, n = coarse[i, j, POINTS + 2 * k], coarse[i, j, POINTS + 2 * k + 1]
-                    out[i, j, _CORE + c * points + k] = axes[0, c] * e + axes[1, c] * n
+                    out[i, j, CORE + c * points + k] = axes[0, c] * e + axes[1, c] * n
     return out
 
 
@@ -68,12 +79,12 @@ def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
     """
     fx, fy, cx, cy = lens
     points = len(at)
-    x0, y0, z0 = here[_X] + by * up[0], here[_Y] + by * up[1], here[_Z] + by * up[2]
+    x0, y0, z0 = here[X] + by * up[0], here[Y] + by * up[1], here[Z] + by * up[2]
     out = 0
     for k in range(points):
-        x = x0 + radius * here[_CORE + k]
-        y = y0 + radius * here[_CORE + points + k]
-        z = z0 + radius * here[_CORE + 2 * points + k]
+        x = x0 + radius * here[CORE + k]
+        y = y0 + radius * here[CORE + points + k]
+        z = z0 + radius * here[CORE + 2 * points + k]
         px, py = to_pixel(x, y, z, fx, fy, cx, cy)
         inside = (z > 0.0) & (px >= 0.0) & (py >= 0.0) & (px <= wide - 1) & (py <= high - 1)
         out += not inside
@@ -105,18 +116,20 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
 
 
 @kernel(allocates=False)
-def _dark_elsewhere(at, here, up, cores, radius, lens, high, wide, shadow_of):
+def _dark_elsewhere(at, here, up, cores, radius, lens, high, wide, shadow_of, blocks):
     """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
 
     By up to the reach of the place, which moves it aside on level ground. Steps are about a rock's
     radius. What is the shadow of a rock that is tracked is that of none that stands here.
     """
-    reach, e, n, h = here[_FAR], here[_E], here[_N], here[_H]
+    reach, e, n, h = here[FAR], here[E], here[N], here[H]
     lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
     # So too if it is no number.
-    if not lateral < (_MOST_STEPS + 0.5) * radius:
+    if not lateral < (MOST_STEPS + 0.5) * radius:
         return True
     steps = int(lateral / radius + 0.5)
+    if steps == 0 or all_lit(here, here, up, radius, lens, high, wide, blocks):
+        return False
     for step in range(-steps, steps + 1):
         if step == 0:
             continue
@@ -182,28 +195,33 @@ def _shadow_of(labels, largest):
 
 @kernel()
 def _look_along(
-    i, lit, dark, explained, radii, nodes, in_view, every, up, lens, shape, shadow_of, least, gain,
-    cores,
+    i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of, blocks,
+    least, gain, cores,
 ):  # fmt: skip
     """Note row i of the places, see `look`."""
     sizes, _, cols = lit.shape
     high, wide = np.int32(shape[0]), np.int32(shape[1])
     row = _row_of_nodes(nodes, i, every)
     here = np.empty(nodes.shape[2])
-    at = np.empty((len(here) - _CORE) // 3, np.int32)
+    at = np.empty((len(here) - CORE) // 3, np.int32)
     vi = min(i // every, nodes.shape[0] - 2)
+    tile_row = tile_at(i, vi, every)
     for j in range(cols):
         uj = min(j // every, len(row) - 2)
         u = j / every - uj
-        sharpness = row[uj, _SHARP] + u * (row[uj + 1, _SHARP] - row[uj, _SHARP])
+        sharpness = row[uj, SHARP] + u * (row[uj + 1, SHARP] - row[uj, SHARP])
         if not sharpness > 0.0:
             continue
+        tile_col = tile_at(j, uj, every)
         # Before any size asks for it nothing is worked out.
         known = False
         for s in range(sizes):
             if not in_view[vi, uj, s]:
                 continue
             if sharpness <= gain * max(lit[s, i, j], dark[s, i, j]):
+                continue
+            if clear[tile_row, tile_col, s]:
+                lit[s, i, j] = sharpness
                 continue
             if not known:
                 _between(here, row, uj, u)
@@ -215,7 +233,7 @@ def _look_along(
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
-                at, here, up, cores, radii[s], lens, high, wide, shadow_of
+                at, here, up, cores, radii[s], lens, high, wide, shadow_of, blocks
             ):
                 lit[s, i, j] = sharpness
 
@@ -262,8 +280,10 @@ def look(
     shadow_of = _shadow_of(labels, largest)
     nodes = _along_sensor(coarse, position, axes)
     lens = (fx, fy, cx, cy)
+    blocks = largest_of_blocks(shadow_of, high, wide)
+    clear = lit_tiles(nodes, every, radii, axes[2], lens, high, wide, blocks)
     for i in prange(lit.shape[1]):
         _look_along(
-            i, lit, dark, explained, radii, nodes, in_view, every, axes[2], lens, labels.shape,
-            shadow_of, least, gain, cores,
+            i, lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,
+            labels.shape, shadow_of, blocks, least, gain, cores,
         )  # fmt: skip

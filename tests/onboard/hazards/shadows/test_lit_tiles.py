@@ -1,0 +1,73 @@
+"""Ground about which a picture is lit far and wide is found lit as if each place had been asked."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
+from tests.reference import looks as plain
+
+EVERY = 16
+RADII = np.array([0.3, 0.5])
+# Of patches: the lit ground, rocks small and large, one tracked, one of any size.
+LARGEST = np.array([0.0, 0.35, 0.8, -0.7, np.inf], np.float32)
+
+
+def scene(rng, reach):
+    """Return nodes about the origin, a camera that looks down on them aslant, and its picture."""
+    x, y = np.meshgrid(4.0 * np.arange(4) - 6.0, 4.0 * np.arange(3) - 4.0)
+    points = 2 * 3
+    coarse = np.dstack((
+        np.ones_like(x), x, y, rng.normal(0.0, 0.3, x.shape),
+        reach * rng.uniform(0.0, 1.0, x.shape), rng.uniform(-2.0, 2.0, (*x.shape, 2 * points)),
+    ))  # fmt: skip
+    position = np.array([*rng.uniform(-4.0, 4.0, 2), rng.uniform(9.0, 16.0)])
+    forward = np.array([*rng.normal(0.0, 1.0, 2), 0.0]) - position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.3, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    axes = np.column_stack((right, np.cross(forward, right), forward))
+    labels = np.zeros((100, 120), np.int32)
+    for _ in range(rng.integers(0, 9)):
+        row, col = rng.integers(0, 100), rng.integers(0, 120)
+        size = rng.integers(1, 9, 2)
+        labels[row : row + size[0], col : col + size[1]] = rng.integers(1, len(LARGEST))
+    return coarse, position, axes, (rng.uniform(60.0, 130.0), 100.0, 59.5, 49.5), labels
+
+
+@pytest.mark.parametrize(("seed", "reach"), [(s, r) for s in range(12) for r in (0.0, 0.6, 3.0)])
+def test_what_is_found_by_tiles_is_what_each_place_shows(seed, reach):
+    rng = np.random.default_rng([seed, int(10.0 * reach)])
+    coarse, position, axes, lens, labels = scene(rng, reach)
+    shape = (len(RADII), 2 * EVERY, 3 * EVERY)
+    lit, dark = np.zeros((2, *shape), np.float32)
+    kernels.look(
+        lit, dark, np.zeros(shape, np.bool_), RADII, coarse, EVERY, position, axes, *lens, labels,
+        LARGEST, 2, 1.03, 2,
+    )  # fmt: skip
+    some = rng.choice(lit[0].size, 150, replace=False)
+    for s, place in product(range(len(RADII)), some):
+        i, j = divmod(int(place), shape[2])
+        found = plain.look(
+            coarse, i / EVERY, j / EVERY, RADII[s], position, axes, lens, labels, LARGEST, 2, 2
+        )
+        assert (lit[s, i, j] > 0.0, dark[s, i, j] > 0.0) == found
+
+
+def test_most_of_a_picture_is_lit_and_most_tiles_are():
+    """What the test above compares is found by tiles, and where it is not, by places."""
+    shares = []
+    for seed in range(12):
+        coarse, position, axes, lens, labels = scene(np.random.default_rng([seed, 6]), 0.6)
+        lit, dark = np.zeros((2, len(RADII), 2 * EVERY, 3 * EVERY), np.float32)
+        kernels.look(
+            lit, dark, np.zeros(lit.shape, np.bool_), RADII, coarse, EVERY, position, axes, *lens,
+            labels, LARGEST, 2, 1.03, 2,
+        )  # fmt: skip
+        shares.append(
+            [np.mean(lit > 0.0), np.mean(dark > 0.0), np.mean((lit == 0.0) & (dark == 0.0))]
+        )
+    assert (np.mean(shares, axis=0) > [0.2, 0.005, 0.05]).all()
