@@ -195,8 +195,8 @@ def _shadow_of(labels, largest):
 
 @kernel()
 def _look_along(
-    i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of, blocks,
-    least, gain, cores,
+    i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
+    blocks, least, gain, cores,
 ):  # fmt: skip
     """Note row i of the places, see `look`."""
     sizes, _, cols = lit.shape

@@ -154,7 +154,5 @@ def lit_tiles(nodes, every, radii, up, lens, height, width, blocks):
             i, j = row // tiles, col // tiles
             if _corners(low, high, nodes, i, j, every, row - i * tiles, col - j * tiles):
                 for s in range(len(radii)):
-                    out[row, col, s] = all_lit(
-                        low, high, up, radii[s], lens, height, width, blocks
-                    )
+                    out[row, col, s] = all_lit(low, high, up, radii[s], lens, height, width, blocks)
     return out
