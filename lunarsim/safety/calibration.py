@@ -10,7 +10,8 @@ The regression was fitted once to all worlds and once without each of them, and 
 surely not, and few hazards stand or gape unseen. Elsewhere no fit to other worlds can know how
 often a site is safe: near that domain the map takes the odds that it is unsafe twelve times, and
 farther off it gives the lowest of that, Eqs. 15 to 17, and the chance that no unseen rock stands
-there. All edges are crossed one way only as the evidence gets worse. A
+there, but for one case in a thousand, in which the fits are believed: so the best of sites that are
+all but hopeless can be told. All edges are crossed one way only as the evidence gets worse. A
 calibration of a scenario's own (`lunarsim.safety.refit`) brings its own last stage and its own
 domain.
 """
@@ -23,14 +24,14 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.special import ndtri
+from scipy.special import expit, ndtri
 
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import Ensemble, Odds, cautious, doubted
+from lunarsim.safety.ensemble import SURE, Ensemble, Odds, cautious, doubted
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
@@ -77,6 +78,9 @@ PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
 # Near the domain fits to all other worlds were still low enough once they took the odds that a site
 # is unsafe so many times.
 FARTHER = float(np.log(12.0))
+# So often what is said of rocks that nobody has seen is taken to be wrong. Where samples are sparse
+# they are so many that no site is left any chance, and the best of them must still be told.
+UNSURE = 1e-3
 _NEAR = Domain(0.1, 2.0, NOISES, SPACINGS)
 _NEAR_SINKING = 0.1
 
@@ -356,7 +360,8 @@ def judged(
 
     Where a fit has not seen their like, or does not call them surely safe, it is the fits' with a
     wider margin, and at most the bound. In its domain a refit knows by its scenario's own sites
-    what rocks under the pads do; elsewhere the chance that there is none holds.
+    what rocks under the pads do; elsewhere the chance that there is none holds. In `UNSURE` of all
+    cases it does not, nor does the bound.
 
     Parameters
     ----------
@@ -372,10 +377,14 @@ def judged(
     """
     both = np.minimum(most, clear)
     if refit is None:
-        return cautious(odds, both, least, covered, FARTHER)
-    p = np.minimum(refit.probability(odds, known), most)
-    lowest = doubted(odds, both, least, FARTHER)
-    return np.asarray(np.where(covered, p, np.minimum(p, lowest)))
+        p = cautious(odds, both, least, covered, FARTHER)
+        covered = p >= SURE
+    else:
+        p = np.minimum(refit.probability(odds, known), most)
+        lowest = doubted(odds, both, least, FARTHER)
+        p = np.where(covered, p, np.minimum(p, lowest))
+    unbound = SURE * np.minimum(expit(odds), most)
+    return np.asarray(np.where(covered, p, (1.0 - UNSURE) * p + UNSURE * unbound))
 
 
 def ceiling(evidence: Evidence) -> Array:

@@ -20,6 +20,7 @@ from lunarsim.safety.calibration import (
     MOST_HAZARDS,
     MOST_SINKING,
     UNCOUNTED,
+    UNSURE,
     bound,
     calibrated_safety,
     ceiling,
@@ -126,9 +127,9 @@ def fits_of(*odds):
 def test_where_fits_differ_the_lowest_counts_and_is_no_frequency():
     e = evidence(slope=0.1, rough=0.1, level=6.0, planes=6.0, curve=rocky(0.01))
     assert in_domain(e).all()
-    sure, doubtful = (1.0 - UNTOLD) * expit(4.0 - MARGIN), SURE * expit(2.0 - FARTHER)
+    sure, doubtful = (1.0 - UNTOLD) * expit(4.0 - MARGIN), (1.0 - UNTOLD) * expit(2.0 - FARTHER)
     for odds, claims, wanted in (
-        ((2.0, 5.0), False, (1.0 - UNTOLD) * doubtful),
+        ((2.0, 5.0), False, SURE * ((1.0 - UNSURE) * doubtful + UNSURE * expit(2.0))),
         ((4.0, 5.0), True, sure),
     ):
         p, known = calibrated_safety(e, fits_of(*odds))
@@ -145,14 +146,34 @@ def test_of_what_is_not_surely_safe_less_is_told_and_far_off_the_bound_at_most()
         for site in (e, far):
             p, known = calibrated_safety(site, fits_of(odds, odds))
             told = np.minimum((1.0 - UNTOLD) * expit(odds - FARTHER), bound(site))
-            assert p == pytest.approx(
-                SURE * np.min([told, ceiling(site), clear_of_pads(site)], axis=0), rel=1e-5
-            )
+            bounded = np.min([told, ceiling(site), clear_of_pads(site)], axis=0)
+            fits = np.minimum(expit(odds), ceiling(site))
+            wanted = SURE * ((1.0 - UNSURE) * bounded + UNSURE * fits)
+            assert p == pytest.approx(wanted, rel=1e-5)
             assert not known.any()
     # Surely unsafe is a frequency again.
     p, known = calibrated_safety(e, fits_of(-4.0, -3.5))
     assert (p < 0.02).all()
     assert known.all()
+
+
+def test_among_sites_all_but_hopeless_the_best_is_told():
+    """Rocks by the thousand may stand unseen, so nothing is left; slopes are known all the same."""
+    slope = np.repeat(np.linspace(0.1, 2.5, SIDE)[:, None], SIDE, axis=1)
+    e = evidence(slope=slope, rough=0.1, level=-8.0, planes=1.0 - slope, density=1e-4)
+    assert (bound(e) < 1e-12).all()
+    p, known = calibrated_safety(e)
+    assert not known.any()
+    assert (p <= UNSURE).all()
+    assert (np.diff(p[:, 0]) <= 0.0).all()
+    assert p[0, 0] > 3.0 * p[-1, 0]
+
+
+def test_what_was_seen_to_be_steep_is_left_no_chance_by_doubt():
+    steep = evidence(slope=2.0, rough=0.1, level=-8.0, planes=-7.0, density=1e-4)
+    p, _ = calibrated_safety(steep, fits_of(5.0, 5.0))
+    assert (p <= UNSURE * ceiling(steep)).all()
+    assert (p > 0.0).all()
 
 
 def test_the_domain_ends_where_samples_grow_sparse():

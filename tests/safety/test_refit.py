@@ -17,6 +17,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety.calibration import (
     COUNT,
     FARTHER,
+    UNSURE,
     bound,
     calibrated_safety,
     ceiling,
@@ -125,7 +126,8 @@ def test_its_domain_is_its_own_whether_the_fits_agree_or_not():
     narrow = replace(WIDE, noise=(0.5, 1.0))
     p, known = calibrated_safety(e, low, refit((20.0, 1.0), domain=narrow, regression=low.digest))
     assert not known.any()
-    assert p == pytest.approx(SURE * (1.0 - UNTOLD) * expit(-9.0 - FARTHER), rel=1e-4)
+    bounded = (1.0 - UNTOLD) * expit(-9.0 - FARTHER)
+    assert p == pytest.approx(SURE * ((1.0 - UNSURE) * bounded + UNSURE * expit(-9.0)), rel=1e-4)
 
 
 def test_the_ceiling_holds_after_it():
@@ -141,11 +143,11 @@ def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     p, known = calibrated_safety(e, refit=own)
     assert known.all()
     assert (p > 5.0 * clear_of_pads(e)).all()
-    # Outside of it nobody knows: the chance that there is none holds.
+    # Outside of it nobody knows: the chance that there is none holds, in all cases but a few.
     narrow = replace(own, domain=replace(WIDE, tilting=0.5 * float(e.tilting().min())))
     q, known = calibrated_safety(e, refit=narrow)
     assert not known.any()
-    assert (q <= clear_of_pads(e)).all()
+    assert (q <= clear_of_pads(e) + UNSURE).all()
 
 
 def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):
