@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar, overload
 import numba
 from numba.core.registry import CPUDispatcher
 
+from lunarsim._kernel_sources import sources_digest
 from lunarsim._shares import Shared
 
 # Threads that have done their share sleep, where the user has not said otherwise: those that spin
@@ -108,6 +109,10 @@ def kernel(
             **({"forceinline": True} if inline or exact else {}),
             **({} if allocates and not (inline or exact) else {"_nrt": False}),
         )(function)
+        # A stamp of its own file is all that Numba has; see the module asked.
+        cached = compiled._cache._cache_file
+        linked = sources_digest(function.__module__, function.__code__.co_filename)
+        cached._source_stamp = cached._source_stamp, linked
         if closed:
             compiled.__class__ = _Inner
         return Shared(compiled) if shared else compiled
