@@ -11,13 +11,14 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from typing import Any
 
 import scipy.linalg  # noqa: F401  (brings its own BLAS, which must be known by then)
 from threadpoolctl import ThreadpoolController
 
 _lock = threading.Lock()
 _inside = 0
-_limits: list[object] = []
+_limits: list[Any] = []
 
 
 @lru_cache(maxsize=1)

@@ -302,16 +302,16 @@ class Camera(CameraModel):
         steps = int(min(max(4, np.ceil(2.0 * travel)), _MOST_STEPS))
         k = view.pinhole.matrix
         inverse = np.linalg.inv(k)
-        total: NDArray[np.float32] | None = None
+        total = np.zeros_like(image)
         for part in (np.arange(steps) + 0.5) / steps - 0.5:
             # From a pixel at this moment to the same ground in the drawn picture.
             rotation = quat_to_matrix(quat_from_rotation_vector(turn * part))
-            turned = cv2.warpPerspective(
+            total += cv2.warpPerspective(
                 image, k @ rotation @ inverse, (view.width, view.height),
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
             )  # fmt: skip
-            total = turned if total is None else cv2.add(total, turned, dst=total)
-        return np.asarray(np.divide(total, np.float32(steps), out=total))
+        total /= np.float32(steps)
+        return total
 
     def _detect(
         self, radiance: NDArray[np.float32], rng: np.random.Generator
