@@ -11,14 +11,18 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
 
 import scipy.linalg  # noqa: F401  (brings its own BLAS, which must be known by then)
 from threadpoolctl import ThreadpoolController
 
-_lock = threading.Lock()
-_inside = 0
-_limits: list[Any] = []
+
+class _Inside(threading.local):
+    """Whether a thread is inside."""
+
+    now = False
+
+
+_inside = _Inside()
 
 
 @lru_cache(maxsize=1)
@@ -28,16 +32,17 @@ def _libraries() -> ThreadpoolController:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS to one thread, in a `with` block or as a decorator; as it was, after the last."""
-    global _inside  # noqa: PLW0603  (the setting is one of the process)
-    with _lock:
-        if _inside == 0:
-            _limits.append(_libraries().limit(limits=1))
-        _inside += 1
-    try:
+    """Keep BLAS to one thread, in a `with` block or as a decorator; as it was, after the outermost.
+
+    The setting is one of the process: of Python threads that ask at once the first has its way, see
+    `threadpoolctl`.
+    """
+    if _inside.now:
         yield
-    finally:
-        with _lock:
-            _inside -= 1
-            if _inside == 0:
-                _limits.pop().restore_original_limits()
+        return
+    with _libraries().limit(limits=1):
+        _inside.now = True
+        try:
+            yield
+        finally:
+            _inside.now = False

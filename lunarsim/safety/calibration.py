@@ -376,14 +376,15 @@ def judged(
         As for `calibrated_safety`.
     """
     both = np.minimum(most, clear)
+    unbound = SURE * np.minimum(expit(odds), most)
     if refit is None:
         p = cautious(odds, both, least, covered, FARTHER)
         covered = p >= SURE
     else:
-        p = np.minimum(refit.probability(odds, known), most)
+        inside = np.minimum(refit.probability(odds, known), most)
+        unbound = np.minimum(unbound, inside)
         lowest = doubted(odds, both, least, FARTHER)
-        p = np.where(covered, p, np.minimum(p, lowest))
-    unbound = SURE * np.minimum(expit(odds), most)
+        p = np.where(covered, inside, np.minimum(inside, lowest))
     return np.asarray(np.where(covered, p, (1.0 - UNSURE) * p + UNSURE * unbound))
 
 

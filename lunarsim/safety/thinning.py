@@ -150,7 +150,7 @@ class Thinning:
         out = np.empty(flat.shape[1])
         with threads_for(0.05 * out.size):
             mean_ratios(
-                np.ravel(np.asarray(height, np.float64)), flat, np.asarray(self.diameter, float),
+                _of_sites(height, self.shape), flat, np.asarray(self.diameter, float),
                 _number(self.diameter, self.cover), _LEAST, self.height_ratio, _LOG_TABLE[0],
                 _LOG_TABLE[1] - _LOG_TABLE[0], _law(self.cover), out,
             )  # fmt: skip
@@ -171,6 +171,12 @@ class Thinning:
             out.append((where, more[where].astype(np.float64) - before[where]))
             before = more
         return out
+
+
+def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
+    """Return heights () as (1,), and others as those of all sites (rows * cols,)."""
+    h = np.asarray(height, dtype=np.float64)
+    return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 
 
 def _number(diameter: ArrayLike, cover: float) -> Array:

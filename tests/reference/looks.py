@@ -38,7 +38,7 @@ def dark_points(place, core, radius, position, axes, lens, labels, largest, core
 
 
 def look(coarse, row, col, radius, position, axes, lens, labels, largest, least, cores):
-    """Return whether the shadow at a place would fall on lit ground, and whether on dark."""
+    """Return whether the shadow at a place would fall on lit ground, on dark, and on a rock's."""
     at = between(coarse, row, col)
     place, reach, core = at[1:4], at[4], at[5:].reshape(-1, 2)
 
@@ -48,16 +48,16 @@ def look(coarse, row, col, radius, position, axes, lens, labels, largest, least,
 
     here = dark(0.0)
     if not at[0] > 0.0 or here is None:
-        return False, False
+        return False, False, False
     if here[0] >= least:
-        return False, True
+        return False, True, 2 * here[1] > here[0]
     aside = reach * np.hypot(*(place - position)[:2]) / (position[2] - place[2])
     steps = int(aside / radius + 0.5)
     if steps > 16:
-        return False, False
+        return False, False, False
     for n in range(-steps, steps + 1):
         if n:
             there = dark(reach * n / steps)
             if there is None or there[0] > there[1]:
-                return False, False
-    return True, False
+                return False, False, False
+    return True, False, False

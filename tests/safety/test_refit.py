@@ -24,6 +24,7 @@ from lunarsim.safety.calibration import (
     clear_of_pads,
     features,
     in_domain,
+    judged,
     measured,
 )
 from lunarsim.safety.domain import Domain
@@ -148,6 +149,15 @@ def test_in_its_domain_rocks_under_the_pads_are_what_its_sites_were():
     q, known = calibrated_safety(e, refit=narrow)
     assert not known.any()
     assert (q <= clear_of_pads(e) + UNSURE).all()
+
+
+def test_worse_evidence_beyond_its_domain_is_told_no_better_however_low_it_is():
+    own = refit((-9.0, 1.0), (-9.0, 1.0))
+    for beyond in (-0.1, -2.0, -8.0):
+        odds, one = np.array([0.0, beyond]), np.ones(2)
+        inside = np.array([True, False])
+        p = judged(odds, one, one, np.zeros(2), inside, inside, own)
+        assert 0.0 < p[1] <= p[0]
 
 
 def sites(n=4000, inside=(0.5, 0.7), outside=(-0.6, 0.4), seed=1):

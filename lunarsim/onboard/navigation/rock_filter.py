@@ -37,7 +37,7 @@ _NEAREST = 0.1
 # heights change by less, m.
 _PASSES, _FOUND = 8, 0.01
 # A height may go beyond what was found there, and fall short of it, by these factors at most.
-_STEPS = (0.5, 3.0)
+_STEPS = (0.2, 3.0)
 # How far beside a region ground that is taken to be level at first may lie, m, and how steep ground
 # may be that rises from the region's middle, a tangent.
 _BESIDE, _STEEPEST = 10.0, 0.36
@@ -138,22 +138,25 @@ class RockFilter(RockStates):
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
-        xy = eye[:2] + per_drop * (eye[2] - height)[:, None]
         left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
+        least, met = np.full(len(height), np.inf), np.empty((len(height), AXES))
         for _ in range(_PASSES):
-            xy[left] = eye[:2] + per_drop[left] * (eye[2] - height[left])[:, None]
-            found = self.ground_at(xy[left])
-            now = found - height[left]
+            xy = eye[:2] + per_drop[left] * (eye[2] - height)[:, None]
+            found = self.ground_at(xy)
+            now = found - height
+            # Of those that never arrive the pass counts that came nearest; NaN: there is no ground.
+            nearer = ~(np.abs(now) >= least[left])
+            met[left[nearer]] = np.column_stack((xy, found))[nearer]
+            least[left[nearer]] = np.abs(now[nearer])
             on = np.abs(now) > _FOUND
+            if not on.any():
+                break
             # Where the line would meet ground that goes on as it did from the last height to this.
             with np.errstate(invalid="ignore", divide="ignore"):
-                step = now / np.clip((off - now) / (height[left] - tried), *_STEPS)
-            tried, off = height[left][on], now[on]
-            height[left] = np.where(on & np.isfinite(step), height[left] + step, found)
-            left = left[on]
-            if len(left) == 0:
-                break
-        return np.column_stack((xy, height))
+                step = now / np.clip((off - now) / (height - tried), *_STEPS)
+            onward = np.where(np.isfinite(step), height + step, found)
+            left, tried, off, height = left[on], height[on], now[on], onward[on]
+        return met
 
     def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.

@@ -213,12 +213,15 @@ def test_lines_of_sight_far_beside_a_region_are_left_out():
     assert np.isnan(found[beside > 20.0]).all()
 
 
-@pytest.mark.parametrize(
-    ("slope", "depression"), [(0.0, 40.0), (0.27, 40.0), (-0.27, 40.0), (0.17, 25.0), (-0.17, 25.0)]
-)
-def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
-    """And none that does so within a region is left out, however steep and low it is seen."""
-    ground = Plane((slope, 0.0))
+class Steps(Plane):
+    """A slope in steps of 0.3 m."""
+
+    def heights(self, xy):
+        return 0.3 * np.floor(super().heights(xy) / 0.3)
+
+
+def sight_lines(ground, depression, count=300):
+    """Return rocks on a ground, a camera a kilometre off that looks down on it, and points."""
     down = np.radians(depression)
     eye = np.array([-1000.0 * np.cos(down), 0.0, 1000.0 * np.sin(down)])
     level = np.array([0.0, 0.0, 0.0, 1.0])
@@ -227,8 +230,40 @@ def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
     )
     rocks.measured = ground
     camera = replace(Camera.with_field_of_view(640, 480, 10.0), mount=gimbal_mount(level, -eye))
-    xy = np.random.default_rng(0).uniform(-40.0, 40.0, (300, 2))
-    true = np.column_stack((xy, ground.heights(xy)))
+    xy = np.random.default_rng(0).uniform(-40.0, 40.0, (count, 2))
+    return rocks, camera, eye, np.column_stack((xy, ground.heights(xy)))
+
+
+@pytest.mark.parametrize("slope", [-0.6, -0.4, 0.4, 0.6])
+def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(slope):
+    """Passes that take the height found for the next leave decimetres after eight."""
+    rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), 40.0)
+    found = rocks.ground_points(camera, rocks.sight(camera, true).pixel)
+    # Heights are found to a centimetre along lines that graze the ground by 9 deg.
+    assert np.abs(found - true).max() < 0.05
+
+
+@pytest.mark.parametrize("slope", [-0.5, 0.3, 0.5])
+def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_off(slope):
+    ground = Steps((slope, 0.0))
+    rocks, camera, eye, true = sight_lines(ground, 40.0, 2000)
+    # Lines through points above the slope go between the steps too.
+    above = true + [0.0, 0.0, 1.0] * np.random.default_rng(1).uniform(0.0, 3.0, (2000, 1))
+    found = rocks.ground_points(camera, rocks.sight(camera, above).pixel)
+    np.testing.assert_array_equal(found[:, 2], ground.heights(found[:, :2]))
+    way = (above - eye) / (eye[2] - above[:, 2:])
+    along = np.linalg.norm(found[:, :2] - eye[:2], axis=1) / np.linalg.norm(way[:, :2], axis=1)
+    off = np.abs(eye[2] - along - found[:, 2])
+    assert off.max() < 0.31
+    assert np.median(off) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("slope", "depression"), [(0.0, 40.0), (0.27, 40.0), (-0.27, 40.0), (0.17, 25.0), (-0.17, 25.0)]
+)
+def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
+    """And none that does so within a region is left out, however steep and low it is seen."""
+    rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), depression)
     pixel = rocks.sight(camera, true).pixel
     found = rocks.ground_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))
     assert np.abs(found - true).max() < 0.03
