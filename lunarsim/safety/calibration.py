@@ -379,13 +379,14 @@ def judged(
     unbound = SURE * np.minimum(expit(odds), most)
     if refit is None:
         p = cautious(odds, both, least, covered, FARTHER)
-        covered = p >= SURE
+        whole = p >= SURE
     else:
         inside = np.minimum(refit.probability(odds, known), most)
         unbound = np.minimum(unbound, inside)
         lowest = doubted(odds, both, least, FARTHER)
         p = np.where(covered, inside, np.minimum(inside, lowest))
-    return np.asarray(np.where(covered, p, (1.0 - UNSURE) * p + UNSURE * unbound))
+        whole = covered
+    return np.asarray(np.where(whole, p, (1.0 - UNSURE) * p + UNSURE * unbound))
 
 
 def ceiling(evidence: Evidence) -> Array:
