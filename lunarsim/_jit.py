@@ -36,6 +36,16 @@ class _Inner(CPUDispatcher):  # type: ignore[misc]
         raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
 
 
+def _stamp(compiled: Any, function: Any) -> None:
+    """Let what is cached hold only for the present source of all that it is linked with.
+
+    A stamp of a kernel's own file is all that Numba looks at.
+    """
+    cached = compiled._cache._cache_file
+    linked = sources_digest(function.__module__, function.__code__.co_filename)
+    cached._source_stamp = cached._source_stamp, linked
+
+
 @overload
 def kernel(
     *, shared: Literal[True], allocates: bool = True
@@ -109,10 +119,7 @@ def kernel(
             **({"forceinline": True} if inline or exact else {}),
             **({} if allocates and not (inline or exact) else {"_nrt": False}),
         )(function)
-        # A stamp of its own file is all that Numba has; see the module asked.
-        cached = compiled._cache._cache_file
-        linked = sources_digest(function.__module__, function.__code__.co_filename)
-        cached._source_stamp = cached._source_stamp, linked
+        _stamp(compiled, function)
         if closed:
             compiled.__class__ = _Inner
         return Shared(compiled) if shared else compiled
