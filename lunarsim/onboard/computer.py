@@ -189,7 +189,6 @@ class OnboardComputer:
         """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
         return self.outlook.cost_of(sites, estimate or self.estimate)
 
-    @one_blas_thread()
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
         course = Course(self.time, self.mass, self.estimate, self.site, self.time_to_go)
@@ -199,19 +198,18 @@ class OnboardComputer:
 
     # --- a cycle --------------------------------------------------------------------------
 
+    @one_blas_thread()
     def step(self, measurements: Measurements) -> Command:
         """Do a whole control cycle."""
         self.update(measurements)
         self.decide()
         return self.command()
 
-    @one_blas_thread()
     def decide(self) -> None:
         """Ask the policy, if there is one and a decision is due."""
         if self.policy is not None and self.decision_due:
             self.apply(self.policy.decide(self.observe()))
 
-    @one_blas_thread()
     def update(self, measurements: Measurements) -> None:
         """Navigate and map by what has been measured since the last cycle.
 

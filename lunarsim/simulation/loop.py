@@ -233,6 +233,7 @@ class Simulation:
         """True when the policy is to be asked in this cycle."""
         return self.computer.decision_due
 
+    @one_blas_thread()
     def observe(self) -> Observation:
         """Return what a policy is shown now."""
         return self.computer.observe()
@@ -243,6 +244,7 @@ class Simulation:
         """Hand a decision to the computer; return False if its site is out of reach."""
         return self.computer.apply(decision)
 
+    @one_blas_thread()
     def _take(self, measurements: Measurements) -> None:
         """Let the computer take in what was measured, and note both sides as they are now."""
         self._measurements = measurements
@@ -252,6 +254,7 @@ class Simulation:
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
         self.recorder.row(self.time, self.state, c.estimate, c.site, left, c.phase)
 
+    @one_blas_thread()
     def decide(self) -> None:
         """Ask the policy, if there is one and a decision is due."""
         if self._oracle is None:

@@ -10,6 +10,7 @@ from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
     CORE,
     FAR,
     MOST_STEPS,
+    ROUNDING,
     SHARP,
     E,
     H,
@@ -25,8 +26,6 @@ from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
 
 # Columns of a node of the coarse grid before those of the core's points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
-# What shows so far beyond an edge is out of view whatever rounding does, pixels.
-_BEYOND = 0.01
 
 
 @kernel()
@@ -161,10 +160,10 @@ def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide,
             x = axes[0, 0] * e + axes[1, 0] * n + axes[2, 0] * h
             y = axes[0, 1] * e + axes[1, 1] * n + axes[2, 1] * h
             px, py = to_pixel(x, y, z, fx, fy, cx, cy)
-            left += px < -_BEYOND
-            right += px > wide - 1 + _BEYOND
-            above += py < -_BEYOND
-            below += py > high - 1 + _BEYOND
+            left += px < -ROUNDING
+            right += px > wide - 1 + ROUNDING
+            above += py < -ROUNDING
+            below += py > high - 1 + ROUNDING
     return max(behind, left, right, above, below) < 4
 
 

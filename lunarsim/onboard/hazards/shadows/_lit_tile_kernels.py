@@ -20,7 +20,7 @@ MOST_STEPS = 16
 # Sides of a tile, places, and of a block of pixels, whose largest rock is worked out once.
 _TILE, _BLOCK = 8, 4
 # What rounding may move a point of the picture by, pixels.
-_ROUNDING = 0.01
+ROUNDING = 0.01
 
 
 @kernel(parallel=True)
@@ -87,8 +87,8 @@ def _axis(low, high, first, points, at, by, up, radius):
 @kernel(exact=True)
 def _pixels(low, high, near, far, focal, centre):
     """Return between which pixels what lies between two coordinates and depths is seen."""
-    least = focal * (low / near if low < 0.0 else low / far) + centre - _ROUNDING
-    most = focal * (high / near if high > 0.0 else high / far) + centre + _ROUNDING
+    least = focal * (low / near if low < 0.0 else low / far) + centre - ROUNDING
+    most = focal * (high / near if high > 0.0 else high / far) + centre + ROUNDING
     return least, most
 
 

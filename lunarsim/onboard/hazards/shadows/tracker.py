@@ -188,7 +188,7 @@ class RockTracker:
         if not self._explained(found, expected, time):
             self.renew()
             self.explained[:] = False
-        points = self._on_ground(camera, seen, ~close)
+        points = self.filter.ground_points(camera, seen.pixel, s.region)
         begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
@@ -196,12 +196,6 @@ class RockTracker:
         self._merge()
         self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _GONE)))
         return found
-
-    def _on_ground(self, camera: CameraModel, seen: Detections, which: NDArray[np.bool_]) -> Array:
-        """Return where some of the detections lie on the ground (d, 3), m; NaN for the others."""
-        points = np.full((len(seen), 3), np.nan)
-        points[which] = self.filter.ground_points(camera, seen.pixel[which], self.settings.region)
-        return points
 
     def _surely_there(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
         """Return which rocks (n,) explain what is dark, with so many of them in view.
