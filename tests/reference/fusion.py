@@ -193,6 +193,24 @@ def level_ground(
     return prior * level * max(math.exp(-10.0 * unseen), 1.0 - missed) * clear
 
 
+def prior_beside(cells: list, posting: float, footprint: float, expected: float) -> float:
+    """Probability of ground that was not measured; of what was (share of the limits, p) a cell."""
+    worth = min(posting * posting / (math.pi * footprint * footprint), 1.0)
+    number = fit = 0
+    total = 0.0
+    for share, p in cells:
+        if math.isnan(share):
+            continue
+        number += 1
+        if share <= 1.0:
+            fit += 1
+            total += p
+    found = (worth * fit + expected) / (worth * number + 1.0)
+    if fit:
+        found *= total / fit / max(expected, 1e-6)
+    return min(found, expected)
+
+
 def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, ratio: float):
     """Share of rocks among the others of each track (x, y, height, tells), over that expected."""
     rows, cols = len(rises), len(rises[0])

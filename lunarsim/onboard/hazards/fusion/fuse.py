@@ -31,7 +31,7 @@ from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_miss
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.fusion.rises import Samples
-from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
+from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap, Surface
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.rocks.population import RockExpectation
@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
+# A probability that is divided by is never taken for less.
+_LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -103,22 +105,24 @@ def fused_map(
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
         return _of_relief(relief, terms)
-    prior = relief_prior_of(relief, terms)
-    ground, alone = relief.surface, _of_rocks(rocks, relief.surface.grid, prior)
+    ground = relief.surface
+    alone = _of_rocks(rocks, ground.grid, 1.0)
     clear, none_missed = _clear(relief, rocks, terms)
     thinning = thinning_of(rocks, ground.grid, terms)
     judged = _thinned(relief, thinning)
     p, known = _of_elevations(relief, judged)
-    level = np.zeros(ground.grid.shape, np.float32)
+    level, prior = np.zeros(ground.grid.shape, np.float32), terms.relief_prior
     if judged is not None:
-        level = level_ground(judged, terms.relief_prior, clear, none_missed)
+        level = level_ground(judged, prior, clear, none_missed)
+        free_of_tracks = np.maximum(p, level_ground(judged, prior, 1.0, none_missed))
+        prior = prior_beside(judged, ground, free_of_tracks, terms)
     # What the eye for rocks has said nothing of is claimed as the elevations claim it.
     whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
     seen = ground.observed
     # Rocks are as high there as where both eyes have seen some.
-    unmeasured = np.minimum(alone.p_safe, np.float32(prior) * clear)
+    unmeasured = np.float32(prior) * np.minimum(alone.p_safe, clear)
     elevation = ground.elevation
     if elevation is not None and alone.elevation is not None:
         elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
@@ -139,23 +143,36 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
 
 
-def relief_prior_of(relief: ReliefEvidence, terms: FusionTerms) -> float:
-    """Return the probability that ground that was not measured is within slope and roughness.
+def prior_beside(judged: Evidence, ground: Surface, p: FloatMap, terms: FusionTerms) -> float:
+    """Return the probability that ground that was not measured is fit, but for tracked rocks.
 
-    It is as likely to be so as what was measured about it, never likelier than the mission expects,
-    whose expectation counts as one site more: sites whose footprints overlap are not many.
+    It is as likely to be so as what was measured about it. That is the share of the latter whose
+    slope and roughness are within the limits, the mission's expectation counting as one site more
+    (sites whose footprints overlap are not many), times what the map says of such ground in the
+    mean. Were it told by another measure, samples so sparse that all they fell on is left in doubt
+    would send the lander to where none fell.
+
+    Parameters
+    ----------
+    judged
+        What was measured.
+    ground
+        Where.
+    p
+        The map's probability that it is fit (rows, cols), but for tracked rocks.
+    terms
+        What is known beforehand; the probability is never more than the mission's.
     """
-    if relief.judged is None:
-        return terms.relief_prior
-    seen = relief.surface.observed
-    worst = np.maximum(relief.judged.slope[seen], relief.judged.roughness[seen])
-    worst = worst[~np.isnan(worst)]
-    lander = terms.lander
+    lander, expected, seen = terms.lander, terms.relief_prior, ground.observed
+    worst = np.maximum(judged.slope[seen], judged.roughness[seen])
+    within = worst <= 1.0
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
-    worth = min(relief.surface.grid.posting**2 / footprint, 1.0)
-    within = worth * float(np.count_nonzero(worst <= 1.0))
-    share = (within + terms.relief_prior) / (worth * len(worst) + 1.0)
-    return min(share, terms.relief_prior)
+    worth = min(ground.grid.posting**2 / footprint, 1.0)
+    number = np.count_nonzero(~np.isnan(worst))
+    share = (worth * np.count_nonzero(within) + expected) / (worth * number + 1.0)
+    if within.any():
+        share *= float(np.mean(p[seen][within], dtype=np.float64)) / max(expected, _LEAST)
+    return float(min(share, expected))
 
 
 def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:

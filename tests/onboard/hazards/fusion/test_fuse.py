@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
+from lunarsim.onboard.hazards.fusion.fuse import fused_map, prior_beside, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
 from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.registration import registered
@@ -119,15 +119,60 @@ def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
 
 @pytest.mark.parametrize("steep", [0, 4, SIDE])
 @pytest.mark.parametrize("what", ["slope", "rough"])
-def test_ground_that_was_not_measured_is_as_likely_steep_or_rough_as_what_was(steep, what):
+def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
     seen = np.ones(GRID.shape, bool)
     seen[:, 6:] = False
     share = np.full(GRID.shape, 0.4, np.float32)
     share[:steep] = 1.3
     both = fused_map(relief(seen=seen, **{what: share}), eyes(0.1), TERMS)
-    worth = GRID.posting**2 / (np.pi * FOOTPRINT**2)
-    prior = (worth * 6 * (SIDE - steep) + 0.9) / (worth * 6 * SIDE + 1.0)
-    assert both.p_safe[:, 6:] == pytest.approx(min(prior, 0.9) * 0.97)
+    cells = list(zip(share[seen].tolist(), both.p_safe[seen].tolist(), strict=True))
+    prior = plain.prior_beside(cells, GRID.posting, FOOTPRINT, 0.9)
+    assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-4)
+
+
+def test_tracked_rocks_beside_it_change_nothing_of_ground_that_was_not_measured():
+    seen = np.ones(GRID.shape, bool)
+    seen[:, 6:] = False
+    far_from_it = tracks((0.0, 2.0, 0.1, 0.9))
+    free, beside = (
+        fused_map(relief(seen=seen), eyes(0.1, found), TERMS) for found in (None, far_from_it)
+    )
+    assert (beside.p_safe < free.p_safe)[:, :4].any()
+    assert np.array_equal(beside.p_safe[:, 8:], free.p_safe[:, 8:])
+
+
+@pytest.mark.parametrize("far", [1.2, 1.5, 2.0])
+def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_fell(far):
+    seen = np.ones(GRID.shape, bool)
+    seen[:, 6:] = False
+    slope, planes = np.full(GRID.shape, 2.0), np.full(GRID.shape, -3.0)
+    slope[:4], planes[:4] = 0.3, 2.0
+    own = relief(seen=seen, slope=slope, planes=planes, density=0.1, curve=rocky(20.0))
+    judged = replace(own.judged, spacing=far * LANDER.leg_radius)
+    p, known = calibrated_safety(judged)
+    own = replace(own, surface=replace(own.surface, p_safe=p, in_domain=known), judged=judged)
+    both = fused_map(own, eyes(0.1), TERMS)
+    assert both.p_safe[:4, :6].max() > both.p_safe[:, 6:].max()
+    assert both.p_safe[:, 6:].max() > both.p_safe[4:, :6].max()
+
+
+@pytest.mark.parametrize("expected", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("posting", [0.25, 9.0])
+def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
+    terms, grid = replace(TERMS, relief_prior=expected), replace(GRID, posting=posting)
+    rng = np.random.default_rng(5)
+    for share_seen in (1.0, 0.3, 0.0):
+        seen = rng.random(GRID.shape) < share_seen
+        slope = rng.uniform(0.0, 2.0, GRID.shape)
+        judged = evidence(slope=slope, seen=seen)
+        ground = HazardMap(grid, np.zeros(GRID.shape, np.float32), seen)
+        p = rng.random(GRID.shape).astype(np.float32)
+        cells = list(zip(judged.slope[ground.observed], p[ground.observed], strict=True))
+        told = plain.prior_beside(cells, posting, FOOTPRINT, expected)
+        assert prior_beside(judged, ground, p, terms) == pytest.approx(told, rel=1e-5)
+        assert told <= expected
+        lower = prior_beside(judged, ground, 0.5 * p, terms)
+        assert lower <= prior_beside(judged, ground, p, terms)
 
 
 def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
@@ -184,7 +229,8 @@ def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
     both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
     heights = heights_of(rock, samples(told), LANDER)
     clear = clear_of(rock, heights, GRID, LANDER)
-    assert both.p_safe[:, 5:] == pytest.approx(0.9 * np.minimum(0.97, clear)[:, 5:], rel=1e-5)
+    free = fused_map(told, eyes(0.1, p=1.0), TERMS).p_safe
+    assert both.p_safe[:, 5:] == pytest.approx((free * np.minimum(0.97, clear))[:, 5:], rel=1e-5)
     assert (both.p_safe[:, 5:] < 0.5).any()
 
 
