@@ -194,21 +194,17 @@ def level_ground(
 
 
 def prior_beside(cells: list, posting: float, footprint: float, expected: float) -> float:
-    """Probability of ground that was not measured; of what was (share of the limits, p) a cell."""
-    worth = min(posting * posting / (math.pi * footprint * footprint), 1.0)
-    number = fit = 0
-    total = 0.0
-    for share, p in cells:
-        if math.isnan(share):
-            continue
-        number += 1
-        if share <= 1.0:
-            fit += 1
-            total += p
-    found = (worth * fit + expected) / (worth * number + 1.0)
-    if fit:
-        found *= total / fit / max(expected, 1e-6)
-    return min(found, expected)
+    """Probability of ground that was not measured; of what was (p, none stands unseen) a cell."""
+    if not cells:
+        return expected
+    sites = total = unseen = 0.0
+    for p, none_unseen in cells:
+        sites += min(posting * posting / (math.pi * footprint * footprint), 1.0)
+        total += p
+        unseen += 0.0 if math.isnan(none_unseen) else none_unseen
+    told = max(unseen / len(cells), 1e-3)
+    one_more = expected * math.exp(math.log(told) * sites / (sites + 1.0))
+    return min((sites * total / len(cells) + one_more) / (sites + 1.0), expected)
 
 
 def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, ratio: float):

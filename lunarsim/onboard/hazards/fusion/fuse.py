@@ -12,7 +12,7 @@ it is more (`level_ground`): both fall with worse evidence of either eye, and so
 them.
 
 So the map is nowhere less than that of the elevations where the other eye saw nothing; where no
-elevation was measured it is the other eye's, times what the mission expects of the ground.
+elevation was measured it is the other eye's, times what the map says of ground that was.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.heights import USUAL, clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by
+from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by, none_unseen
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.fusion.rises import Samples
-from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap, Surface
+from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
 from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import Evidence, calibrated_safety
+from lunarsim.safety.calibration import UNSURE, Evidence, calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.thinning import Thinning
 
@@ -43,8 +43,6 @@ Array = NDArray[np.float64]
 
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
-# A probability that is divided by is never taken for less.
-_LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -111,16 +109,17 @@ def fused_map(
     thinning = thinning_of(rocks, ground.grid, terms)
     judged = _thinned(relief, thinning)
     p, known = _of_elevations(relief, judged)
-    level, prior = np.zeros(ground.grid.shape, np.float32), terms.relief_prior
+    seen, level = ground.observed, np.zeros(ground.grid.shape, np.float32)
+    free_of_tracks, free_of_unseen = p, np.ones(ground.grid.shape)
     if judged is not None:
-        level = level_ground(judged, prior, clear, none_missed)
-        free_of_tracks = np.maximum(p, level_ground(judged, prior, 1.0, none_missed))
-        prior = prior_beside(judged, ground, free_of_tracks, terms)
+        level = level_ground(judged, terms.relief_prior, clear, none_missed)
+        free_of_tracks = np.maximum(p, level_ground(judged, terms.relief_prior, 1.0, none_missed))
+        free_of_unseen = none_unseen(judged, none_missed)
+    prior = prior_beside(free_of_tracks[seen], free_of_unseen[seen], ground.grid.posting, terms)
     # What the eye for rocks has said nothing of is claimed as the elevations claim it.
     whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
-    seen = ground.observed
     # Rocks are as high there as where both eyes have seen some.
     unmeasured = np.float32(prior) * np.minimum(alone.p_safe, clear)
     elevation = ground.elevation
@@ -143,36 +142,39 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
 
 
-def prior_beside(judged: Evidence, ground: Surface, p: FloatMap, terms: FusionTerms) -> float:
+def prior_beside(
+    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
+) -> float:
     """Return the probability that ground that was not measured is fit, but for tracked rocks.
 
-    It is as likely to be so as what was measured about it. That is the share of the latter whose
-    slope and roughness are within the limits, the mission's expectation counting as one site more
-    (sites whose footprints overlap are not many), times what the map says of such ground in the
-    mean. Were it told by another measure, samples so sparse that all they fell on is left in doubt
-    would send the lander to where none fell.
+    It is as likely to be so as what was measured, by the same map and in the mean: were it told by
+    another measure, samples so sparse that all they fell on is left in doubt would send the lander
+    to where none fell. What the mission expects counts as one site more (sites whose footprints
+    overlap are not many), and is never exceeded. That site, too, is told by what the map can tell:
+    where rocks may stand unseen on all that was measured, so they may there, the more surely the
+    more was measured.
 
     Parameters
     ----------
-    judged
-        What was measured.
-    ground
-        Where.
-    p
-        The map's probability that it is fit (rows, cols), but for tracked rocks.
+    free_of_tracks
+        The map's probability that what was measured is fit (n,), but for tracked rocks.
+    free_of_unseen
+        The part of it that no slope and no roughness enters (n,); NaN where it is not known.
+    posting
+        Of the cells, m.
     terms
-        What is known beforehand; the probability is never more than the mission's.
+        What is known beforehand.
     """
-    lander, expected, seen = terms.lander, terms.relief_prior, ground.observed
-    worst = np.maximum(judged.slope[seen], judged.roughness[seen])
-    within = worst <= 1.0
+    lander, expected = terms.lander, terms.relief_prior
+    number = len(free_of_tracks)
+    if number == 0:
+        return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
-    worth = min(ground.grid.posting**2 / footprint, 1.0)
-    number = np.count_nonzero(~np.isnan(worst))
-    share = (worth * np.count_nonzero(within) + expected) / (worth * number + 1.0)
-    if within.any():
-        share *= float(np.mean(p[seen][within], dtype=np.float64)) / max(expected, _LEAST)
-    return float(min(share, expected))
+    sites = min(posting**2 / footprint, 1.0) * number
+    told = max(float(np.mean(np.nan_to_num(free_of_unseen, nan=0.0))), UNSURE)
+    one_more = expected * told ** (sites / (sites + 1.0))
+    mean = float(np.mean(free_of_tracks, dtype=np.float64))
+    return float(min((sites * mean + one_more) / (sites + 1.0), expected))
 
 
 def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:

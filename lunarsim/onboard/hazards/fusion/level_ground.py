@@ -64,14 +64,23 @@ def level_ground(
     none_missed
         See `none_missed_by` (rows, cols).
     """
-    if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
-        return np.zeros(judged.level.grid.shape, np.float32)
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
         level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
-    none_unseen = np.maximum(np.exp(-_MISCOUNTED * judged.hazards()), none_missed)
-    p = np.minimum(prior * level * none_unseen * clear, ceiling(judged))
+    p = prior * level * none_unseen(judged, none_missed) * clear
+    p = np.minimum(p, ceiling(judged))
     return np.where(judged.observed & np.isfinite(p), p, 0.0).astype(np.float32)
+
+
+def none_unseen(judged: Evidence, none_missed: Array | float = 0.0) -> Array:
+    """Return the probability that no rock stands there that nobody has seen (rows, cols).
+
+    However the ground lies. 0 for samples noisier, or farther apart, than any that maps were tried
+    on. Parameters are those of `level_ground`.
+    """
+    if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
+        return np.zeros(judged.level.grid.shape)
+    return np.asarray(np.maximum(np.exp(-_MISCOUNTED * judged.hazards()), none_missed))
 
 
 def none_missed_by(
