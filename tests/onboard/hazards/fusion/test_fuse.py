@@ -205,8 +205,8 @@ def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
 def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
     terms = replace(TERMS, relief_prior=expected)
     rng = np.random.default_rng(5)
-    for n in (0, 1, 7, 200):
-        p, free = rng.random(n).astype(np.float32), rng.random(n)
+    for n, most in ((0, 1.0), (1, 1.0), (7, 1.0), (200, 1.0), (7, 0.0), (200, 0.0)):
+        p, free = rng.random(n).astype(np.float32), most * rng.random(n)
         free[rng.random(n) < 0.1] = np.nan
         found = prior_beside(p, free, posting, terms)
         told = beside(zip(p.tolist(), free.tolist(), strict=True), expected, posting)
