@@ -195,7 +195,7 @@ def level_ground(
 
 def prior_beside(cells: list, posting: float, footprint: float, expected: float) -> float:
     """Probability of ground that was not measured; of what was (p, none stands unseen) a cell."""
-    if not cells:
+    if not cells or expected == 0.0:
         return expected
     sites = total = unseen = 0.0
     for p, none_unseen in cells:
@@ -203,8 +203,14 @@ def prior_beside(cells: list, posting: float, footprint: float, expected: float)
         total += p
         unseen += 0.0 if math.isnan(none_unseen) else none_unseen
     told = max(unseen / len(cells), 1e-3)
-    one_more = expected * math.exp(math.log(told) * sites / (sites + 1.0))
-    return min((sites * total / len(cells) + one_more) / (sites + 1.0), expected)
+    odds = 0.0
+    for weight, p in (
+        (sites, total / len(cells)),
+        (1.0, expected * math.exp(math.log(told) * sites / (sites + 1.0))),
+    ):
+        within = min(max(p, 1e-12), expected)
+        odds += weight * math.log(within / (1.0 - within))
+    return 1.0 / (1.0 + math.exp(-odds / (sites + 1.0)))
 
 
 def genuine(tracks: list, rises, x0: float, y0: float, posting: float, density, ratio: float):

@@ -11,7 +11,7 @@ from lunarsim._lanes import LANES, larger, load, store
 _PRICE = np.float32(1e-3 / 100.0)
 # Stands for cells that are no site.
 NOWHERE = np.float32(-1e30)
-_NOUGHT = np.float32(0.0)
+_NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 
 @kernel(finite=True)
@@ -26,7 +26,7 @@ def _scored(aim, dy, offset, score):
     """Write how good each cell of a row is (cols,)."""
     for c in range(len(aim)):
         dx = offset[c]
-        good = aim[c] - _PRICE * np.sqrt(dx * dx + dy * dy)
+        good = aim[c] * (_WHOLE - _PRICE * np.sqrt(dx * dx + dy * dy))
         score[c] = good if aim[c] > _NOUGHT else NOWHERE
 
 

@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 
 # Besides the safest sites, the nearest ones at least this safe.
 _LEVELS = (0.99, 0.95, 0.8, 0.5)
-# Between equally safe sites the nearer wins: p_safe that 100 m of distance cost.
+# Between equally safe sites the nearer wins: the share of p_safe that 100 m of distance cost. A
+# share, since a map that leaves all ground in doubt still orders it, by thousandths.
 _DISTANCE_PRICE = 1e-3
 
 
@@ -25,7 +26,8 @@ def best_cells(
     aim: FloatMap, distance: Array, posting: float, count: int, separation: float
 ) -> NDArray[np.int64]:
     """Return up to `count` cells (n, 2) of greatest aim, no two closer than `separation` (m)."""
-    score = aim - np.float32(_DISTANCE_PRICE / 100.0) * distance.astype(np.float32)
+    price = np.float32(_DISTANCE_PRICE / 100.0) * distance.astype(np.float32)
+    score = aim * (np.float32(1.0) - price)
     score[aim <= 0.0] = -np.inf
     reach = int(np.ceil(separation / posting))
     offsets = np.arange(-reach, reach + 1)

@@ -36,6 +36,16 @@ def test_best_cells_are_apart_and_best():
     assert (np.diff(values) <= 0.0).all()
 
 
+def test_a_map_that_doubts_all_ground_proposes_the_cells_of_one_that_does_not():
+    rng = np.random.default_rng(2)
+    aim, distance = rng.random((60, 60)).astype(np.float32), 100.0 * rng.random((60, 60))
+    sure = best_cells(aim, distance, 0.5, 10, 3.0)
+    assert np.array_equal(best_cells(aim * np.float32(2.0**-12), distance, 0.5, 10, 3.0), sure)
+    # What is as safe is proposed from near by.
+    alike = best_cells(np.full((60, 60), 2.0**-12, np.float32), distance, 0.5, 1, 3.0)
+    assert distance[tuple(alike[0])] == pytest.approx(distance.min(), abs=0.01)
+
+
 def test_candidates_hold_the_nearest_safe_cell():
     grid = Grid.centred((0.0, 0.0), 60.0, 1.0)
     p = np.zeros(grid.shape, np.float32)

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, logit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
@@ -43,6 +44,8 @@ Array = NDArray[np.float64]
 
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
+# Probabilities are averaged on log odds as if none were less.
+_NEVER = 1e-12
 
 
 @dataclass(frozen=True)
@@ -150,9 +153,9 @@ def prior_beside(
     It is as likely to be so as what was measured, by the same map and in the mean: were it told by
     another measure, samples so sparse that all they fell on is left in doubt would send the lander
     to where none fell. What the mission expects counts as one site more (sites whose footprints
-    overlap are not many), and is never exceeded. That site, too, is told by what the map can tell:
-    where rocks may stand unseen on all that was measured, so they may there, the more surely the
-    more was measured.
+    overlap are not many) on log odds, so that it matters little beside many, and is never exceeded.
+    That site, too, is told by what the map can tell: where rocks may stand unseen on all that was
+    measured, so they may there, the more surely the more was measured.
 
     Parameters
     ----------
@@ -167,14 +170,15 @@ def prior_beside(
     """
     lander, expected = terms.lander, terms.relief_prior
     number = len(free_of_tracks)
-    if number == 0:
+    if number == 0 or expected <= _NEVER:
         return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     sites = min(posting**2 / footprint, 1.0) * number
     told = max(float(np.mean(np.nan_to_num(free_of_unseen, nan=0.0))), UNSURE)
     one_more = expected * told ** (sites / (sites + 1.0))
     mean = float(np.mean(free_of_tracks, dtype=np.float64))
-    return float(min((sites * mean + one_more) / (sites + 1.0), expected))
+    each = logit(np.clip((mean, one_more), _NEVER, expected))
+    return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))
 
 
 def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:
