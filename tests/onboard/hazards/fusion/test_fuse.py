@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, prior_beside, thinning_of
+from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import believed, level_ground, none_unseen
+from lunarsim.onboard.hazards.fusion.level_ground import believed
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -105,124 +105,6 @@ def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
             replace(TERMS, relief_prior=prior)
 
 
-def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
-    seen = np.ones(GRID.shape, bool)
-    seen[:, 5:] = False
-    both = fused_map(relief(seen=seen), eyes(0.1), TERMS)
-    assert both.observed.all()
-    assert both.p_safe[:, 5:] == pytest.approx(0.9 * 0.97, rel=1e-4)
-    assert not both.in_domain[:, 5:].any()
-    nothing = fused_map(relief(seen=seen), eyes(0.1, seen=False), TERMS)
-    assert np.array_equal(nothing.observed, seen)
-    assert not nothing.p_safe[~seen].any()
-
-
-LEFT = np.ones(GRID.shape, bool)
-LEFT[:, 6:] = False
-
-
-def beside(cells, expected=0.9, posting=GRID.posting):
-    return plain.prior_beside(list(cells), posting, FOOTPRINT, expected)
-
-
-@pytest.mark.parametrize("steep", [0, 4, SIDE])
-@pytest.mark.parametrize("what", ["slope", "rough"])
-def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
-    share = np.full(GRID.shape, 0.4, np.float32)
-    share[:steep] = 1.3
-    own = relief(seen=LEFT, **{what: share})
-    both = fused_map(own, eyes(0.1), TERMS)
-    thinned = replace(own.judged, thinning=thinning_of(eyes(0.1), GRID, TERMS))
-    free = np.exp(-10.0 * thinned.hazards())
-    prior = beside(zip(both.p_safe[LEFT].tolist(), free[LEFT].tolist(), strict=True))
-    assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
-
-
-@pytest.mark.parametrize("found", [None, tracks((0.0, 2.0, 0.4, 0.9))])
-def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(found):
-    density = np.full(GRID.shape, 0.5)
-    density[:4] = 30.0
-    level = {"slope": 0.5, "rough": 0.2} | DOUBTED | {"density": density}
-    own = replace(relief(seen=LEFT, **level), rises=SAMPLED)
-    missed = np.full(GRID.shape, 0.2, np.float32)
-    told = eyes(0.1, found, unseen=missed)
-    both = fused_map(own, told, TERMS)
-    thinned = replace(own.judged, thinning=thinning_of(told, GRID, TERMS))
-    p, _ = calibrated_safety(thinned)
-    flat = level_ground(thinned, 0.9, 1.0, 0.8)
-    assert (flat > p)[LEFT].all()
-    free = np.maximum(np.exp(-10.0 * thinned.hazards()), 0.8)
-    assert (free[LEFT] == 0.8).any()
-    assert (free[LEFT] > 0.8).any()
-    prior = beside(zip(flat[LEFT].tolist(), free[LEFT].tolist(), strict=True))
-    assert both.p_safe[:, 8:] == pytest.approx(prior * 0.97, rel=1e-5)
-    if found is not None:
-        assert (both.p_safe < flat)[LEFT].any()
-
-
-@pytest.mark.parametrize("far", [1.2, 1.5, 2.0])
-def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_fell(far):
-    slope, planes = np.full(GRID.shape, 2.0), np.full(GRID.shape, -3.0)
-    slope[:4], planes[:4] = 0.3, 2.0
-    own = relief(seen=LEFT, slope=slope, planes=planes, density=0.1, curve=rocky(20.0))
-    judged = replace(own.judged, spacing=far * LANDER.leg_radius)
-    p, known = calibrated_safety(judged)
-    terms = replace(TERMS, relief_prior=0.9)
-    # As many sites as a map has.
-    prior = prior_beside(np.tile(p[LEFT], 400), np.zeros(400 * LEFT.sum()), 0.5, terms)
-    assert p[:4].max() > prior > p[4:].min()
-    own = replace(own, surface=replace(own.surface, p_safe=p, in_domain=known), judged=judged)
-    # The fewer were measured the more the mission's expectation counts.
-    assert 0.9 > fused_map(own, eyes(0.1), TERMS).p_safe[:, 6:].max() > prior
-
-
-@pytest.mark.parametrize("density", [0.1, 30.0])
-@pytest.mark.parametrize("side", [2, SIDE])
-def test_ground_beside_steep_ground_is_no_safer_for_steeper_ground(density, side):
-    seen = np.zeros(GRID.shape, bool)
-    seen[:side, :side] = True
-    seen[:, 6:] = False
-    slopes = (0.5, 0.85, 0.999, 1.001, 1.5)
-    p = [
-        fused_map(relief(seen=seen, slope=slope, density=density), eyes(0.1), TERMS).p_safe[:, 6:]
-        for slope in slopes
-    ]
-    assert all((worse <= better + 1e-6).all() for better, worse in pairwise(p))
-
-
-def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
-    for slope, level, density in product((0.5, 0.85, 0.95), (-4.0, 1.0), (0.1, 3.0, 30.0)):
-        judged = evidence(slope=slope, level=level, density=density)
-        p, _ = calibrated_safety(judged)
-        told = np.maximum(p, level_ground(judged, 0.9)).ravel()
-        free = none_unseen(judged).ravel()
-        prior = prior_beside(np.tile(told, 400), np.tile(free, 400), GRID.posting, TERMS)
-        assert 0.97 * prior <= told.max(), (slope, level, density)
-
-
-@pytest.mark.parametrize("expected", [0.0, 0.3, 0.9])
-@pytest.mark.parametrize("posting", [0.25, 9.0])
-def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, posting):
-    terms = replace(TERMS, relief_prior=expected)
-    rng = np.random.default_rng(5)
-    for n, most in ((0, 1.0), (1, 1.0), (7, 1.0), (200, 1.0), (7, 0.0), (200, 0.0)):
-        p, free = rng.random(n).astype(np.float32), most * rng.random(n)
-        free[rng.random(n) < 0.1] = np.nan
-        found = prior_beside(p, free, posting, terms)
-        told = beside(zip(p.tolist(), free.tolist(), strict=True), expected, posting)
-        assert found == pytest.approx(told, rel=1e-5)
-        assert found <= expected
-        assert prior_beside(0.5 * p, free, posting, terms) <= found
-        assert prior_beside(p, 0.5 * free, posting, terms) <= found
-
-
-def test_beside_a_map_that_tells_nothing_of_its_samples_ground_is_as_likely_as_that_says():
-    own = replace(relief(seen=LEFT, slope=0.95), judged=None)
-    both = fused_map(own, eyes(0.1), TERMS)
-    prior = beside((float(p), 1.0) for p in own.surface.p_safe[LEFT])
-    assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
-
-
 def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
     own = replace(relief(), judged=None)
     both = fused_map(own, eyes(0.1, tracks((2.0, 2.0, 0.4, 0.5))), TERMS)
@@ -267,19 +149,6 @@ def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
     expected = p * clear_of(known, heights, GRID, LANDER)
     assert both.p_safe == pytest.approx(expected, rel=1e-5)
     assert (expected < 0.99 * p).any()
-
-
-def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
-    seen = np.ones(GRID.shape, bool)
-    seen[:, 5:] = False
-    rock = tracks((3.5, 2.0, 0.6, 0.9))
-    told = replace(relief(seen=seen, density=1e-6), rises=np.full(GRID.shape, np.nan, np.float32))
-    both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
-    heights = heights_of(rock, samples(told), LANDER)
-    clear = clear_of(rock, heights, GRID, LANDER)
-    free = fused_map(told, eyes(0.1, p=1.0), TERMS).p_safe
-    assert both.p_safe[:, 5:] == pytest.approx((free * np.minimum(0.97, clear))[:, 5:], rel=1e-5)
-    assert (both.p_safe[:, 5:] < 0.5).any()
 
 
 @given(
