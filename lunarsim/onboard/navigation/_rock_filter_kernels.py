@@ -27,24 +27,40 @@ def add_outer(p, w):
                 p[i, j] += a * w[j]
 
 
-@kernel(parallel=True)
-def subtract_product(p, product, states, place):
-    """Subtract rows (k, n) from rows `states` (k,) of the symmetric p, and from its columns.
+@kernel()
+def subtract_from_rows(p, product, states):
+    """Subtract rows (k, n) from rows `states` (k,) of the matrix p in place."""
+    for k in range(states.size):
+        row = p[states[k]]
+        for j in range(row.size):
+            row[j] -= product[k, j]
 
-    `place` (n,) is where a state stands among `states`, or -1.
+
+@kernel(parallel=True)
+def take_over_columns(p, rows, columns):
+    """Let p[rows, columns] be p[columns, rows]', no row being among the columns.
+
+    Eight rows at a time use whole cache lines, where rows lie side by side.
     """
-    for k in prange(states.size):
-        p[states[k]] -= product[k]
-    # Each thread writes rows of its own; of two states that both changed, the later one's row
-    # takes over what stands in the earlier one's. Eight rows at a time use whole cache lines.
-    for block in prange((len(p) + 7) // 8):
+    for block in prange((rows.size + 7) // 8):
         first = 8 * block
-        last = min(first + 8, len(p))
-        for k in range(states.size):
-            row = p[states[k]]
+        last = min(first + 8, rows.size)
+        for k in range(columns.size):
+            source = p[columns[k]]
             for i in range(first, last):
-                if place[i] < 0 or k < place[i]:
-                    p[i, states[k]] = row[i]
+                p[rows[i], columns[k]] = source[rows[i]]
+
+
+@kernel(parallel=True)
+def take_over_earlier(p, states):
+    """Let p[states[i], states[k]] be p[states[k], states[i]] for k < i."""
+    for block in prange((states.size + 7) // 8):
+        first = 8 * block
+        last = min(first + 8, states.size)
+        for k in range(last):
+            source = p[states[k]]
+            for i in range(max(first, k + 1), last):
+                p[states[i], states[k]] = source[states[i]]
 
 
 @kernel(parallel=True)

@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
-from lunarsim.onboard.navigation._rock_filter_kernels import subtract_outer, subtract_product
+from lunarsim.onboard.navigation._rock_filter_kernels import (
+    subtract_from_rows,
+    subtract_outer,
+    take_over_earlier,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -43,19 +47,17 @@ def subtract_square(p: Array, w: Array) -> None:
 def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
     """Subtract the gain (s, k) times H P (k, n) from rows `states` (s,) of the symmetric p (n, n).
 
-    In place, and from its columns too. Blocks of rows are shared among threads, and are the same
-    however many there are.
+    In place. Among the states p stays symmetric; their columns in rows of others are left as they
+    are. Blocks of rows are shared among threads, and are the same however many there are.
     """
-    place = np.full(len(p), -1)
-    place[states] = np.arange(len(states))
-    product = np.empty((len(states), len(p)))
 
-    def multiply(start: int) -> None:
-        np.matmul(gain[start : start + _ROWS], hp, out=product[start : start + _ROWS])
+    def subtract(start: int) -> None:
+        block = slice(start, start + _ROWS)
+        subtract_from_rows(p, gain[block] @ hp, states[block])
 
-    _share(multiply, range(0, len(states), _ROWS))
-    with threads_for(1e-3 * len(states) * len(p)):
-        subtract_product(p, product, states, place)
+    _share(subtract, range(0, len(states), _ROWS))
+    with threads_for(1e-3 * len(states) ** 2):
+        take_over_earlier(p, states)
 
 
 def _share(job: Callable[[int], None], starts: range) -> None:

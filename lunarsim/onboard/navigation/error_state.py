@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.linalg.blas import dtrsm
 from scipy.special import chdtrc
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.covariance_update import subtract_square
 from lunarsim.onboard.navigation.doubt import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
@@ -28,7 +27,7 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
-from lunarsim.onboard.navigation.put_off import PutOff
+from lunarsim.onboard.navigation.resting_errors import RestingErrors
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,7 +71,7 @@ class Outcome:
     white: Array = field(default_factory=lambda: np.zeros(0))
 
 
-class ErrorState:
+class ErrorState(RestingErrors):
     """Covariance of all that a filter errs by, and how time and measurements change it.
 
     Parameters
@@ -110,64 +109,16 @@ class ErrorState:
         self.listeners: list[Callable[[Array], None]] = []
         self._blocks: dict[str, slice] = {}
         self._values: dict[str, Array] = {}
-        parts = [inertial.covariance(errors or StartSigmas())]
-        self.head = INERTIAL
+        parts, head = [inertial.covariance(errors or StartSigmas())], INERTIAL
         for name, given in (blocks or {}).items():
             own = _covariance(f"navigation.{name}", given)
-            self._blocks[name] = slice(self.head, self.head + len(own))
+            self._blocks[name] = slice(head, head + len(own))
             self._values[name] = np.zeros(len(own))
-            self.head += len(own)
+            head += len(own)
             parts.append(own)
-        self.tail = 0
-        self._p = np.zeros((self.head + capacity,) * 2)
-        at = 0
-        for own in parts:
-            self._p[at : at + len(own), at : at + len(own)] = own
-            at += len(own)
-        self._rests = np.zeros(0, np.bool_)
-        self._put_off = PutOff()
+        super().__init__(block_diag(*parts), capacity)
 
     # --- layout ---------------------------------------------------------------------------
-
-    @property
-    def size(self) -> int:
-        """Number of errors."""
-        return self.head + self.tail
-
-    @property
-    def p(self) -> Array:
-        """Covariance of all errors, with room for more behind them."""
-        self._settle()
-        return self._p
-
-    def _settle(self) -> None:
-        """Take in what has been put off: of the head it has been taken in at once."""
-        if self._put_off.rows:
-            with one_blas_thread():
-                self._put_off.settle(self._p[self.head :, self.head :])
-
-    @property
-    def covariance(self) -> Array:
-        """Of all errors (size, size)."""
-        return np.asarray(self.p[: self.size, : self.size])
-
-    def own(self, columns: ArrayLike) -> Array:
-        """Return the covariance of some errors (k, k); of lander and blocks it costs nothing."""
-        at = np.asarray(columns)
-        return np.asarray(self._for(at)[np.ix_(at, at)])
-
-    def _rows(self, at: Index) -> Array:
-        """Return rows of the covariance (k, size)."""
-        return np.asarray(self._for(at)[at])
-
-    def _for(self, *columns: ArrayLike) -> Array:
-        """Return the covariance where only rows and columns of some errors (k,) are used.
-
-        Those of lander and blocks are never put off.
-        """
-        last = max(int(np.max(at, initial=0)) for at in columns)
-        held = self._p if last < self.head else self.p
-        return np.asarray(held[: self.size, : self.size])
 
     def block(self, name: str) -> slice:
         """Return where a block lies."""
@@ -196,17 +147,10 @@ class ErrorState:
         at = np.asarray(columns)
         self._for(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
-    def reserve(self, tail: int) -> None:
-        """Make room for so many errors behind the blocks."""
-        if self.head + tail <= len(self._p):
-            return
-        grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
-        grown[: self.size, : self.size] = self.covariance
-        self._p = grown
-
     def clone(self, name: str, source: Index) -> None:
         """Let a block err from now on as other errors do, for instance the pose of now."""
-        p, into = self._for(source), self._blocks[name]
+        p = self._p if int(np.max(source)) < self.head else self.p
+        into = self._blocks[name]
         p[into] = p[source]
         p[:, into] = p[:, source]
 
@@ -217,25 +161,6 @@ class ErrorState:
         own = float(row[sources] @ weights) + variance
         p[at], p[:, at] = row, row
         p[at, at] = own
-
-    def rest(self, tail: NDArray[np.bool_]) -> None:
-        """Leave errors behind the blocks (tail,) as they are until told otherwise.
-
-        Measurements of others correct neither them nor their own covariance, while their
-        correlations with what is corrected are kept up, so that the covariance stays that of the
-        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). A measurement then takes
-        time in proportion to the number of errors, and not to its square.
-        """
-        if not np.array_equal(tail, self._rests):
-            self._settle()  # What was put off is of those that rested till now.
-            self._rests = tail
-
-    def _awake(self) -> Index | None:
-        """Return the errors behind the head that measurements correct; None for all of them."""
-        # Correcting half of all alone costs as much as correcting all of them.
-        if 2 * np.count_nonzero(self._rests) < max(self.tail, 1):
-            return None
-        return np.flatnonzero(~self._rests)
 
     # --- time -----------------------------------------------------------------------------
 
@@ -313,23 +238,6 @@ class ErrorState:
         self._take_off(w, awake)
         self.correct(error)
         return outcome
-
-    def _take_off(self, w: Array, awake: Index | None) -> None:
-        """Take w' w off the covariance, w being (m, size): of what stands behind the head later on.
-
-        Parameters are those of `PutOff.add`, `awake` being counted from the head on.
-        """
-        n, p = self.head, self._for(self.head - 1)
-        if self.tail == 0:
-            subtract_square(p, w)
-            return
-        with one_blas_thread():
-            p[:n] -= w[:, :n].T @ w
-        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
-        p[n:, :n] = p[:n, n:].T
-        self._put_off.add(np.ascontiguousarray(w[:, n:]), awake)
-        if self._put_off.full:
-            self._settle()
 
     def inform(
         self,

@@ -22,7 +22,7 @@ _MOST = 256
 class PutOff:
     """Squares that are still to be taken off a symmetric matrix.
 
-    Of rows that rest, the block among themselves stays as it is: see `ErrorState.rest`.
+    Of rows that rest, the block among themselves stays as it is: see `RestingErrors.rest`.
     """
 
     def __init__(self) -> None:
@@ -56,8 +56,20 @@ class PutOff:
             self._of_awake.append(w)
             self._awake = awake
 
-    def settle(self, p: Array) -> None:
-        """Take all of it off the matrix p in place, of which these are the first n rows."""
+    @property
+    def of_all(self) -> bool:
+        """Whether any of it is to be taken off rows that rest."""
+        return bool(self._of_all)
+
+    def settle(self, p: Array) -> bool:
+        """Take all of it off the matrix p in place, of which these are the first n rows.
+
+        Returns
+        -------
+        lags
+            Whether columns of rows that do not rest are left as they were in those that rest.
+        """
+        lags = False
         if self._of_all:
             w = np.concatenate(self._of_all)
             n = w.shape[1]
@@ -66,4 +78,6 @@ class PutOff:
             w, n = np.concatenate(self._of_awake), self._of_awake[0].shape[1]
             own = np.ascontiguousarray(w[:, self._awake].T)
             subtract_rows(p[:n, :n], own, w, self._awake)
+            lags = 0 < len(self._awake) < n
         self._of_all, self._of_awake, self._awake = [], [], None
+        return lags

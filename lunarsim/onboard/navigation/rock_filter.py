@@ -196,7 +196,7 @@ class RockFilter(RockStates):
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
-        p = self.state.p
+        p = self.state.for_rows(POSE)
         pose = p[np.ix_(POSE, POSE)]
         cross = np.moveaxis(p[POSE[:, None, None], self.places()[None]], 0, 1)  # (n, 6, 3)
         own = self.rock_covariance()
@@ -274,7 +274,8 @@ class RockFilter(RockStates):
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = self.places(index)
         with threads_for(1e-2 * m * self.state.size):
-            hp = measured_rows(self.state.p, self.state.size, POSE, a, columns, b)
+            p = self.state.for_rows(POSE, columns)
+            hp = measured_rows(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
         own = hp[:, columns.ravel()].reshape(2 * m, m, AXES)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
@@ -333,7 +334,7 @@ class RockFilter(RockStates):
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
-        self.state.p[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
+        self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
     def _wander_together(self, sigma: Array, axis: Array) -> None:
         """Let all rocks have moved along a level axis (2,), by one number times sigma (n,), m."""
@@ -341,7 +342,7 @@ class RockFilter(RockStates):
         move = np.zeros((self.count, AXES))
         move[:, :2] = sigma[:, None] * axis
         with threads_for(2e-3 * size**2):
-            add_outer(self.state.p[self.first : size, self.first : size], move.ravel())
+            add_outer(self.state.for_rows()[self.first : size, self.first : size], move.ravel())
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.
@@ -438,11 +439,11 @@ class RockFilter(RockStates):
     def _stand(self, index: Index, by_pose: Array, by_height: Array, own: Array) -> None:
         """Let east and north of rocks (b,) err as pose, height and pixel have it, see `_told`."""
         b = len(index)
-        p, size, i = self.state.p, self.state.size, self.places(index)
-        level = i[:, :2].ravel()
+        size, i = self.state.size, self.places(index)
+        p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
         rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
-        p[level, :size], p[:size, level] = rows, rows.T
+        self.state.put(level, rows)
         block = rows[:, POSE] @ by_pose.reshape(2 * b, 6).T
         block += rows[:, i[:, 2]].repeat(2, 1) * by_height.ravel()
         at = np.arange(2 * b).reshape(b, 2)

@@ -82,7 +82,7 @@ class RockStates:
     def rest(self, rocks: NDArray[np.bool_]) -> None:
         """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
 
-        See `ErrorState.rest`.
+        See `RestingErrors.rest`.
         """
         self._rests[: self.count] = rocks
         self._note_rests()
@@ -118,7 +118,7 @@ class RockStates:
     def rock_covariance(self) -> Array:
         """Return the covariance of each rock's coordinates (n, 3, 3), m^2."""
         i = self.places()
-        return np.asarray(self.state.p[i[:, :, None], i[:, None, :]])
+        return np.asarray(self.state.for_rows()[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
         """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
@@ -129,7 +129,7 @@ class RockStates:
         own = self.rock_covariance()
         if self.count == 0:
             return own
-        p = self.state.p
+        p = self.state.for_rows()
         cross = np.moveaxis(p[np.arange(AXES)[:, None, None], self.places()[None]], 0, 1)
         return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
 
@@ -141,9 +141,9 @@ class RockStates:
         near
             Numbers of the others (n, k).
         """
-        p, height = self.state.p, self.places()[:, 2]
+        p, height = self.state.for_rows(), self.places()[:, 2]
         own = p[height, height]
-        between = p[height[:, None], height[near]]
+        between = self.state.between(height[:, None], height[near])
         return np.asarray(own[:, None] + own[near] - 2.0 * between)
 
     @property
@@ -229,7 +229,7 @@ class RockStates:
         self._reserve(self.count + len(points))
         old = self.state.size
         self._counted(self.count + len(points))
-        p, size = self.state.p, self.state.size
+        p, size = self.state.for_rows(), self.state.size
         p[old:size, :size] = 0.0
         p[:size, old:size] = 0.0
         self._xyz[index] = points
@@ -301,10 +301,7 @@ class RockStates:
         movers = left + np.flatnonzero(~gone[left:])
         old = np.arange(left)
         old[holes] = movers
-        to, source = self.places(holes).ravel(), self.places(movers).ravel()
-        p, size = self.state.p, self.state.size
-        p[to, :size] = p[source, :size]
-        p[:size, to] = p[:size, source]
+        self.state.keep(AXES * left, self.places(holes).ravel(), self.places(movers).ravel())
         self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
         self._rests[holes] = self._rests[movers]

@@ -49,10 +49,10 @@ def place_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
 
 def _mean_sigma(rocks: RockFilter, near: Index) -> Array:
     """Return how well the mean place of rocks (n, k) is known from the lander, 1 sigma (n,), m."""
-    p, places = rocks.state.p, rocks.places()
+    p, places = rocks.state.for_rows(), rocks.places()
     variance = np.zeros(len(near))
     for axis in range(2):
         at = places[near, axis]
-        between = p[at[:, :, None], at[:, None, :]].mean((1, 2))
+        between = rocks.state.between(at[:, :, None], at[:, None, :]).mean((1, 2))
         variance += 0.5 * (between - 2.0 * p[axis, at].mean(1) + p[axis, axis])
     return np.sqrt(np.maximum(variance, 0.0))

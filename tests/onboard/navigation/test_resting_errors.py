@@ -1,0 +1,145 @@
+"""Columns that lag behind, errors that change places and rows that are put in."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lunarsim.onboard.navigation._rock_filter_kernels import take_over_columns, take_over_earlier
+from tests.onboard.navigation.states import made
+
+TAIL = 40
+
+
+def step(state, rng):
+    """Do to a state what pictures do to it, drawn at random."""
+    head, size = state.head, state.size
+    what = rng.integers(0, 7)
+    if what <= 1:
+        columns = rng.permutation(size)[:6]
+        state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
+    elif what == 2:  # few begin or cease to rest, or many
+        changed = rng.random(state.tail) < rng.choice([0.05, 0.5])
+        state.rest(np.logical_xor(np.arange(state.tail) >= 10, changed))
+    elif what == 3:  # some go, the last take their places
+        gone = rng.random(state.tail) < 0.1
+        left = int((~gone).sum())
+        holes, movers = np.flatnonzero(gone[:left]), left + np.flatnonzero(~gone[left:])
+        state.keep(left, head + holes, head + movers)
+    elif what == 4:
+        add(state, rng)
+    elif what == 5:
+        at = head + rng.permutation(state.tail)[:2]
+        rows = state.for_rows(at)[at, :size] * 0.5
+        state.put(at, rows)
+        state.widen(at, 10.0 * np.eye(2))
+    else:
+        one = head + int(rng.integers(state.tail))
+        others = rng.permutation(np.delete(np.arange(size), one))[:3]
+        state.follow(one, others, np.array([0.5, 0.3, 0.2]), 0.1)
+
+
+def add(state, rng):
+    """Let new errors come, which do not rest."""
+    old, rests = state.size, state.rests
+    state.reserve(state.tail + 2)
+    p = state.for_rows()
+    p[old : old + 2], p[:, old : old + 2] = 0.0, 0.0
+    p[old, old], p[old + 1, old + 1] = rng.uniform(0.5, 2.0, 2)
+    state.tail += 2
+    state.rest(np.append(rests, [False, False]))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60)
+def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
+    """One state is asked for its whole covariance after every step, the other for rows alone."""
+    rng = np.random.default_rng(seed)
+    lags = made(rng, TAIL)
+    whole = copy.deepcopy(lags)
+    for state in (lags, whole):
+        state.rest(np.arange(TAIL) >= 10)
+    for _ in range(25):
+        number = int(rng.integers(2**32))
+        for state in (lags, whole):
+            step(state, np.random.default_rng(number))
+        p = whole.covariance
+        assert np.array_equal(p, p.T)
+        lags.for_rows()
+        one, other = rng.integers(0, lags.size, (2, 5, 3))
+        assert np.array_equal(lags.between(one, other), p[one, other])
+        awake = np.flatnonzero(~np.append(np.zeros(lags.head, bool), lags.rests))
+        assert np.array_equal(lags.for_rows(awake)[awake, : lags.size], p[awake])
+    assert np.array_equal(lags.covariance, whole.covariance)
+    assert lags.inertial.position == pytest.approx(whole.inertial.position, abs=0.0)
+
+
+def test_rows_of_errors_that_rest_are_brought_up_to_date_when_asked_for():
+    state = made(np.random.default_rng(3), TAIL)
+    state.rest(np.arange(TAIL) >= 10)
+    whole = copy.deepcopy(state)
+    for each in (state, whole):
+        each.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    resting = np.array([state.head + 12])
+    behind = state.for_rows()[resting, : state.size].copy()
+    assert not np.array_equal(behind, whole.covariance[resting])
+    assert np.array_equal(state.for_rows(resting)[resting, : state.size], whole.covariance[resting])
+
+
+def test_errors_that_take_others_places_keep_what_they_are():
+    rng = np.random.default_rng(5)
+    state = made(rng, TAIL)
+    rests = rng.random(TAIL) < 0.7
+    state.rest(rests)
+    state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    state.for_rows()
+    before = copy.deepcopy(state).covariance.copy()
+    to, source = np.array([2, 5]), np.array([38, 39])
+    state.keep(38, state.head + to, state.head + source)
+    order = np.arange(38)
+    order[to] = source
+    assert np.array_equal(state.rests, rests[order])
+    rows = np.append(np.arange(state.head), state.head + order)
+    assert state.size == len(rows)
+    assert np.array_equal(state.covariance, before[np.ix_(rows, rows)])
+
+
+@pytest.mark.parametrize("rests", [False, True], ids=["none rests", "most rest"])
+def test_rows_that_are_put_in_are_columns_too(rests):
+    state = made(np.random.default_rng(7), TAIL)
+    state.rest(rests & (np.arange(TAIL) >= 10))
+    before, at = state.covariance.copy(), state.head + np.array([3, 4])
+    rows = np.random.default_rng(8).normal(size=(2, state.size))
+    rows[:, at] = np.eye(2)
+    state.put(at, rows)
+    before[at], before[:, at] = rows, rows.T
+    assert np.array_equal(state.covariance, before)
+
+
+def test_columns_are_taken_over_mirrored():
+    rng = np.random.default_rng(9)
+    p = rng.normal(size=(70, 70))
+    order = rng.permutation(70)
+    rows, columns = order[:37], order[37:60]
+    expected = p.copy()
+    for row in rows:
+        for column in columns:
+            expected[row, column] = p[column, row]
+    take_over_columns(p, rows, columns)
+    assert np.array_equal(p, expected)
+
+
+def test_of_two_states_the_later_ones_row_takes_over():
+    rng = np.random.default_rng(10)
+    p = rng.normal(size=(70, 70))
+    states = rng.permutation(70)[:37]
+    expected = p.copy()
+    for late in range(len(states)):
+        for early in range(late):
+            expected[states[late], states[early]] = p[states[early], states[late]]
+    take_over_earlier(p, states)
+    assert np.array_equal(p, expected)
