@@ -19,13 +19,17 @@ from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
     Y,
     Z,
     all_lit,
+    extents,
     largest_of_blocks,
     lit_tiles,
+    lit_within,
     tile_at,
 )
 
 # Columns of a node of the coarse grid before those of the core's points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
+# Of so many steps up and down heights are asked one by one.
+_FEW_STEPS = 4
 
 
 @kernel()
@@ -115,7 +119,7 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
 
 
 @kernel(allocates=False)
-def _dark_elsewhere(at, here, up, cores, radius, lens, high, wide, shadow_of, blocks):
+def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shadow_of, blocks):
     """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
 
     By up to the reach of the place, which moves it aside on level ground. Steps are about a rock's
@@ -127,16 +131,27 @@ def _dark_elsewhere(at, here, up, cores, radius, lens, high, wide, shadow_of, bl
     if not lateral < (MOST_STEPS + 0.5) * radius:
         return True
     steps = int(lateral / radius + 0.5)
-    if steps == 0 or all_lit(here, here, up, radius, lens, high, wide, blocks):
-        return False
-    for step in range(-steps, steps + 1):
-        if step == 0:
+    # Of many heights as many at once as show nothing dark; where one is too many half as many.
+    step, many = -steps, steps if steps > _FEW_STEPS else 1
+    while step <= steps:
+        last = min(step + many - 1, steps)
+        by = reach * step / max(steps, 1)
+        if many > 1:
+            if lit_within(
+                here, here, extent, by, reach * last / steps, up, radius, lens, high, wide,
+                shadow_of, blocks,
+            ):  # fmt: skip
+                step, many = last + 1, 2 * many
+            else:
+                many //= 2
             continue
-        count, tracked = _dark_points(
-            at, here, reach * step / steps, up, cores, radius, lens, high, wide, shadow_of
-        )
-        if count < 0 or count > tracked:
-            return True
+        if step != 0:
+            count, tracked = _dark_points(
+                at, here, by, up, cores, radius, lens, high, wide, shadow_of
+            )
+            if count < 0 or count > tracked:
+                return True
+        step, many = step + 1, 2 if steps > _FEW_STEPS else 1
     return False
 
 
@@ -213,7 +228,7 @@ def _look_along(
             continue
         tile_col = tile_at(j, uj, every)
         # Before any size asks for it nothing is worked out.
-        known = False
+        known, extent = False, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for s in range(sizes):
             if not in_view[vi, uj, s]:
                 continue
@@ -224,7 +239,11 @@ def _look_along(
                 continue
             if not known:
                 _between(here, row, uj, u)
+                extent = extents(here, here)
                 known = True
+            if all_lit(here, here, extent, up, radii[s], lens, high, wide, shadow_of, blocks):
+                lit[s, i, j] = sharpness
+                continue
             count, tracked = _dark_points(
                 at, here, 0.0, up, cores, radii[s], lens, high, wide, shadow_of
             )
@@ -232,7 +251,7 @@ def _look_along(
                 dark[s, i, j] = sharpness
                 explained[s, i, j] = 2 * tracked > count
             elif count >= 0 and not _dark_elsewhere(
-                at, here, up, cores, radii[s], lens, high, wide, shadow_of, blocks
+                at, here, extent, up, cores, radii[s], lens, high, wide, shadow_of, blocks
             ):
                 lit[s, i, j] = sharpness
 
@@ -280,7 +299,7 @@ def look(
     nodes = _along_sensor(coarse, position, axes)
     lens = (fx, fy, cx, cy)
     blocks = largest_of_blocks(shadow_of, high, wide)
-    clear = lit_tiles(nodes, every, radii, axes[2], lens, high, wide, blocks)
+    clear = lit_tiles(nodes, every, radii, axes[2], lens, high, wide, shadow_of, blocks)
     for i in prange(lit.shape[1]):
         _look_along(
             i, lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,

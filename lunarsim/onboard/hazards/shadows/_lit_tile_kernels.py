@@ -19,6 +19,8 @@ SHARP, FAR, E, N, H, X, Y, Z, CORE = range(9)
 MOST_STEPS = 16
 # Sides of a tile, places, and of a block of pixels, whose largest rock is worked out once.
 _TILE, _BLOCK = 8, 4
+# Boxes of so many pixels are asked pixel by pixel.
+_FEW = 48
 # What rounding may move a point of the picture by, pixels.
 ROUNDING = 0.01
 
@@ -75,13 +77,33 @@ def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
 
 
 @kernel(exact=True)
-def _axis(low, high, first, points, at, by, up, radius):
+def _extent(low, high, first, points):
     """Return between which coordinates all points of a tile's cores lie, along one axis."""
     least, most = np.inf, -np.inf
     for k in range(first, first + points):
         least, most = min(least, low[k]), max(most, high[k])
-    aside = by * abs(up)
-    return low[at] - aside + radius * least, high[at] + aside + radius * most
+    return least, most
+
+
+@kernel(exact=True)
+def extents(low, high):
+    """Return between which coordinates all points of a tile's cores lie: x, y and z.
+
+    For a rock whose half axis is 1, from its place, along the sensor's axes.
+    """
+    points = (len(low) - CORE) // 3
+    x0, x1 = _extent(low, high, CORE, points)
+    y0, y1 = _extent(low, high, CORE + points, points)
+    z0, z1 = _extent(low, high, CORE + 2 * points, points)
+    return x0, x1, y0, y1, z0, z1
+
+
+@kernel(exact=True)
+def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
+    """Return between which coordinates all points lie, raised between two heights."""
+    one, other = least * up, most * up
+    first = low[at] + radius * extent_low + min(one, other)
+    return first, high[at] + radius * extent_high + max(one, other)
 
 
 @kernel(exact=True)
@@ -92,37 +114,66 @@ def _pixels(low, high, near, far, focal, centre):
     return least, most
 
 
-@kernel(allocates=False, inner=True)
-def all_lit(low, high, up, radius, lens, height, width, blocks):
-    """Tell whether nothing dark enough lies where shadows of a tile's places may fall.
+@kernel(exact=True)
+def _nothing_dark(first_row, last_row, first_col, last_col, radius, wide, shadow_of, blocks):
+    """Tell whether no pixel of a box may be the shadow of so large a rock.
 
-    And all of that is in view, and searched, see `_dark_elsewhere`.
+    Of many pixels it is asked block by block, and more may be taken for dark.
+    """
+    if (last_row - first_row + 1) * (last_col - first_col + 1) <= _FEW:
+        for row in range(first_row, last_row + 1):
+            for col in range(first_col, last_col + 1):
+                if abs(shadow_of[row * wide + col]) >= radius:
+                    return False
+    else:
+        for row in range(first_row // _BLOCK, last_row // _BLOCK + 1):
+            for col in range(first_col // _BLOCK, last_col // _BLOCK + 1):
+                if blocks[row, col] >= radius:
+                    return False
+    return True
+
+
+@kernel(exact=True)
+def lit_within(low, high, extent, least, most, up, radius, lens, high_px, wide, shadow_of, blocks):
+    """Tell whether nothing dark enough lies where cores show that are raised between two heights.
+
+    And all of that is in view. `extent` is that of `extents`.
     """
     fx, fy, cx, cy = lens
-    points = (len(low) - CORE) // 3
+    near, far = _axis(low, high, Z, extent[4], extent[5], radius, least, most, up[2])
+    if not near > 0.0:
+        return False
+    x0, x1 = _axis(low, high, X, extent[0], extent[1], radius, least, most, up[0])
+    y0, y1 = _axis(low, high, Y, extent[2], extent[3], radius, least, most, up[1])
+    left, right = _pixels(x0, x1, near, far, fx, cx)
+    upper, lower = _pixels(y0, y1, near, far, fy, cy)
+    if not (left >= 0.0 and upper >= 0.0 and right <= wide - 1 and lower <= high_px - 1):
+        return False
+    return _nothing_dark(
+        np.int32(upper + 0.5), np.int32(lower + 0.5), np.int32(left + 0.5), np.int32(right + 0.5),
+        radius, wide, shadow_of, blocks,
+    )  # fmt: skip
+
+
+@kernel(allocates=False, inner=True)
+def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, blocks):
+    """Tell whether nothing dark enough lies where shadows of a tile's places may fall.
+
+    However high the ground may be there; and all of that is in view, and searched, see
+    `_dark_elsewhere`.
+    """
     by = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))
     aside = by * np.sqrt(east * east + north * north) / max(-high[H], 1e-9)
     if not aside < MOST_STEPS * radius:
         return False
-    near, far = _axis(low, high, CORE + 2 * points, points, Z, by, up[2], radius)
-    if not near > 0.0:
-        return False
-    x0, x1 = _axis(low, high, CORE, points, X, by, up[0], radius)
-    y0, y1 = _axis(low, high, CORE + points, points, Y, by, up[1], radius)
-    left, right = _pixels(x0, x1, near, far, fx, cx)
-    upper, lower = _pixels(y0, y1, near, far, fy, cy)
-    if not (left >= 0.0 and upper >= 0.0 and right <= width - 1 and lower <= height - 1):
-        return False
-    for row in range(int(upper + 0.5) // _BLOCK, int(lower + 0.5) // _BLOCK + 1):
-        for col in range(int(left + 0.5) // _BLOCK, int(right + 0.5) // _BLOCK + 1):
-            if blocks[row, col] >= radius:
-                return False
-    return True
+    return lit_within(
+        low, high, extent, -by, by, up, radius, lens, high_px, wide, shadow_of, blocks
+    )
 
 
 @kernel(parallel=True)
-def lit_tiles(nodes, every, radii, up, lens, height, width, blocks):
+def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
     """Tell of which tiles and sizes of rocks all shadows would fall on lit ground.
 
     Parameters
@@ -137,8 +188,8 @@ def lit_tiles(nodes, every, radii, up, lens, height, width, blocks):
         The vertical along the sensor's axes (3,).
     lens, height, width
         fx, fy, cx, cy, and the size of the picture, pixels.
-    blocks
-        See `largest_of_blocks`.
+    shadow_of, blocks
+        See `largest_of_blocks`, which gives the latter.
 
     Returns
     -------
@@ -153,6 +204,9 @@ def lit_tiles(nodes, every, radii, up, lens, height, width, blocks):
         for col in range(cols):
             i, j = row // tiles, col // tiles
             if _corners(low, high, nodes, i, j, every, row - i * tiles, col - j * tiles):
+                extent = extents(low, high)
                 for s in range(len(radii)):
-                    out[row, col, s] = all_lit(low, high, up, radii[s], lens, height, width, blocks)
+                    out[row, col, s] = all_lit(
+                        low, high, extent, up, radii[s], lens, height, width, shadow_of, blocks
+                    )
     return out
