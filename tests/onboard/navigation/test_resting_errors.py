@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsim.onboard.navigation._rock_filter_kernels import take_over_columns, take_over_earlier
+from lunarsim.onboard.navigation.error_state import POSE
 from tests.onboard.navigation.states import made
 
 TAIL = 40
@@ -18,8 +19,13 @@ TAIL = 40
 def step(state, rng):
     """Do to a state what pictures do to it, drawn at random."""
     head, size = state.head, state.size
-    what = rng.integers(0, 7)
-    if what <= 1:
+    what = rng.integers(0, 9)
+    if what == 8:  # as scans inform, which correct what rests too
+        root = rng.normal(size=(6, 6))
+        state.inform(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
+    elif what == 7:
+        state.measure(rng.normal(size=(2, head)), np.arange(head), np.full(2, 1e-3), np.ones(2))
+    elif what <= 1:
         columns = rng.permutation(size)[:6]
         state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
     elif what == 2:  # few begin or cease to rest, or many
@@ -143,3 +149,17 @@ def test_of_two_states_the_later_ones_row_takes_over():
             expected[states[late], states[early]] = p[states[early], states[late]]
     take_over_earlier(p, states)
     assert np.array_equal(p, expected)
+
+
+def test_what_all_are_corrected_by_is_taken_off_columns_that_are_up_to_date():
+    """Of more errors than are taken together in one block."""
+    lags = made(np.random.default_rng(11), 800)
+    lags.rest(np.arange(800) < 780)
+    whole = copy.deepcopy(lags)
+    for state in (lags, whole):
+        state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    lags.for_rows()
+    assert np.array_equal(whole.covariance, whole.covariance.T)
+    for state in (lags, whole):
+        state.inform(POSE, np.eye(6), np.full(6, 1e-3))
+    assert np.array_equal(lags.covariance, whole.covariance)

@@ -59,6 +59,28 @@ def test_what_is_found_by_tiles_is_what_each_place_shows(seed, reach, every):
         assert (lit[s, i, j] > 0.0, dark[s, i, j] > 0.0, named[s, i, j]) == found
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_single_dark_pixels_are_found_at_whatever_height_they_show(seed):
+    """Where many heights are asked at once, and boxes of few pixels."""
+    rng = np.random.default_rng([seed, 7])
+    coarse, position, axes, lens, labels = scene(rng, 3.0)
+    coarse[..., 5:] *= 0.3
+    labels[:] = 0
+    labels[rng.integers(0, 100, 40), rng.integers(0, 120, 40)] = len(LARGEST) - 1
+    shape = (len(RADII), 2 * EVERY, 3 * EVERY)
+    lit, dark = np.zeros((2, *shape), np.float32)
+    named = np.zeros(shape, np.bool_)
+    kernels.look(
+        lit, dark, named, RADII, coarse, EVERY, position, axes, *lens, labels, LARGEST, 2, 1.03, 2
+    )
+    for s, place in product(range(len(RADII)), rng.choice(lit[0].size, 150, replace=False)):
+        i, j = divmod(int(place), shape[2])
+        found = plain.look(
+            coarse, i / EVERY, j / EVERY, RADII[s], position, axes, lens, labels, LARGEST, 2, 2
+        )
+        assert (lit[s, i, j] > 0.0, dark[s, i, j] > 0.0, named[s, i, j]) == found
+
+
 def test_most_tiles_of_such_scenes_are_lit_and_found_so():
     """So what the test above compares is found by tiles, and where it is not, by places."""
     shares = []
