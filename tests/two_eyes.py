@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.fuse import FusionTerms
+from lunarsim.onboard.hazards.fusion.level_ground import (
+    level_ground,
+    none_unseen,
+    within_ceiling,
+)
 from lunarsim.onboard.hazards.fusion.rises import Samples
+from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
 from lunarsim.rocks.population import RockExpectation
@@ -25,6 +30,12 @@ def relief(bump=None, **said) -> ReliefEvidence:
     p, known = calibrated_safety(judged)
     z = np.zeros(GRID.shape, np.float32) if bump is None else bump.astype(np.float32)
     return ReliefEvidence(HazardMap(GRID, p, judged.observed, z, in_domain=known), judged)
+
+
+def level_map(judged, prior, none_missed=0.0) -> np.ndarray:
+    """Return the probability of level ground without a tracked rock (rows, cols)."""
+    unseen = none_unseen(judged, none_missed)
+    return within_ceiling(judged, level_ground(judged, prior, unseen))
 
 
 def tracks(*rocks) -> RockTracks:

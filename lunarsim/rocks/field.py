@@ -95,13 +95,15 @@ class RockModel:
         ones in equal numbers).
     height_ratio
         Mean and standard deviation of the height above ground over the diameter; drawn from a
-        normal law cut at 0.2 and 1. Not for hemispheres and cubes.
+        normal law cut at 0.2 and 1. Not for hemispheres and cubes. Of lunar rocks 0.54 in the mean
+        (Demidov and Basilevsky 2014).
     burial
         Least and greatest fraction of the rock's height that lies under the ground, drawn
         uniformly. Not for hemispheres.
     axis_ratio
         Least and greatest ratio of the horizontal axes, drawn uniformly. Not for hemispheres and
-        cubes.
+        cubes. Of impact fragments, and boulders on Eros, 0.7 in the mean of the two longer axes
+        (Michikami et al. 2010, 2016): limits of 0.5 and 0.9 are as long as these.
     """
 
     shape: Shape = quantity("hemisphere", help="of the rocks")

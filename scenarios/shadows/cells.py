@@ -57,6 +57,8 @@ class Cell:
         Of 1 m and more, a square metre in equilibrium; 0: none.
     blur
         Point spread of the camera, 1 sigma, pixels. The mission is told.
+    pixels
+        Of the camera along each side, over those of the paper's experiment.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Cell:
     least_diameter: float = 0.3
     craters: float = 0.0
     blur: float = 0.6
+    pixels: int = 1
 
     def within_goal(self) -> bool:
         """Tell whether the goal asks the cell for recall.
@@ -113,7 +116,13 @@ class Cell:
             sun={"elevation_deg": self.elevation, "azimuth_deg": 225.0 + self.turn},
             mappers={"rocks": {"size_m": 80.0}},
             tasking={"camera": {"rate_hz": 2.0}},
-            sensors={"camera": {"blur_sigma_px": self.blur}},
+            sensors={
+                "camera": {
+                    "blur_sigma_px": self.blur,
+                    "width": 640 * self.pixels,
+                    "height": 480 * self.pixels,
+                },
+            },
         )
 
 
@@ -146,6 +155,8 @@ def _lines() -> list[Cell]:
     ]
     return [
         *cells,
+        # As measured: see `lunarsim.rocks.field.RockModel`.
+        replace(HOME, name="fragments told cube", shape="irregular", height=0.54, slenderness=0.7),
         replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
         replace(HOME, name="rocks from 0.15 m", least_diameter=0.15),
         replace(HOME, name="craters", relief=1.0, craters=0.02),
@@ -178,4 +189,13 @@ def _array() -> list[Cell]:
     return cells
 
 
-CELLS = (HOME, *_lines(), *_array())
+# What a camera of 640 x 480 pixels cannot tell at 50 m.
+SHORT_OF = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30")
+
+
+def _sharper(cells: list[Cell]) -> list[Cell]:
+    """Return those of the cells of which a camera tells too little with one of twice the pixels."""
+    return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in SHORT_OF]
+
+
+CELLS = (HOME, *_lines(), *_array(), *_sharper([*_lines(), *_array()]))

@@ -17,26 +17,30 @@ elevation was measured it is the other eye's, times what the map says of ground 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logit
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
 from lunarsim.onboard.hazards.fusion.heights import USUAL, clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_missed_by, none_unseen
+from lunarsim.onboard.hazards.fusion.level_ground import (
+    level_ground,
+    none_missed_by,
+    none_unseen,
+    within_ceiling,
+)
 from lunarsim.onboard.hazards.fusion.registration import registered
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
 from lunarsim.onboard.hazards.fusion.rises import Samples
+from lunarsim.onboard.hazards.fusion.terms import FusionTerms
+from lunarsim.onboard.hazards.fusion.unmeasured import prior_beside
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
-from lunarsim.rocks.population import RockExpectation
-from lunarsim.safety.calibration import UNSURE, Evidence, calibrated_safety
+from lunarsim.safety.calibration import Evidence, calibrated_safety
 from lunarsim.safety.ensemble import HOPELESS, SURE
 from lunarsim.safety.thinning import Thinning
 
@@ -44,41 +48,6 @@ Array = NDArray[np.float64]
 
 # Of single precision, as sums over discs leave it.
 _ROUNDING = np.float32(1e-5)
-# Probabilities are averaged on log odds as if none were less.
-_NEVER = 1e-12
-
-
-@dataclass(frozen=True)
-class FusionTerms:
-    """What is known before any evidence.
-
-    Attributes
-    ----------
-    lander, rocks
-        Geometry and limits; what the mission expects.
-    relief_prior
-        Probability that slope and relief of ground that no elevation was measured of are within
-        the lander's limits.
-
-    Raises
-    ------
-    InputError
-        If the prior is no probability, or is 1: ground that was not measured is never certain.
-    """
-
-    lander: Lander
-    rocks: RockExpectation
-    relief_prior: float = 0.9
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.relief_prior < 1.0:
-            raise InputError("relief_prior", self.relief_prior, "at least 0, and less than 1")
-
-    @property
-    def height_ratio(self) -> float:
-        """Height over diameter of the rocks that are expected."""
-        fixed = {"hemisphere": 0.5, "cube": 1.0}
-        return fixed.get(self.rocks.shape, self.rocks.height_ratio[0])
 
 
 def fused_map(
@@ -115,9 +84,10 @@ def fused_map(
     seen, level = ground.observed, np.zeros(ground.grid.shape, np.float32)
     free_of_tracks, free_of_unseen = p, np.ones(ground.grid.shape)
     if judged is not None:
-        level = level_ground(judged, terms.relief_prior, clear, none_missed)
-        free_of_tracks = np.maximum(p, level_ground(judged, terms.relief_prior, 1.0, none_missed))
         free_of_unseen = none_unseen(judged, none_missed)
+        untracked = level_ground(judged, terms.relief_prior, free_of_unseen)
+        level = within_ceiling(judged, untracked * clear)
+        free_of_tracks = np.maximum(p, within_ceiling(judged, untracked))
     prior = prior_beside(free_of_tracks[seen], free_of_unseen[seen], ground.grid.posting, terms)
     # What the eye for rocks has said nothing of is claimed as the elevations claim it.
     whole = ~thinning.touched & (clear == 1.0)
@@ -141,44 +111,9 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
     if relief.judged is None:
         return relief.drawn
     p, known = _of_elevations(relief, relief.judged)
-    level = level_ground(relief.judged, terms.relief_prior)
+    untracked = level_ground(relief.judged, terms.relief_prior, none_unseen(relief.judged))
+    level = within_ceiling(relief.judged, untracked)
     return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
-
-
-def prior_beside(
-    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
-) -> float:
-    """Return the probability that ground that was not measured is fit, but for tracked rocks.
-
-    It is as likely to be so as what was measured, by the same map and in the mean: were it told by
-    another measure, samples so sparse that all they fell on is left in doubt would send the lander
-    to where none fell. What the mission expects counts as one site more (sites whose footprints
-    overlap are not many) on log odds, so that it matters little beside many, and is never exceeded.
-    That site, too, is told by what the map can tell: where rocks may stand unseen on all that was
-    measured, so they may there, the more surely the more was measured.
-
-    Parameters
-    ----------
-    free_of_tracks
-        The map's probability that what was measured is fit (n,), but for tracked rocks.
-    free_of_unseen
-        The part of it that no slope and no roughness enters (n,); NaN where it is not known.
-    posting
-        Of the cells, m.
-    terms
-        What is known beforehand.
-    """
-    lander, expected = terms.lander, terms.relief_prior
-    number = len(free_of_tracks)
-    if number == 0 or expected <= _NEVER:
-        return expected
-    footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
-    sites = min(posting**2 / footprint, 1.0) * number
-    told = max(float(np.mean(np.nan_to_num(free_of_unseen, nan=0.0))), UNSURE)
-    one_more = expected * told ** (sites / (sites + 1.0))
-    mean = float(np.mean(free_of_tracks, dtype=np.float64))
-    each = logit(np.clip((mean, one_more), _NEVER, expected))
-    return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))
 
 
 def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:

@@ -14,12 +14,12 @@ the less of two bounds:
   of samples that stand high is little known where they are few;
 - where an eye for rocks has looked, those that it misses of what the mission expects.
 
-As for ground that was not measured the prior counts, which is less than surely safe, and no
-frequency is claimed. It is never more than what was seen allows (`ceiling`), and 0 for samples
-noisier, or farther apart, than any that maps were tried on. p falls with each of its factors, and
-holds wherever either eye has looked: where one has and the other has not, sites are still told by
-one measure. What it does not ask for are rocks and holes that are lower than the limit of
-roughness, but would tilt the lander on a slope: the regression counts them.
+The prior is less than surely safe, and no frequency is claimed. It is never more than what was seen
+allows (`ceiling`), and 0 for samples noisier, or farther apart, than any that maps were tried on.
+p falls with each of its factors, and holds wherever either eye has looked: where one has and the
+other has not, sites are still told by one measure. What it does not ask for are rocks and holes
+that are lower than the limit of roughness, but would tilt the lander on a slope: the regression
+counts them.
 
 An eye that finds far fewer rocks than it should is not believed (`lunarsim.onboard.hazards.
 shadows.plausible`), unless that is because it reads them too small: here they count by the scale
@@ -46,28 +46,31 @@ _SLOPE, _ROUGHNESS = 0.2, 0.7
 _MISCOUNTED = 10.0
 
 
-def level_ground(
-    judged: Evidence, prior: float, clear: Array | float = 1.0, none_missed: Array | float = 0.0
-) -> NDArray[np.float32]:
-    """Return the probability of safe ground (rows, cols); 0 where it was not measured.
+def level_ground(judged: Evidence, prior: float, unseen: Array) -> Array:
+    """Return the probability of safe ground but for tracked rocks (rows, cols).
 
-    Nor is anything said where a figure of the evidence is no number.
+    Of what was not measured it means nothing, see `within_ceiling`.
 
     Parameters
     ----------
     judged
         What was measured, with what an eye for rocks leaves of those that were not.
     prior
-        Probability that slope and relief of ground that was not measured are within the limits.
-    clear
-        Probability that no tracked rock matters (rows, cols).
-    none_missed
-        See `none_missed_by` (rows, cols).
+        Probability that slope and relief are within the limits, as the mission expects it.
+    unseen
+        See `none_unseen` (rows, cols).
     """
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
         level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
-    p = prior * level * none_unseen(judged, none_missed) * clear
+    return np.asarray(prior * level * unseen)
+
+
+def within_ceiling(judged: Evidence, p: Array) -> NDArray[np.float32]:
+    """Return probabilities (rows, cols), never more than what was seen allows.
+
+    0 where it was not measured, and where a figure of the evidence is no number.
+    """
     p = np.minimum(p, ceiling(judged))
     return np.where(judged.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
@@ -76,7 +79,14 @@ def none_unseen(judged: Evidence, none_missed: Array | float = 0.0) -> Array:
     """Return the probability that no rock stands there that nobody has seen (rows, cols).
 
     However the ground lies. 0 for samples noisier, or farther apart, than any that maps were tried
-    on. Parameters are those of `level_ground`.
+    on.
+
+    Parameters
+    ----------
+    judged
+        As for `level_ground`.
+    none_missed
+        See `none_missed_by` (rows, cols).
     """
     if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
         return np.zeros(judged.level.grid.shape)

@@ -16,8 +16,9 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.hazards.drawing_times import DrawingTimes
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
-from lunarsim.onboard.hazards.fusion.fuse import FusionTerms, fused_map
+from lunarsim.onboard.hazards.fusion.fuse import fused_map
 from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface, elevation_under
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence

@@ -8,13 +8,25 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, prior_beside, thinning_of
+from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
 from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import level_ground, none_unseen
+from lunarsim.onboard.hazards.fusion.level_ground import none_unseen
+from lunarsim.onboard.hazards.fusion.unmeasured import prior_beside
 from lunarsim.safety.calibration import calibrated_safety
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
-from tests.two_eyes import DOUBTED, FOOTPRINT, GRID, SAMPLED, TERMS, eyes, relief, samples, tracks
+from tests.two_eyes import (
+    DOUBTED,
+    FOOTPRINT,
+    GRID,
+    SAMPLED,
+    TERMS,
+    eyes,
+    level_map,
+    relief,
+    samples,
+    tracks,
+)
 
 # Beyond, no elevation was measured.
 MEASURED = np.ones(GRID.shape, bool)
@@ -68,7 +80,7 @@ def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(
     both = fused_map(own, told, TERMS)
     thinned = thinned_by(own, told)
     p, _ = calibrated_safety(thinned)
-    flat = level_ground(thinned, 0.9, 1.0, 0.8)
+    flat = level_map(thinned, 0.9, 0.8)
     assert (flat > p)[MEASURED].all()
     free = np.maximum(np.exp(-10.0 * thinned.hazards()), 0.8)
     assert (free[MEASURED] == 0.8).any()
@@ -112,7 +124,7 @@ def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
     for slope, level, density in product((0.5, 0.85, 0.95), (-4.0, 1.0), (0.1, 3.0, 30.0)):
         judged = evidence(slope=slope, level=level, density=density)
         p, _ = calibrated_safety(judged)
-        told = np.maximum(p, level_ground(judged, 0.9)).ravel()
+        told = np.maximum(p, level_map(judged, 0.9)).ravel()
         free = none_unseen(judged).ravel()
         prior = prior_beside(np.tile(told, 400), np.tile(free, 400), GRID.posting, TERMS)
         assert 0.97 * prior <= told.max(), (slope, level, density)
