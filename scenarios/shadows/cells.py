@@ -194,7 +194,7 @@ SHORT_OF = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30")
 
 
 def _sharper(cells: list[Cell]) -> list[Cell]:
-    """Return those of the cells of which a camera tells too little with one of twice the pixels."""
+    """Return those of the cells of which a camera tells too little with half as large pixels."""
     return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in SHORT_OF]
 
 

@@ -50,6 +50,8 @@ class PutOff:
         awake
             Rows that do not rest (k,), the same until `settle`; None: all.
         """
+        if len(w) == 0:
+            return
         if awake is None:
             self._of_all.append(w)
         else:

@@ -82,7 +82,10 @@ class RestingErrors:
     def _rest(self, errors: ArrayLike) -> NDArray[np.bool_]:
         """Tell which errors (...) rest."""
         behind = np.asarray(errors) - self.head
-        return np.asarray((behind >= 0) & self._rests[np.maximum(behind, 0)])
+        known = (behind >= 0) & (behind < len(self._rests))
+        rests = np.zeros(behind.shape, np.bool_)
+        rests[known] = self._rests[behind[known]]
+        return rests
 
     def _catch_up(self) -> None:
         """Bring columns up to date that lag behind."""

@@ -151,6 +151,31 @@ def test_of_two_states_the_later_ones_row_takes_over():
     assert np.array_equal(p, expected)
 
 
+def test_all_errors_may_go_while_columns_lag():
+    state = made(np.random.default_rng(12), TAIL)
+    state.rest(np.arange(TAIL) >= 10)
+    state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    state.for_rows()
+    head, none = copy.deepcopy(state).covariance[: state.head, : state.head], np.zeros(0, np.int64)
+    state.keep(0, none, none)
+    assert np.array_equal(state.for_rows(POSE)[POSE, : state.size], head[POSE])
+    assert np.array_equal(state.between(POSE, POSE), head[POSE, POSE])
+    assert np.array_equal(state.covariance, head)
+
+
+def test_information_that_tells_nothing_leaves_nothing_put_off():
+    """Else what is put off is of as many errors as there were, and later ones are more."""
+    state = made(np.random.default_rng(13), TAIL)
+    before = state.covariance.copy()
+    assert state.inform(POSE, 1e-9 * np.eye(6), np.zeros(6)).degrees == 0
+    add(state, np.random.default_rng(14))
+    for innovation in (0.1, -0.1):
+        state.measure(np.eye(1, 3), np.arange(3), np.array([innovation]), np.ones(1))
+        state.inform(POSE, np.eye(6), np.zeros(6))
+    assert state.covariance[0, 0] < before[0, 0]
+    assert state.covariance.shape == (state.size, state.size)
+
+
 def test_what_all_are_corrected_by_is_taken_off_columns_that_are_up_to_date():
     """Of more errors than are taken together in one block."""
     lags = made(np.random.default_rng(11), 800)

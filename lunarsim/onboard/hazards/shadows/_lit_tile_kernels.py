@@ -79,10 +79,12 @@ def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
 @kernel(exact=True)
 def _extent(low, high, first, points):
     """Return between which coordinates all points of a tile's cores lie, along one axis."""
-    least, most = np.inf, -np.inf
+    least, most, none = np.inf, -np.inf, 0.0
     for k in range(first, first + points):
         least, most = min(least, low[k]), max(most, high[k])
-    return least, most
+        # A minimum may pass by what is no number: nothing lies within bounds that are none.
+        none += 0.0 * low[k]
+    return least + none, most + none
 
 
 @kernel(exact=True)

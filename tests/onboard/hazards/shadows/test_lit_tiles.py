@@ -81,6 +81,21 @@ def test_single_dark_pixels_are_found_at_whatever_height_they_show(seed):
         assert (lit[s, i, j] > 0.0, dark[s, i, j] > 0.0, named[s, i, j]) == found
 
 
+@pytest.mark.parametrize("worse", [np.nan, np.inf])
+def test_nothing_is_lit_where_a_point_of_the_core_is_no_number(worse):
+    coarse, position, axes, lens, labels = scene(np.random.default_rng(3), 0.0)
+    labels[:] = 0
+    coarse[1, 2, 7] = worse
+    shape = (len(RADII), 2 * EVERY, 3 * EVERY)
+    lit, dark = np.zeros((2, *shape), np.float32)
+    named = np.zeros(shape, np.bool_)
+    kernels.look(
+        lit, dark, named, RADII, coarse, EVERY, position, axes, *lens, labels, LARGEST, 2, 1.03, 2
+    )
+    about = (slice(None), slice(1, 2 * EVERY), slice(EVERY + 1, 3 * EVERY))
+    assert lit.any() and not lit[about].any()
+
+
 def test_most_tiles_of_such_scenes_are_lit_and_found_so():
     """So what the test above compares is found by tiles, and where it is not, by places."""
     shares = []
