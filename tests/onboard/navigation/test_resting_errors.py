@@ -163,6 +163,18 @@ def test_all_errors_may_go_while_columns_lag():
     assert np.array_equal(state.covariance, head)
 
 
+def test_errors_that_have_just_come_do_not_rest_while_columns_lag():
+    state = made(np.random.default_rng(15), TAIL)
+    state.rest(np.arange(TAIL) >= 10)
+    state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    state.reserve(TAIL + 2)
+    state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
+    state.for_rows()
+    new = state.size + np.arange(2)
+    state.tail += 2
+    assert not state.for_rows(new)[new].any()
+
+
 def test_information_that_tells_nothing_leaves_nothing_put_off():
     """Else what is put off is of as many errors as there were, and later ones are more."""
     state = made(np.random.default_rng(13), TAIL)
