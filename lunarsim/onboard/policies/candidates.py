@@ -28,7 +28,7 @@ def best_cells(
     """Return up to `count` cells (n, 2) of greatest aim, no two closer than `separation` (m)."""
     price = np.float32(_DISTANCE_PRICE / 100.0) * distance.astype(np.float32)
     score = aim * (np.float32(1.0) - price)
-    score[aim <= 0.0] = -np.inf
+    score[~(aim > 0.0)] = -np.inf
     reach = int(np.ceil(separation / posting))
     offsets = np.arange(-reach, reach + 1)
     near = np.hypot(offsets[:, None], offsets[None, :]) * posting < separation

@@ -24,6 +24,13 @@ def estimate(position=(-300.0, 0.0, 300.0), velocity=(20.0, 0.0, -15.0), mass=14
     )  # fmt: skip
 
 
+def test_cells_of_which_nothing_is_told_are_not_among_the_best():
+    aim = np.full((9, 9), np.nan, np.float32)
+    aim[4, 4], aim[0, 8], aim[7, 0] = 0.5, 0.0, 0.2
+    cells = best_cells(aim, np.zeros((9, 9)), 1.0, 5, 2.0)
+    assert cells.tolist() == [[4, 4], [7, 0]]
+
+
 def test_best_cells_are_apart_and_best():
     rng = np.random.default_rng(1)
     aim = rng.random((60, 60)).astype(np.float32)

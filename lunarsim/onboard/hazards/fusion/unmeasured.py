@@ -33,7 +33,8 @@ def prior_beside(
     free_of_tracks
         The map's probability that what was measured is fit (n,), but for tracked rocks.
     free_of_unseen
-        The part of it that no slope and no roughness enters (n,); NaN where it is not known.
+        The part of it that no slope and no roughness enters (n,); NaN where it is not known, as in
+        the former, counts as 0.
     posting
         Of the cells, m.
     terms
@@ -45,8 +46,8 @@ def prior_beside(
         return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     sites = min(posting**2 / footprint, 1.0) * number
-    told = max(float(np.mean(np.nan_to_num(free_of_unseen, nan=0.0))), UNSURE)
+    told = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNSURE)
     one_more = expected * told ** (sites / (sites + 1.0))
-    mean = float(np.mean(free_of_tracks, dtype=np.float64))
+    mean = float(np.mean(np.nan_to_num(free_of_tracks), dtype=np.float64))
     each = logit(np.clip((mean, one_more), _NEVER, expected))
     return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))
