@@ -144,8 +144,8 @@ def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, 
         assert found <= expected
         assert prior_beside(0.5 * p, free, posting, terms) <= found
         assert prior_beside(p, 0.5 * free, posting, terms) <= found
-        nought, none = np.where(p > 0.5, 0.0, p), np.where(p > 0.5, np.nan, p)
-        assert prior_beside(none, free, posting, terms) == prior_beside(nought, free, posting, terms)
+        nought = prior_beside(np.where(p > 0.5, 0.0, p), free, posting, terms)
+        assert prior_beside(np.where(p > 0.5, np.nan, p), free, posting, terms) == nought
 
 
 def test_beside_a_map_that_tells_nothing_of_its_samples_ground_is_as_likely_as_that_says():
