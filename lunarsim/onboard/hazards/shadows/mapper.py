@@ -65,10 +65,11 @@ _SUN_OFF = float(np.deg2rad(1.0))
 
 @dataclass
 class _Judge:
-    """Who judges the pictures of a camera, and why the last of them did not count."""
+    """Who judges the pictures of a camera, why the last did not count, and when one was a look."""
 
     health: PictureHealth
     fault: Fault | None = None
+    looked: float = -np.inf
 
 
 class ShadowMapper(HazardMapper):
@@ -88,6 +89,9 @@ class ShadowMapper(HazardMapper):
         What counts as a shadow.
     interval
         Least time between two evaluations of the map, s.
+    look_interval
+        Least time between two pictures of a camera of which it is noted what ground they show lit,
+        s: what others show is nearly the same.
     health
         Judges the pictures of each camera, by the sensor's name; or one that judges all; left out:
         one with default settings.
@@ -115,6 +119,7 @@ class ShadowMapper(HazardMapper):
         *,
         detector: DetectorSettings | None = None,
         interval: float = 1.0,
+        look_interval: float = 0.0,
         health: PictureHealth | Mapping[str, PictureHealth] | None = None,
         relief: HazardMapper | None = None,
     ) -> None:
@@ -124,7 +129,7 @@ class ShadowMapper(HazardMapper):
         self.grid = probability.grid
         self.sun = np.asarray(sun, dtype=np.float64)
         self.footprint = footprint
-        self.interval = interval
+        self.interval, self.look_interval = interval, look_interval
         self._relief = MeasuredGround(relief)
         tracker.filter.measured = None if relief is None else self._relief
         self.detector = detector or DetectorSettings()
@@ -224,21 +229,28 @@ class ShadowMapper(HazardMapper):
         if isinstance(self.tracker.model, ShapeMixture):
             self.tracker.model.learn(seen.shapes, seen.q)
         plane = self._relief.plane() or LEVEL
-        blind = self._blind(seen, picture, sun, plane)
+        looks = picture.time >= self._cameras[self._camera].looked + self.look_interval - 1e-9
+        blind = self._blind(seen, picture, sun, plane) if looks else None
         self.tracker.update(seen, picture.camera, sun, picture.time, plane)
         self._forget_lost_rocks()
         self.probability.follow(*self.tracker.moved())
         if not self.tracker.as_expected:
             return False
         self.probability.ground = self._height_in_view(picture.camera)
+        if blind is not None:
+            self._look(seen.hiding(blind), picture, sun, plane)
+        return True
+
+    def _look(self, seen: Detections, picture: Picture, sun: Array, plane: GroundPlane) -> None:
+        """Note what ground a picture shows lit."""
+        self._cameras[self._camera].looked = picture.time
         # From where the lander stands by what the rocks told: they moved with it.
         rocks = self.tracker.filter
         self.probability.see(
-            picture.camera.view(rocks.inertial), sun, seen.hiding(blind), rocks.ground_at,
+            picture.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
             self.tracker.explained, self._place_sigma, plane, self._height_sigma,
             self.health.settings.blur_sigma,
         )  # fmt: skip
-        return True
 
     def _blind(
         self, seen: Detections, picture: Picture, sun: Array, plane: GroundPlane

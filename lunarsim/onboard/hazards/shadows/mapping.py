@@ -47,6 +47,9 @@ class ShadowMapping:
         Least diameter of a hazard, m.
     interval
         Between two evaluations of the map, s.
+    look_interval
+        Least time between two pictures of a camera of which it is noted what ground they show lit,
+        s; each corrects the rocks.
     shapes
         Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
         the paper's half spheres.
@@ -68,6 +71,9 @@ class ShadowMapping:
     size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
     hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
+    look_interval: float = quantity(
+        0.2, "s", ge=0, le=10, help="least time between pictures that tell of clear ground"
+    )
     shapes: Literal["inferred", "told", "hemisphere"] = quantity(
         "inferred", help="rocks by which shadows are read; the paper's are half spheres"
     )
@@ -146,6 +152,7 @@ class ShadowMapping:
         proof = SunProof()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
+            look_interval=self.look_interval,
             health={name: _health_of(briefing, name, proof) for name in sensors_of(self)},
             relief=(mappers or {})[self.ground] if self.ground else None,
         )  # fmt: skip

@@ -1,0 +1,72 @@
+"""Of pictures that follow each other closely some alone tell of clear ground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lunarsim.grid import Grid
+from lunarsim.messages.measurements import Picture
+from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
+from lunarsim.onboard.perception.health import PictureHealth
+from lunarsim.scenario import Scenario
+from lunarsim.world import World
+from lunarsim.world.light import Light
+from tests.shadow_scene import MODEL, SUN, at, rocks_on_a_plane, tracker_at
+
+PLACE = (0.0, 0.0, 50.0)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Pictures of one scene from the same place, none like another."""
+    world = World(
+        rocks_on_a_plane("hemisphere", seed=11, count=60, size=60.0), 1.622,
+        Light(1.2, np.radians(20.0)),
+    )  # fmt: skip
+    state, camera = at(PLACE)
+    rng = np.random.default_rng(0)
+    return camera.model, [camera.expose(world, state, 0.0, rng).counts for _ in range(6)]
+
+
+def looks(frames, shots, interval):
+    """Return how often each camera's pictures were looks, and the mapper; `shots` are who, when."""
+    camera, counts = frames
+    mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.05, 0.5))
+    health = {name: PictureHealth() for name, _ in shots}
+    mapper = ShadowMapper(
+        tracker_at(PLACE), mapping, SUN, 1.0, health=health, look_interval=interval
+    )
+    found, see = [], mapping.see
+    mapping.see = lambda *a, **k: (found.append(now), see(*a, **k))
+    for n, (name, time) in enumerate(shots):
+        now = (name, time)
+        mapper.take(name, Picture(time, counts[n], camera), mapper.tracker.filter.inertial)
+    return found, mapper
+
+
+def test_looks_are_as_far_apart_as_told_and_every_picture_corrects_the_rocks(frames):
+    shots = [("camera", round(0.1 * k, 1)) for k in range(6)]
+    every, first = looks(frames, shots, 0.0)
+    some, second = looks(frames, shots, 0.2)
+    assert every == shots and some == shots[::2]
+    assert not first.refused and not second.refused
+    assert np.array_equal(first.tracker.hits, second.tracker.hits)
+    assert np.array_equal(first.tracker.filter.xy, second.tracker.filter.xy)
+    assert second.hazard_map().observed.any()
+
+
+def test_each_camera_looks_by_itself(frames):
+    shots = [(name, time) for time in (0.0, 0.1, 0.2) for name in ("narrow", "wide")]
+    found, _ = looks(frames, shots, 0.2)
+    assert found == [shot for shot in shots if shot[1] != 0.1]
+
+
+def test_a_scenario_says_how_far_apart_looks_are():
+    root = Path(__file__).parents[4] / "scenarios"
+    scenario = Scenario.load(root / "shadow_modified.toml")
+    assert scenario.mappers["rocks"].look_interval_s == 0.2
+    other = scenario.changed(mappers={"rocks": {"look_interval_s": 0.0}})
+    assert other.mappers["rocks"].look_interval_s == 0.0
