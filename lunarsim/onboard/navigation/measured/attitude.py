@@ -92,7 +92,7 @@ def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
     Both are corrected at once, as if turns were added; half of their cross product is left, and is
     more than the noise of stars where the start is known to a degree or two.
     """
-    p, azimuth = state.for_rows(ATTITUDE), state.block(MAP).start + 3
+    p, azimuth = state.for_rows(), state.block(MAP).start + 3
     left = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
     counts = left > _COUNTS * float(np.diag(noise).min())
     return left * np.eye(3) if counts else np.zeros((3, 3))
