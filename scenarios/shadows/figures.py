@@ -117,7 +117,7 @@ def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20
 
 def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
     """Draw how the probability along one line sharpens with altitude (paper, Figure 5)."""
-    figure = new_figure(9.6, 4.0)
+    figure = new_figure(9.6, 4.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     # The line with most hazards near the site.
     occupied = first["modified"]["levels"][50.0]["occupied"]
@@ -130,7 +130,7 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
             west, east, *_ = _about(level)
             x = west + (np.arange(cols) + 0.5) * (east - west) / cols
             ax.plot(x[near], np.maximum(level["map"][line, near], 1e-5), color=colour,
-                    label=f"{altitude:.0f} m")  # fmt: skip
+                    label=f"from {altitude:.0f} m")  # fmt: skip
         truth = first[name]["levels"][50.0]["occupied"][line, near]
         ax.fill_between(
             x[near], 1e-5, 1.0, where=truth, step="mid", color="#bbbbbb", label="hazard"
@@ -141,8 +141,7 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
         ax.set_title(name)
         ax.set_xlabel("east of the site (m)")
     axes[0].set_ylabel("probability of hazard")
-    # In the panel that has room.
-    axes[0].legend(*axes[1].get_legend_handles_labels(), title="altitude", loc="upper right")
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     save(figure, path)
 
 

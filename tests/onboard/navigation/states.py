@@ -20,3 +20,10 @@ def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
     root = rng.normal(size=(SIZE + tail, SIZE + tail))
     state.covariance[:] = root @ root.T / 30.0 + 0.1 * np.eye(SIZE + tail)
     return state
+
+
+def alike(states, step, rng: np.random.Generator) -> None:
+    """Do one step, drawn at random, to each of several states."""
+    number = int(rng.integers(2**32))
+    for state in states:
+        step(state, np.random.default_rng(number))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lunarsim.onboard.navigation.error_state import POSE
 from lunarsim.onboard.navigation.put_off import PutOff
-from tests.onboard.navigation.states import made
+from tests.onboard.navigation.states import alike, made
 
 TAIL = 12
 
@@ -93,9 +93,7 @@ def test_it_makes_no_difference_when_the_covariance_is_asked_for(seed):
     put = made(rng, TAIL)
     asked = copy.deepcopy(put)
     for _ in range(25):
-        number = int(rng.integers(2**32))
-        for state in (put, asked):
-            steps(state, np.random.default_rng(number))
+        alike((put, asked), steps, rng)
         asked.covariance.sum()
     head, wanted = np.arange(put.head), asked.covariance
     assert put.own(head) == pytest.approx(wanted[np.ix_(head, head)], rel=1e-7, abs=1e-9)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from lunarsim.onboard.navigation._rock_filter_kernels import take_over_columns, take_over_earlier
 from lunarsim.onboard.navigation.error_state import POSE
-from tests.onboard.navigation.states import made
+from tests.onboard.navigation.states import alike, made
 
 TAIL = 40
 
@@ -70,9 +70,7 @@ def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
     for state in (lags, whole):
         state.rest(np.arange(TAIL) >= 10)
     for _ in range(25):
-        number = int(rng.integers(2**32))
-        for state in (lags, whole):
-            step(state, np.random.default_rng(number))
+        alike((lags, whole), step, rng)
         p = whole.covariance
         assert np.array_equal(p, p.T)
         lags.for_rows()

@@ -46,7 +46,7 @@ _SLOPE, _ROUGHNESS = 0.2, 0.7
 _MISCOUNTED = 10.0
 
 
-def level_ground(judged: Evidence, prior: float, unseen: Array) -> Array:
+def level_ground(judged: Evidence, prior: float, free_of_unseen: Array) -> Array:
     """Return the probability of safe ground but for tracked rocks (rows, cols).
 
     Of what was not measured it means nothing, see `within_ceiling`.
@@ -57,13 +57,13 @@ def level_ground(judged: Evidence, prior: float, unseen: Array) -> Array:
         What was measured, with what an eye for rocks leaves of those that were not.
     prior
         Probability that slope and relief are within the limits, as the mission expects it.
-    unseen
-        See `none_unseen` (rows, cols).
+    free_of_unseen
+        Probability that no rock stands there that nobody has seen, `none_unseen` (rows, cols).
     """
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
         level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
-    return np.asarray(prior * level * unseen)
+    return np.asarray(prior * level * free_of_unseen)
 
 
 def within_ceiling(judged: Evidence, p: Array) -> NDArray[np.float32]:
