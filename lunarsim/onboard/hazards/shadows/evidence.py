@@ -47,9 +47,10 @@ _ALONG, _ACROSS = 0.25, 0.2
 _SHARES = (1.0, 0.7)
 # As many of the five must be dark for a rock to be possible.
 _DARK = 4
-# A look counts if it is sharper than those before by this factor, and takes back what a dark one
-# said if it is sharper by that.
-_SHARPER, _SURER = 1.03, 1.15
+# A look counts if it is sharper than those before by this factor. It takes back what a dark one said
+# if it is sharper by that; one that shows so many pixels of a rock of the size, if by the least.
+# Sharpness is that of a mean rock: low ones may show less to the later look than to the dark one.
+_SHARPER, _SURER, _SURE_PIXELS, _LEAST_SURER = 1.03, 1.5, 5.0, 1.15
 # The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
 _REACH, _FAR = 2.0, 1e3
 # Rocks of a size cannot be crowded into less than this many of their own areas.
@@ -219,7 +220,9 @@ class ClearEvidence:
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
         lit, dark = self.lit[test], self.dark[test]
-        return np.asarray((dark > 0.0) & (lit < _SURER * dark))
+        plain = lit * np.float32(self._tested[test]) >= _SURE_PIXELS
+        surer = np.where(plain, np.float32(_LEAST_SURER), np.float32(_SURER))
+        return np.asarray((dark > 0.0) & (lit < surer * dark))
 
     def _density(self, test: int) -> NDArray[np.float32]:
         """Return rocks a square metre that may be there and are not tracked (rows, cols)."""
