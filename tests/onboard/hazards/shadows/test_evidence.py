@@ -333,6 +333,25 @@ def test_ratios_are_what_looks_say_of_rocks_that_are_expected():
     assert (ratio[:, 5, 5] == 1.0).all()
 
 
+@pytest.mark.parametrize(
+    ("pixels", "by", "taken_back"),
+    [(4.9, 1.49, False), (4.9, 1.51, True), (5.1, 1.14, False), (5.1, 1.16, True)],
+)
+def test_a_lit_look_takes_back_a_dark_one_if_it_is_much_sharper_or_plain(pixels, by, taken_back):
+    """Of the least rock so many pixels show to the lit look, sharper than the dark one by a factor.
+
+    Rocks that are larger by a fifth and more show more: for them the second of two is plain.
+    """
+    evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
+    evidence.lit[:] = pixels / (0.5 * DIAMETERS[0])
+    evidence.dark[:, 40:50, 40:50] = evidence.lit[0, 0, 0] / by
+    assert evidence.seen()[45, 45] == taken_back
+    ratio = evidence.ratios()[:, 45, 45]
+    assert (ratio[0] < 1.0) == taken_back
+    assert (ratio[-1] < 1.0) == (by > 1.15)
+    assert evidence.seen()[20, 20]
+
+
 def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
     faceted = ShadowModel(np.radians(60.0), RockModel("irregular"))
     evidence = ClearEvidence(GRID, faceted, DIAMETERS, NUMBER, DetectionRates())
