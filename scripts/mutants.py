@@ -57,6 +57,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/onboard/navigation/_inertial_kernels.py": (
         "tests/onboard/navigation/test_inertial.py",
     ),
+    "lunarsim/onboard/navigation/_near_kernels.py": (
+        "tests/onboard/navigation/test_near_kernels.py",
+    ),
     "lunarsim/onboard/navigation/_registration_kernels.py": (
         "tests/onboard/navigation/test_registration.py",
         "tests/onboard/navigation/test_seen_scan.py",

@@ -5,30 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-
-
-@kernel(allocates=False)
-def _nearest(east, north, x, y, squares, chosen, away):
-    """Write which of the places (n,) lie nearest to a point, nearest first.
-
-    As many as `chosen` (k,) and `away` (k,), the squares of their distances, hold; `squares` (n,)
-    is left with those of all, which are worked out several at once.
-    """
-    for i in range(len(east)):
-        dx, dy = east[i] - x, north[i] - y
-        squares[i] = dx * dx + dy * dy
-    k = chosen.size
-    count = 0
-    for i in range(len(east)):
-        d = squares[i]
-        if count == k and not d < away[k - 1]:
-            continue
-        at = count if count < k else k - 1
-        count = min(count + 1, k)
-        while at > 0 and d < away[at - 1]:
-            away[at], chosen[at] = away[at - 1], chosen[at - 1]
-            at -= 1
-        away[at], chosen[at] = d, i
+from lunarsim.onboard.navigation._near_kernels import nearest, on_squares
 
 
 @kernel(allocates=False)
@@ -56,14 +33,13 @@ def _solve(a, b):
 
 
 @kernel()
-def _height_at(east, north, known, x, y, count, growth, own):
+def _height_at(east, north, squares, known, x, y, count, growth, own):
     """Return the likeliest height at one point, see `heights`."""
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
-    squares = np.empty(len(east))
     system = np.empty((count + 1, count + 1))
     weights = np.empty(count + 1)
-    _nearest(east, north, x, y, squares, chosen, away)
+    nearest(east, north, x, y, squares, chosen, away)
     for i in range(count):
         for j in range(count):
             dx = east[chosen[i]] - east[chosen[j]]
@@ -97,10 +73,11 @@ def heights(places, known, at, count, growth, own):
     """
     out = np.empty(len(at))
     east, north = places[:, 0].copy(), places[:, 1].copy()
+    squares = on_squares(east, north)
     for b in prange(len(at)):
         x, y = at[b, 0], at[b, 1]
         if np.isfinite(x) and np.isfinite(y):
-            out[b] = _height_at(east, north, known, x, y, count, growth, own)
+            out[b] = _height_at(east, north, squares, known, x, y, count, growth, own)
         else:
             out[b] = np.nan
     return out
