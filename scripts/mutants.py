@@ -41,6 +41,9 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/onboard/control/_kernels.py": (
         "tests/onboard/control", "tests/simulation/test_cycle.py",
     ),
+    "lunarsim/onboard/hazards/shadows/_density_kernels.py": (
+        "tests/onboard/hazards/shadows/test_evidence.py",
+    ),
     "lunarsim/onboard/hazards/shadows/_evidence_kernels.py": (
         "tests/onboard/hazards/shadows/test_evidence.py",
     ),

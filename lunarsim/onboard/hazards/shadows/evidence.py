@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
+from lunarsim.onboard.hazards.shadows import _density_kernels as density
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
 from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
@@ -47,10 +48,8 @@ _ALONG, _ACROSS = 0.25, 0.2
 _SHARES = (1.0, 0.7)
 # As many of the five must be dark for a rock to be possible.
 _DARK = 4
-# A look counts if it is sharper than those before by this factor. It takes back what a dark one said
-# if it is sharper by that; one that shows so many pixels of a rock of the size, if by the least.
-# Sharpness is that of a mean rock: low ones may show less to the later look than to the dark one.
-_SHARPER, _SURER, _SURE_PIXELS, _LEAST_SURER = 1.03, 1.5, 5.0, 1.15
+# A look counts if it is sharper than those before by this factor.
+_SHARPER = 1.03
 # The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
 _REACH, _FAR = 2.0, 1e3
 # Rocks of a size cannot be crowded into less than this many of their own areas.
@@ -219,28 +218,26 @@ class ClearEvidence:
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
-        lit, dark = self.lit[test], self.dark[test]
-        plain = lit * np.float32(self._tested[test]) >= _SURE_PIXELS
-        surer = np.where(plain, np.float32(_LEAST_SURER), np.float32(_SURER))
-        return np.asarray((dark > 0.0) & (lit < surer * dark))
+        possible = np.empty(self.grid.shape, np.bool_)
+        density.mark_possible(possible, self.lit[test], self.dark[test], self._tested[test])
+        return possible
 
     def _density(self, test: int) -> NDArray[np.float32]:
         """Return rocks a square metre that may be there and are not tracked (rows, cols)."""
         mine = self._class == test
         radius, number = self._radius[mine], self._number[mine]
-        lit, possible = self.lit[test], self._possible(test)
-        table = np.linspace(0.0, max(float(lit.max()), 1e-6), 257)
-        missed = np.maximum(self.rates.false_clear(radius[:, None] * table), self.model.bare)
-        density: NDArray[np.float32] = np.interp(lit, table, number @ missed).astype(np.float32)
+        possible, explained = self._possible(test), self.explained[test]
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
-        hidden = possible & self.explained[test]
-        crowded = possible & ~hidden
-        share = crowded.sum() / max(int(((lit > 0.0) | possible).sum()), 1)
+        crowded, looked = density.count_crowded(self.lit[test], possible, explained)
         least = _CROWD * float((number * np.pi * radius**2).sum())
-        density[hidden] = number.sum()
-        density[crowded] = number.sum() / max(share, least)
-        return density
+        hidden = float(number.sum())
+        out = np.empty(self.grid.shape, np.float32)
+        density.fill(
+            out, self.lit[test], possible, explained, radius, number, self.rates.cleared,
+            self.model.bare, hidden, hidden / max(crowded / max(looked, 1), least),
+        )  # fmt: skip
+        return out
 
     @property
     def tested(self) -> Array:

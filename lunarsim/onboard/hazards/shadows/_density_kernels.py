@@ -1,0 +1,79 @@
+"""Compiled part of the evidence: how many rocks may stand where, as looks have it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lunarsim._jit import kernel, prange
+
+# A lit look takes back what a dark one said if it is sharper by the first factor; one that shows so
+# many pixels of a rock of the size, if by the last. Sharpness is that of a mean rock: low ones may
+# show less to the later look than to the dark one.
+_SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15)
+
+
+@kernel(parallel=True)
+def mark_possible(possible, lit, dark, radius):
+    """Write where the sharpest looks do not rule out a rock of a radius, m (rows, cols).
+
+    `lit` and `dark` are the sharpness, pixels for a metre of radius, of the sharpest look at lit and
+    at dark ground (rows, cols); 0: none.
+    """
+    rows, cols = lit.shape
+    plain = _PLAIN / np.float32(radius)
+    for i in prange(rows):
+        for j in range(cols):
+            surer = _PLAIN_SURER if lit[i, j] >= plain else _SURER
+            possible[i, j] = (dark[i, j] > 0.0) & (lit[i, j] < surer * dark[i, j])
+
+
+@kernel()
+def count_crowded(lit, possible, explained):
+    """Return at how many places a rock may be that is not tracked, and how many were looked at."""
+    crowded = looked = 0
+    for i in range(lit.shape[0]):
+        for j in range(lit.shape[1]):
+            crowded += possible[i, j] & ~explained[i, j]
+            looked += possible[i, j] | (lit[i, j] > 0.0)
+    return crowded, looked
+
+
+@kernel()
+def _missed(sharpness, radius, number, line, least):
+    """Return how many rocks a square metre a look at lit ground misses."""
+    start, slope, floor = line
+    total = 0.0
+    for k in range(len(radius)):
+        rate = min(max(start + slope * radius[k] * sharpness, floor), 1.0)
+        total += number[k] * max(rate, least)
+    return total
+
+
+@kernel(parallel=True)
+def fill(density, lit, possible, explained, radius, number, line, least, hidden, crowded):
+    """Write how many rocks a square metre may be there and are not tracked (rows, cols).
+
+    Parameters
+    ----------
+    density
+        (rows, cols).
+    lit
+        Sharpness of the sharpest look at lit ground, pixels for a metre of radius (rows, cols).
+    possible, explained
+        Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
+    radius, number
+        Of the rocks (n,), m, and how many are expected on a square metre (n,).
+    line
+        Rate at which they are missed where ground is lit: at no pixel, its slope, the least.
+    least
+        The least rate besides.
+    hidden, crowded
+        What the density is in dark that is explained, and in other dark.
+    """
+    rows, cols = lit.shape
+    for i in prange(rows):
+        for j in range(cols):
+            if possible[i, j]:
+                density[i, j] = hidden if explained[i, j] else crowded
+            else:
+                density[i, j] = _missed(lit[i, j], radius, number, line, least)
