@@ -16,8 +16,8 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 def mark_possible(possible, lit, dark, radius):
     """Write where the sharpest looks do not rule out a rock of a radius, m (rows, cols).
 
-    `lit` and `dark` are the sharpness, pixels for a metre of radius, of the sharpest look at lit and
-    at dark ground (rows, cols); 0: none.
+    `lit` and `dark` are the sharpness, pixels for a metre of radius, of the sharpest look at lit
+    and at dark ground (rows, cols); 0: none.
     """
     rows, cols = lit.shape
     plain = _PLAIN / np.float32(radius)
