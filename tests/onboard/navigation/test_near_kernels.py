@@ -45,4 +45,3 @@ def test_the_nearest_are_those_that_sorting_finds(lie, n):
         distance = (east - x) ** 2 + (north - y) ** 2
         assert chosen.tolist() == np.argsort(distance, kind="stable")[:k].tolist()
         assert away == pytest.approx(distance[chosen], rel=1e-12, abs=1e-12)
-
