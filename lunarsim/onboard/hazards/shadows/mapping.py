@@ -72,7 +72,7 @@ class ShadowMapping:
     hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
     interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
     look_interval: float = quantity(
-        0.2, "s", ge=0, le=10, help="least time between pictures that tell of clear ground"
+        0.4, "s", ge=0, le=10, help="least time between pictures that tell of clear ground"
     )
     shapes: Literal["inferred", "told", "hemisphere"] = quantity(
         "inferred", help="rocks by which shadows are read; the paper's are half spheres"

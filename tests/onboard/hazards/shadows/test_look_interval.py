@@ -67,6 +67,6 @@ def test_each_camera_looks_by_itself(frames):
 def test_a_scenario_says_how_far_apart_looks_are():
     root = Path(__file__).parents[4] / "scenarios"
     scenario = Scenario.load(root / "shadow_modified.toml")
-    assert scenario.mappers["rocks"].look_interval_s == 0.2
+    assert scenario.mappers["rocks"].look_interval_s == 0.4
     other = scenario.changed(mappers={"rocks": {"look_interval_s": 0.0}})
     assert other.mappers["rocks"].look_interval_s == 0.0
