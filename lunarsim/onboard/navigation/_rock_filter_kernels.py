@@ -8,15 +8,6 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel(parallel=True)
-def subtract_outer(p, w):
-    """Subtract w w' from the square matrix p in place."""
-    for i in prange(w.size):
-        a = w[i]
-        for j in range(w.size):
-            p[i, j] -= a * w[j]
-
-
-@kernel(parallel=True)
 def add_outer(p, w):
     """Add w w' to the square matrix p in place."""
     for i in prange(w.size):
@@ -25,6 +16,21 @@ def add_outer(p, w):
         if a != 0.0:
             for j in range(w.size):
                 p[i, j] += a * w[j]
+
+
+@kernel(parallel=True)
+def subtract_few(p, w, states):
+    """Subtract w' w from rows `states` (s,) of the matrix p (n, n) in place, w being (m, n).
+
+    Row by row, which does no more than read and write them while m is small. Among the states p
+    stays symmetric to the last bit: each entry loses the same products in the same order.
+    """
+    for k in prange(states.size):
+        row = p[states[k]]
+        for i in range(len(w)):
+            a = w[i, states[k]]
+            for j in range(row.size):
+                row[j] -= a * w[i, j]
 
 
 @kernel()

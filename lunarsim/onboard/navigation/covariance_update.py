@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import (
+    subtract_few,
     subtract_from_rows,
-    subtract_outer,
     take_over_earlier,
 )
 
@@ -22,6 +22,8 @@ Index = NDArray[np.int64]
 
 _BLOCK = 384
 _ROWS = 64
+# So few products are taken off sooner row by row than as a matrix.
+_FEW = 6
 
 
 def subtract_square(p: Array, w: Array) -> None:
@@ -30,11 +32,10 @@ def subtract_square(p: Array, w: Array) -> None:
     Block by block above the diagonal: the products then stay in the cache. Blocks are shared among
     threads, and are the same however many there are.
     """
-    if len(w) == 1:
-        with threads_for(4e-4 * len(p) ** 2):
-            subtract_outer(p, w[0])
-        return
     n = len(p)
+    if len(w) <= _FEW:
+        subtract_rows(p, w, np.arange(n))
+        return
 
     def subtract(start: int) -> None:
         stop = min(start + _BLOCK, n)
@@ -44,16 +45,21 @@ def subtract_square(p: Array, w: Array) -> None:
     _share(subtract, range(0, n, _BLOCK))
 
 
-def subtract_rows(p: Array, gain: Array, hp: Array, states: Index) -> None:
-    """Subtract the gain (s, k) times H P (k, n) from rows `states` (s,) of the symmetric p (n, n).
+def subtract_rows(p: Array, w: Array, states: Index) -> None:
+    """Subtract w' w (n, n) from rows `states` (s,) of the symmetric p (n, n), w being (m, n).
 
     In place. Among the states p stays symmetric; their columns in rows of others are left as they
     are. Blocks of rows are shared among threads, and are the same however many there are.
     """
+    if len(w) <= _FEW:
+        with threads_for(4e-4 * len(w) * len(states) * len(p)):
+            subtract_few(p, w, states)
+        return
+    own = np.ascontiguousarray(w[:, states].T)
 
     def subtract(start: int) -> None:
         block = slice(start, start + _ROWS)
-        subtract_from_rows(p, gain[block] @ hp, states[block])
+        subtract_from_rows(p, own[block] @ w, states[block])
 
     _share(subtract, range(0, len(states), _ROWS))
     with threads_for(1e-3 * len(states) ** 2):

@@ -78,8 +78,7 @@ class PutOff:
             subtract_square(p[:n, :n], w)
         if self._of_awake and self._awake is not None:
             w, n = np.concatenate(self._of_awake), self._of_awake[0].shape[1]
-            own = np.ascontiguousarray(w[:, self._awake].T)
-            subtract_rows(p[:n, :n], own, w, self._awake)
+            subtract_rows(p[:n, :n], w, self._awake)
             lags = 0 < len(self._awake) < n
         self._of_all, self._of_awake, self._awake = [], [], None
         return lags
