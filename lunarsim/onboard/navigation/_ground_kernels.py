@@ -84,6 +84,62 @@ def heights(places, known, at, count, growth, own):
 
 
 @kernel()
+def _crossing(at, east, north, squares, known, eye, per_drop, height, search, count, growth, own):
+    """Write where one line of sight meets the ground (3,), see `crossings`."""
+    passes, found, least, most = search
+    tried, off, nearest_yet = height, np.nan, np.inf
+    for _ in range(passes):
+        x, y = eye[0] + per_drop[0] * (eye[2] - height), eye[1] + per_drop[1] * (eye[2] - height)
+        here = np.nan
+        if np.isfinite(x) and np.isfinite(y):
+            here = _height_at(east, north, squares, known, x, y, count, growth, own)
+        now = here - height
+        # Of one that never arrives the pass counts that came nearest; NaN: there is no ground.
+        if not abs(now) >= nearest_yet:
+            at[0], at[1], at[2] = x, y, here
+            nearest_yet = abs(now)
+        if not abs(now) > found:
+            return
+        # Where it would meet ground that goes on as it did from the last height to this.
+        slope = (off - now) / (height - tried)
+        if slope < least:
+            slope = least
+        elif slope > most:
+            slope = most
+        step = now / slope
+        tried, off, height = height, now, height + step if np.isfinite(step) else here
+
+
+@kernel(parallel=True)
+def crossings(places, known, eye, per_drop, height, search, count, growth, own):
+    """Return where lines from an eye (3,) meet the ground that `heights` gives (b, 3).
+
+    Parameters
+    ----------
+    places, known, count, growth, own
+        As for `heights`.
+    eye
+        m.
+    per_drop
+        How far lines go east and north for each metre that they go down (b, 2).
+    height
+        At which the search begins (b,), m.
+    search
+        Passes at most; up to how far off a height is right, m; by which factors a height may fall
+        short of what was found there and go beyond.
+    """
+    out = np.empty((len(per_drop), 3))
+    east, north = places[:, 0].copy(), places[:, 1].copy()
+    squares = on_squares(east, north)
+    for b in prange(len(per_drop)):
+        _crossing(
+            out[b], east, north, squares, known, eye, per_drop[b], height[b], search, count, growth,
+            own,
+        )  # fmt: skip
+    return out
+
+
+@kernel()
 def squares_under(points, side, most):
     """Return on how many squares points (n, 3) lie, NaN for none; `most` once there are so many.
 

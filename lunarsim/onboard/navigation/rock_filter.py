@@ -25,6 +25,7 @@ from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
 from lunarsim.onboard.navigation.planar import inverse, positive
 from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
 from lunarsim.onboard.navigation.rock_states import AXES, RockStates
+from lunarsim.onboard.navigation.wandering_ground import crossings
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -138,6 +139,10 @@ class RockFilter(RockStates):
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
+        if self.measured is None and self.tell_ground:
+            search = (_PASSES, _FOUND, *_STEPS)
+            known = self._known_heights()
+            return crossings(*known, eye, per_drop, height, self._level.growth, search)
         left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
         least, met = np.full(len(height), np.inf), np.empty((len(height), AXES))
         for _ in range(_PASSES):

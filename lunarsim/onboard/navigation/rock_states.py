@@ -194,12 +194,21 @@ class RockStates:
         above = above[np.isfinite(above)]
         return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
 
+    @property
+    def tell_ground(self) -> bool:
+        """Whether the height of the ground is what rocks near by tell."""
+        return self.count > 0 and self.state.has(GROUND)
+
     def _told_by_rocks(self, at: Array) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
-        if self.count == 0 or not self.state.has(GROUND):
+        if not self.tell_ground:
             return np.full(len(at), self.ground)
+        return heights(*self._known_heights(), at, self._level.growth)
+
+    def _known_heights(self) -> tuple[Array, Array]:
+        """Return places (n, 2) and heights (n,), m, that tell of others: below the lander, rocks."""
         places = np.vstack((self.state.inertial.position[:2], self.xy))
-        return heights(places, np.append(self.ground, self.xyz[:, 2]), at, self._level.growth)
+        return places, np.append(self.ground, self.xyz[:, 2])
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0

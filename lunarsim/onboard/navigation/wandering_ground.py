@@ -65,11 +65,47 @@ def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
 
     NaN at points that are not finite.
     """
-    with threads_for((0.5 + 1e-3 * len(places)) * len(at)):
+    with threads_for(0.7 * len(at)):
         return np.asarray(
             kernels.heights(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
                 np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth),
                 _OWN,
+            )
+        )  # fmt: skip
+
+
+def crossings(
+    places: Array,
+    known: Array,
+    eye: Array,
+    per_drop: Array,
+    height: Array,
+    growth: float,
+    search: tuple[int, float, float, float],
+) -> Array:
+    """Return where lines of sight meet the ground that `heights` gives (b, 3).
+
+    Parameters
+    ----------
+    places, known, growth
+        As for `heights`.
+    eye
+        Where lines begin (3,), m.
+    per_drop
+        How far they go east and north for each metre that they go down (b, 2).
+    height
+        At which the search begins (b,), m.
+    search
+        Passes at most; up to how far off a height is right, m; by which factors a height may fall
+        short of what was found there and go beyond.
+    """
+    with threads_for(2.0 * len(height)):
+        return np.asarray(
+            kernels.crossings(
+                np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
+                np.ascontiguousarray(eye, np.float64), np.ascontiguousarray(per_drop, np.float64),
+                np.ascontiguousarray(height, np.float64), search,
+                min(NEIGHBOURS, len(places)), float(growth), _OWN,
             )
         )  # fmt: skip

@@ -197,6 +197,29 @@ class Scattered:
         return np.where(away.min(1) < 1e-6, self.height[away.argmin(1)], np.nan)
 
 
+class Unknown:
+    """Ground that somebody looked for and did not find."""
+
+    def heights(self, xy):
+        return np.full(len(xy), np.nan)
+
+
+@pytest.mark.parametrize("rocks_told", [0, 1, 3, 400])
+def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
+    """One kernel that searches along each line does as the passes over all lines do."""
+    rng = np.random.default_rng(rocks_told)
+    xyz = places(rocks_told, seed=rocks_told)
+    xyz[:, 2] = 0.4 * xyz[:, 0] + 3.0 * np.sin(xyz[:, 1])
+    rocks, camera = rocks_seen(xyz)
+    pixel = rng.uniform(-200.0, [840.0, 680.0], (300, 2))
+    pixel[7] = np.nan
+    found = rocks.ground_points(camera, pixel)
+    rocks.measured = Unknown()
+    assert np.isfinite(found).all(1).sum() > 100
+    assert not np.isfinite(found).all()
+    np.testing.assert_array_equal(found, rocks.ground_points(camera, pixel))
+
+
 def test_lines_of_sight_far_beside_a_region_are_left_out():
     rocks, camera = rocks_seen(places(5))
     pixel = np.random.default_rng(0).uniform(0.0, [640.0, 480.0], (200, 2))
