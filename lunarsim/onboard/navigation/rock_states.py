@@ -206,7 +206,7 @@ class RockStates:
         return heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
-        """Return places (n, 2) and heights (n,), m, that tell of others: below the lander, rocks."""
+        """Return places (n, 2) and heights (n,), m, that tell of others: at lander and rocks."""
         places = np.vstack((self.state.inertial.position[:2], self.xy))
         return places, np.append(self.ground, self.xyz[:, 2])
 

@@ -23,6 +23,7 @@ from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
     largest_of_blocks,
     lit_tiles,
     lit_within,
+    spread,
     tile_at,
 )
 
@@ -300,8 +301,9 @@ def look(
     lens = (fx, fy, cx, cy)
     blocks = largest_of_blocks(shadow_of, high, wide)
     clear = lit_tiles(nodes, every, radii, axes[2], lens, high, wide, shadow_of, blocks)
-    for i in prange(lit.shape[1]):
+    order = spread(lit.shape[1])
+    for k in prange(lit.shape[1]):
         _look_along(
-            i, lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,
+            order[k], lit, dark, explained, radii, nodes, in_view, clear, every, axes[2], lens,
             labels.shape, shadow_of, blocks, least, gain, cores,
         )  # fmt: skip

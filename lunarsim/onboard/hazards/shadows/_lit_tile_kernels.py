@@ -23,6 +23,23 @@ _TILE, _BLOCK = 8, 4
 _FEW = 48
 # What rounding may move a point of the picture by, pixels.
 ROUNDING = 0.01
+# Rows that lie side by side are worked on so many parts from each other.
+_SPREAD = 16
+
+
+@kernel()
+def spread(rows):
+    """Return numbers of rows so ordered that threads which take a part each share the work alike.
+
+    What a picture shows of the ground lies in some rows; each part has rows of everywhere.
+    """
+    order = np.empty(rows, np.int64)
+    n = 0
+    for first in range(_SPREAD):
+        for row in range(first, rows, _SPREAD):
+            order[n] = row
+            n += 1
+    return order
 
 
 @kernel(parallel=True)
@@ -201,7 +218,9 @@ def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
     tiles = tiles_of(every)
     rows, cols = (nodes.shape[0] - 1) * tiles, (nodes.shape[1] - 1) * tiles
     out = np.zeros((rows, cols, len(radii)), np.bool_)
-    for row in prange(rows):
+    order = spread(rows)
+    for k in prange(rows):
+        row = order[k]
         low, high = np.empty(nodes.shape[2]), np.empty(nodes.shape[2])
         for col in range(cols):
             i, j = row // tiles, col // tiles
