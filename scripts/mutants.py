@@ -81,6 +81,7 @@ _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/rocks/_kernels.py": (
         "tests/rocks/test_kernels.py", "tests/rocks/test_level_ground.py",
     ),
+    "lunarsim/sensors/_detector_kernels.py": ("tests/sensors/test_detector.py",),
     "lunarsim/sensors/_imu_kernels.py": (
         "tests/test_frame_kernels.py",
         "tests/simulation/test_cycle.py",

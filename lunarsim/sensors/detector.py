@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.models.camera import CameraModel
+from lunarsim.sensors._detector_kernels import read_out
 
 Array = NDArray[np.float64]
 
@@ -55,21 +56,19 @@ def counted(
     bits: int,
 ) -> NDArray[np.unsignedinteger[Any]]:
     """Return the counts (height, width) of electrons, which are overwritten; see `Camera`."""
+    few = np.ones(electrons.shape, np.bool_)
+    normal = np.zeros(electrons.shape, np.float32)
     if shot_noise or read_noise > 0.0:
-        deviation = np.full(electrons.shape, np.float32(read_noise**2))
         if shot_noise:
-            few = electrons < np.float32(_FEW)
             # Where photons are few they are counted; where many, their noise is normal.
-            np.add(deviation, electrons, out=deviation, where=~few)
+            few = electrons < np.float32(_FEW)
             electrons[few] = rng.poisson(electrons[few])
-        np.sqrt(deviation, out=deviation)
-        deviation *= rng.standard_normal(electrons.shape, dtype=np.float32)
-        electrons += deviation
+        rng.standard_normal(dtype=np.float32, out=normal)
     top = 2**bits - 1
-    if gain < 1.0:
-        np.minimum(electrons, np.float32(full_well), out=electrons)
-    electrons *= np.float32(gain * top / full_well)
-    counts = np.rint(np.clip(electrons, 0.0, top, out=electrons), out=electrons)
-    narrow: NDArray[np.unsignedinteger[Any]]
-    narrow = counts.astype(np.uint8) if bits <= 8 else counts.astype(np.uint16)
-    return narrow
+    counts = np.empty(electrons.shape, np.uint8 if bits <= 8 else np.uint16)
+    read_out(
+        counts, electrons, normal, few, np.float32(read_noise**2),
+        np.float32(full_well if gain < 1.0 else np.inf), np.float32(gain * top / full_well),
+        np.float32(top),
+    )  # fmt: skip
+    return counts

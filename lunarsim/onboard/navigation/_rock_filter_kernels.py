@@ -8,14 +8,15 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel(parallel=True)
-def add_outer(p, w):
-    """Add w w' to the square matrix p in place."""
-    for i in prange(w.size):
-        a = w[i]
-        # Heights do not move.
-        if a != 0.0:
-            for j in range(w.size):
-                p[i, j] += a * w[j]
+def add_few(p, w):
+    """Add w' w to the square matrix p in place, w being (m, n), in one pass over its rows."""
+    for i in prange(len(p)):
+        for k in range(len(w)):
+            a = w[k, i]
+            # Heights do not move.
+            if a != 0.0:
+                for j in range(len(p)):
+                    p[i, j] += a * w[k, j]
 
 
 @kernel(parallel=True)

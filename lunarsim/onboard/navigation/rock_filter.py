@@ -16,7 +16,7 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import add_outer, measured_rows
+from lunarsim.onboard.navigation._rock_filter_kernels import add_few, measured_rows
 from lunarsim.onboard.navigation.aids import Aids, blocks_of
 from lunarsim.onboard.navigation.error_state import KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
@@ -334,20 +334,23 @@ class RockFilter(RockStates):
         self._eye, self._pixel = eye, pixel
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
-        self._wander_together(shared * root, level)
-        self._wander_together(closing * np.sqrt(nearer + other) * coarser * far, level)
+        range_ = closing * np.sqrt(nearer + other) * coarser * far
+        self._wander_together(np.stack((shared * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
         self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
     def _wander_together(self, sigma: Array, axis: Array) -> None:
-        """Let all rocks have moved along a level axis (2,), by one number times sigma (n,), m."""
+        """Let all rocks have moved along a level axis (2,), by m numbers times sigma (m, n), m."""
         size = self.state.size
-        move = np.zeros((self.count, AXES))
-        move[:, :2] = sigma[:, None] * axis
-        with threads_for(2e-3 * size**2):
-            add_outer(self.state.for_rows()[self.first : size, self.first : size], move.ravel())
+        move = np.zeros((len(sigma), self.count, AXES))
+        move[..., :2] = sigma[..., None] * axis
+        with threads_for(4e-3 * size**2):
+            add_few(
+                self.state.for_rows()[self.first : size, self.first : size],
+                move.reshape(len(sigma), -1),
+            )
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.

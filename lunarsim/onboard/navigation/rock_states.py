@@ -287,6 +287,10 @@ class RockStates:
     def _nearest(self, rock: int, others: Index) -> Index:
         """Return which of other rocks (k,) are a rock's neighbours."""
         away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
+        if len(away) > NEIGHBOURS:
+            # All that are no farther than the last of them: the first count of those as far.
+            near = np.flatnonzero(away <= np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1])
+            away, others = away[near], others[near]
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
