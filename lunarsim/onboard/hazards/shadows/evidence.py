@@ -58,8 +58,9 @@ _CROWD = 2.0
 _MISSED = 0.25
 # Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
 _BARE = 0.02
-# Greatest ratio of the sizes that one test stands for.
-_STEP = 1.4
+# Greatest ratio of the sizes that one test stands for, and tests at most: of the last one's sizes,
+# nearly three times the least and more, there are few.
+_STEP, _TESTS = 1.4, 4
 
 
 class ClearEvidence:
@@ -107,7 +108,8 @@ class ClearEvidence:
         self._number = number
         # One test for sizes within a factor.
         step = np.log(diameters / diameters[0]) / np.log(_STEP)
-        self._class = np.unique(np.minimum((step + 1e-9).astype(int), 4), return_inverse=True)[1]
+        first = np.minimum((step + 1e-9).astype(int), _TESTS - 1)
+        self._class = np.unique(first, return_inverse=True)[1]
         classes = int(self._class.max()) + 1
         self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
         self.lit = np.zeros((classes, *grid.shape), np.float32)
