@@ -9,8 +9,9 @@ import numpy as np
 from lunarsim._jit import kernel, prange
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
-# Deviations beyond which a place is covered for certain.
-_CERTAIN = 5.5
+# Deviations beyond which a place is covered for certain, and farther than which from a rock's centre
+# the distance is taken as normal: to 6e-4 in the probability.
+_CERTAIN, _FAR = 5.5, 5.0
 # Rows that one thread paints.
 _BAND = 64
 
@@ -36,9 +37,12 @@ def _normal(x):
 @kernel()
 def _rice(d, sigma, mean, spread, node, weight):
     """Return P(distance <= radius): Rice(d, sigma) against N(mean, spread)."""
-    if d > 8.0 * sigma:
-        # The distance is normal about d + sigma^2 / (2 d).
-        return _normal((mean - d - 0.5 * sigma * sigma / d) / math.hypot(sigma, spread))
+    if d > _FAR * sigma:
+        # The distance is nearly normal: its first two moments to the fourth order of sigma / d.
+        share = (sigma / d) ** 2
+        middle = d * (1.0 + 0.5 * share + 0.125 * share * share)
+        width = math.sqrt(sigma * sigma * (1.0 - 0.5 * share) + spread * spread)
+        return _normal((mean - middle) / width)
     if mean - d > _CERTAIN * (sigma + spread):
         return 1.0
     low = max(d - 7.0 * sigma, 0.0)

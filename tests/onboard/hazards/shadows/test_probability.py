@@ -21,6 +21,18 @@ def test_rice_form_equals_the_reference():
         assert found == pytest.approx(rice(d, sigma, mean, spread), abs=2e-3)
 
 
+@pytest.mark.parametrize("away", [4.5, 4.99, 5.01, 6.0, 8.0, 20.0])
+def test_far_from_a_rock_the_form_is_as_good_as_near_it(away):
+    """Where the distance is taken as normal, about the radius at which that tells."""
+    rng = np.random.default_rng(round(100 * away))
+    for _ in range(30):
+        sigma, share = rng.uniform(0.05, 0.6), rng.uniform(0.25, 2.0)
+        d, spread = away * sigma, share * sigma
+        mean = max(d + rng.uniform(-3.0, 3.0) * np.hypot(sigma, spread), 0.05)
+        found = cover_probability([[d]], [sigma], [mean], [spread])[0, 0]
+        assert found == pytest.approx(rice(d, sigma, mean, spread), abs=7e-4)
+
+
 def test_the_scaled_bessel_function_is_that_of_scipy():
     x = np.concatenate(([0.0, 3.75], np.geomspace(1e-3, 700.0, 200)))
     assert [kernels.i0e(v) for v in x] == pytest.approx(i0e(x).tolist(), rel=6e-7)
