@@ -9,8 +9,8 @@ import numpy as np
 from lunarsim._jit import kernel, prange
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
-# Deviations beyond which a place is covered for certain, and farther than which from a rock's centre
-# the distance is taken as normal: to 6e-4 in the probability.
+# Deviations beyond which a place is covered for certain, and from which on the distance from a
+# rock's centre is taken as normal: to 6e-4 in the probability.
 _CERTAIN, _FAR = 5.5, 5.0
 # Rows that one thread paints.
 _BAND = 64
