@@ -32,4 +32,5 @@ def read_out(counts, electrons, normal, few, noise, well, factor, top):
             variance = noise if few[i, j] else noise + electrons[i, j]
             count = electrons[i, j] + np.sqrt(variance) * normal[i, j]
             count = min(count, well) * factor
-            counts[i, j] = np.rint(min(max(count, np.float32(0.0)), top))
+            # What is no number counts nothing.
+            counts[i, j] = np.rint(min(count, top)) if count > 0.0 else np.float32(0.0)

@@ -55,7 +55,7 @@ def counted(
     gain: float,
     bits: int,
 ) -> NDArray[np.unsignedinteger[Any]]:
-    """Return the counts (height, width) of electrons, which are overwritten; see `Camera`."""
+    """Return the counts (height, width) of electrons, which may be overwritten; see `Camera`."""
     few = np.ones(electrons.shape, np.bool_)
     normal = np.zeros(electrons.shape, np.float32)
     if shot_noise or read_noise > 0.0:

@@ -26,6 +26,17 @@ def plainly(electrons, rng, shot_noise, read_noise, full_well, gain, bits):
     return np.rint(np.clip(came * np.float32(gain * top / full_well), 0.0, top))
 
 
+@pytest.mark.parametrize("bits", [8, 9, 12, 16])
+def test_what_is_no_number_counts_nothing_and_no_count_is_beyond_the_top(bits):
+    electrons = np.array([[np.nan, np.inf, -np.inf, -5.0, 1e30, 0.0]], np.float32)
+    found = counted(
+        electrons, np.random.default_rng(0), shot_noise=False, read_noise=1.0, full_well=2e4,
+        gain=1.0, bits=bits,
+    )  # fmt: skip
+    top = 2**bits - 1
+    assert found.tolist() == [[0, top, 0, 0, top, 0]]
+
+
 @pytest.mark.parametrize(
     ("shot", "read", "gain", "bits"),
     list(product([True, False], [0.0, 25.0], [0.6, 1.0, 2.5], [8, 12, 16])),

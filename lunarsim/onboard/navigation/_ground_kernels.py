@@ -114,6 +114,8 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
 def crossings(places, known, eye, per_drop, height, search, count, growth, own):
     """Return where lines from an eye (3,) meet the ground that `heights` gives (b, 3).
 
+    Pass by pass as `RockFilter` does over ground that was measured.
+
     Parameters
     ----------
     places, known, count, growth, own

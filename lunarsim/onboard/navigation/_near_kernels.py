@@ -8,8 +8,8 @@ from lunarsim._jit import kernel
 
 # So many places lie on a square in the mean, and of no more than so many all are looked at.
 _A_SQUARE, _FEW = 2.0, 48
-# Columns and rows of squares, no more.
-_MOST = 256
+# Columns and rows of squares, about as many at most, and the least extent that is cut into any, m.
+_MOST, _LEAST = 256, 1e-6
 
 
 @kernel(allocates=False)
@@ -39,7 +39,7 @@ def on_squares(east, north):
         Of the places (n,), square after square, in each as they were.
     first
         Where each square begins in it, and the end (rows * cols + 1,). Of one square if there are
-        few places or one is not finite.
+        few places, they lie on a line east or north, or one is not finite.
     box
         West and south edge, side, rows and columns (5,).
     """
@@ -47,7 +47,7 @@ def on_squares(east, north):
     west, south = east.min(), north.min()
     wide, high = east.max() - west, north.max() - south
     box = np.array([west, south, np.inf, 1.0, 1.0])
-    if n > _FEW and 0.0 < wide < np.inf and 0.0 < high < np.inf:
+    if n > _FEW and _LEAST < wide < np.inf and _LEAST < high < np.inf:
         side = max(np.sqrt(wide * high * _A_SQUARE / n), max(wide, high) / _MOST)
         box[2], box[3], box[4] = side, np.floor(high / side) + 1.0, np.floor(wide / side) + 1.0
     rows, cols = int(box[3]), int(box[4])

@@ -29,8 +29,8 @@ _FEW = 6
 def subtract_square(p: Array, w: Array) -> None:
     """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
 
-    Block by block above the diagonal: the products then stay in the cache. Blocks are shared among
-    threads, and are the same however many there are.
+    Row by row if m is small; else block by block above the diagonal: the products then stay in the
+    cache. They are shared among threads, and are the same however many there are.
     """
     n = len(p)
     if len(w) <= _FEW:
@@ -49,7 +49,8 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
     """Subtract w' w (n, n) from rows `states` (s,) of the symmetric p (n, n), w being (m, n).
 
     In place. Among the states p stays symmetric; their columns in rows of others are left as they
-    are. Blocks of rows are shared among threads, and are the same however many there are.
+    are. Rows are shared among threads, one by one or in blocks, and are the same however many there
+    are.
     """
     if len(w) <= _FEW:
         with threads_for(4e-4 * len(w) * len(states) * len(p)):

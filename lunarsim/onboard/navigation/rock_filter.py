@@ -139,7 +139,8 @@ class RockFilter(RockStates):
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
-        if self.measured is None and self.tell_ground:
+        if self.measured is None and self.told_by_rocks:
+            # The same passes, line by line and compiled.
             search = (_PASSES, _FOUND, *_STEPS)
             known = self._known_heights()
             return crossings(*known, eye, per_drop, height, self._level.growth, search)
@@ -339,6 +340,7 @@ class RockFilter(RockStates):
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
+        own = 0.5 * (own + own.T)  # symmetric to the last bit
         self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
     def _wander_together(self, sigma: Array, axis: Array) -> None:

@@ -195,13 +195,13 @@ class RockStates:
         return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
 
     @property
-    def tell_ground(self) -> bool:
+    def told_by_rocks(self) -> bool:
         """Whether the height of the ground is what rocks near by tell."""
         return self.count > 0 and self.state.has(GROUND)
 
     def _told_by_rocks(self, at: Array) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
-        if not self.tell_ground:
+        if not self.told_by_rocks:
             return np.full(len(at), self.ground)
         return heights(*self._known_heights(), at, self._level.growth)
 
@@ -289,7 +289,7 @@ class RockStates:
         away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         if len(away) > NEIGHBOURS:
             # All that are no farther than the last of them: the first count of those as far.
-            near = np.flatnonzero(away <= np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1])
+            near = np.flatnonzero(~(away > np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1]))
             away, others = away[near], others[near]
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
 

@@ -10,9 +10,10 @@ import pytest
 from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.level_ground import LevelGround
+from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.measured_heights import COMMON, OWN
 from lunarsim.onboard.navigation.rock_filter import RockFilter
+from lunarsim.onboard.navigation.wandering_ground import crossings, kriging
 from lunarsim.sensors.camera import Camera
 from tests.reference import laid
 
@@ -197,6 +198,28 @@ class Scattered:
         return np.where(away.min(1) < 1e-6, self.height[away.argmin(1)], np.nan)
 
 
+@pytest.mark.parametrize("spacing", [0.0, 4.0])
+def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacing):
+    """Five by distance, of those that are as far the first; on posts some are as far."""
+    rng = np.random.default_rng(3)
+    xyz = places(30)
+    if spacing:
+        xyz[:, :2] = spacing * np.column_stack(np.divmod(rng.permutation(49)[:30], 7))
+    rocks, camera = rocks_seen(xyz)
+    told = rocks.covariance.copy()
+    new = np.array([[4.0, 8.0, 0.0]]) if spacing else places(1, seed=1)
+    away = np.hypot(*(xyz[:, :2] - new[0, :2]).T)
+    near = np.argsort(away, kind="stable")[:5]
+    at = np.vstack((rocks.inertial.position[:2], xyz[near, :2]))
+    weights = kriging(at[None], new[:, :2], rocks.expected_growth)[0][0]
+    heights = rocks.places()[:, 2]
+    ground = rocks.state.block(GROUND).start
+    expected = weights[0] * told[ground] + weights[1:] @ told[heights[near]]
+    rocks.add(camera, new, 0.1 * np.eye(2)[None], np.array([0.4]), np.array([0.01]))
+    found = rocks.covariance[rocks.places()[30, 2]]
+    np.testing.assert_allclose(found[heights], expected[heights], rtol=1e-9)
+
+
 class Unknown:
     """Ground that somebody looked for and did not find."""
 
@@ -218,6 +241,15 @@ def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
     assert np.isfinite(found).all(1).sum() > 100
     assert not np.isfinite(found).all()
     np.testing.assert_array_equal(found, rocks.ground_points(camera, pixel))
+
+
+def test_a_line_of_sight_that_goes_nowhere_meets_nothing():
+    """From the first pass on, and whatever was in memory before."""
+    known = np.zeros((9, 2)) + np.arange(9.0)[:, None], np.ones(9)
+    per_drop = np.array([[np.nan, 0.0], [0.1, 0.2], [np.inf, 1.0]])
+    met = crossings(*known, EYE, per_drop, np.zeros(3), 1.0, (8, 0.01, 0.2, 3.0))
+    assert np.isnan(met[[0, 2], 2]).all()
+    assert met[1] == pytest.approx([EYE[0] + 24.9, EYE[1] + 49.8, 1.0])
 
 
 def test_lines_of_sight_far_beside_a_region_are_left_out():

@@ -29,6 +29,15 @@ def strip(rng, n):
     return rng.uniform((-500.0, -0.01), (500.0, 0.01), (n, 2))
 
 
+def test_places_of_which_one_is_nowhere_lie_on_one_square():
+    east, north = np.random.default_rng(0).normal(size=(2, 90))
+    for nowhere in (np.nan, np.inf, -np.inf):
+        east[7] = nowhere
+        order, first, _ = kernels.on_squares(east, north)
+        assert order.tolist() == list(range(90))
+        assert first.tolist() == [0, 90]
+
+
 @pytest.mark.parametrize("lie", [scattered, crowded, posts, line, strip])
 @pytest.mark.parametrize("n", [1, 4, 48, 49, 300, 1500])
 def test_the_nearest_are_those_that_sorting_finds(lie, n):

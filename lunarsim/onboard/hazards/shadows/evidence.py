@@ -58,6 +58,8 @@ _CROWD = 2.0
 _MISSED = 0.25
 # Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
 _BARE = 0.02
+# Rocks on a square metre, for none of a size.
+_NONE = 1e-30
 # Greatest ratio of the sizes that one test stands for, and tests at most: of the last one's sizes,
 # nearly three times the least and more, there are few.
 _STEP, _TESTS = 1.4, 4
@@ -105,7 +107,7 @@ class ClearEvidence:
         self._low = ShadowModel(model.elevation, LOW)
         self.rates = rates
         self._radius = 0.5 * diameters
-        self._number = number
+        self._number = np.maximum(number, _NONE)
         # One test for sizes within a factor.
         step = np.log(diameters / diameters[0]) / np.log(_STEP)
         first = np.minimum((step + 1e-9).astype(int), _TESTS - 1)

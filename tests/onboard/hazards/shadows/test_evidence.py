@@ -201,6 +201,33 @@ def test_rocks_that_must_be_somewhere_are_where_they_may_be():
     assert not evidence.seen()[45, 80]
 
 
+def test_rocks_are_as_crowded_as_ground_that_was_looked_at_leaves_room_for():
+    """Ground that is dark to the only look was looked at too."""
+    evidence = ClearEvidence(
+        GRID, MODEL, DIAMETERS, NUMBER, DetectionRates(cleared=(1.0, -9.0, 1e-9))
+    )
+    evidence.lit[:, :60] = 1e3
+    evidence.dark[:, 60:90] = 1e3
+    per_metre = evidence.expected() / np.sum(NUMBER * np.pi * (0.5 * DIAMETERS) ** 2)
+    assert per_metre[70, 60] == pytest.approx(3.0, rel=0.01)
+
+
+def test_sizes_of_which_none_are_expected_stand_nowhere():
+    evidence = ClearEvidence(
+        GRID, MODEL, DIAMETERS, NUMBER * [1.0, 1.0, 1.0, 0.0], DetectionRates()
+    )
+    evidence.lit[:] = 1e3
+    evidence.dark[:, 60:90] = 2e3
+    assert np.isfinite(evidence.ratios()).all()
+    assert np.isfinite(evidence.expected()).all()
+
+
+def test_one_look_stands_for_sizes_within_a_factor_and_the_last_for_all_larger():
+    sizes = 0.5 * 1.4 ** np.arange(8)
+    evidence = ClearEvidence(GRID, MODEL, sizes, np.ones(8), DetectionRates())
+    assert evidence.tested == pytest.approx(sizes[:4])
+
+
 def test_the_shadow_of_a_tracked_rock_hides_others_no_more_than_other_ground():
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     evidence.lit[:] = 1e3
