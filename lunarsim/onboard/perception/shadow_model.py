@@ -35,8 +35,8 @@ _SHAPES = 5
 # Samples across a radius.
 _DETAIL = 12
 # Standard deviations of radius and centre (an axis), in radii, that many looks do not average out.
-# `scenarios/shadows/looks.py` finds 0.09 and 0.32 for cubes, 0.14 to 0.15 and 0.14 to 0.18 for
-# irregular, mixed rocks and ellipsoids, 0.06 and 0.13 for half spheres.
+# `scenarios/shadows/looks.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16 and 0.18 to 0.22 for
+# irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
 _UNKNOWN = (0.12, 0.28)
 # A rock of radius 1 with less that is dark shows nothing; so many are drawn to find how many do.
 _BARE_AREA, _BARE_DRAWN = 0.15, 64
