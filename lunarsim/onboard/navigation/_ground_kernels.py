@@ -114,21 +114,8 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
 def crossings(places, known, eye, per_drop, height, search, count, growth, own):
     """Return where lines from an eye (3,) meet the ground that `heights` gives (b, 3).
 
-    Pass by pass as `RockFilter` does over ground that was measured.
-
-    Parameters
-    ----------
-    places, known, count, growth, own
-        As for `heights`.
-    eye
-        m.
-    per_drop
-        How far lines go east and north for each metre that they go down (b, 2).
-    height
-        At which the search begins (b,), m.
-    search
-        Passes at most; up to how far off a height is right, m; by which factors a height may fall
-        short of what was found there and go beyond.
+    Pass by pass as `RockFilter` does over ground that was measured. Parameters are those of
+    `wandering_ground.crossings`; `count` and `own` as for `heights`.
     """
     out = np.empty((len(per_drop), 3))
     east, north = places[:, 0].copy(), places[:, 1].copy()

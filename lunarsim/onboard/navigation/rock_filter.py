@@ -139,7 +139,7 @@ class RockFilter(RockStates):
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
         """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
-        if self.measured is None and self.told_by_rocks:
+        if self.measured is None and self.rocks_tell_ground:
             # The same passes, line by line and compiled.
             search = (_PASSES, _FOUND, *_STEPS)
             known = self._known_heights()

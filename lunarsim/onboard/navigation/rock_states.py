@@ -195,13 +195,13 @@ class RockStates:
         return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
 
     @property
-    def told_by_rocks(self) -> bool:
+    def rocks_tell_ground(self) -> bool:
         """Whether the height of the ground is what rocks near by tell."""
         return self.count > 0 and self.state.has(GROUND)
 
     def _told_by_rocks(self, at: Array) -> Array:
         """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
-        if not self.told_by_rocks:
+        if not self.rocks_tell_ground:
             return np.full(len(at), self.ground)
         return heights(*self._known_heights(), at, self._level.growth)
 
