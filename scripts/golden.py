@@ -6,7 +6,8 @@
 
 Results are bit-identical only on one machine (see docs/reproducibility.md), so a recording is kept
 in the ignored folder `out/golden` and never committed. Kernels are compiled into a folder of their
-own for each state of the source, one thread runs each case, and figures are not compared.
+own for each state of the source, a fixed number of threads runs each case, and figures are not
+compared.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from golden_parts.cases import CASES, COMPLETE, Digests  # noqa: E402
 
 OUT = ROOT / "out" / "golden"
 _PACKAGES = ("numba", "llvmlite", "numpy", "scipy", "moderngl", "opencv-python-headless", "qoco")
-_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
+_COUNTS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
 
 
 @click.group()
@@ -47,16 +48,23 @@ _COMPLETE = click.option(
     "--complete", is_flag=True, help="Cameras, all instruments and a campaign report too."
 )
 _JOBS = click.option("--jobs", default=2, show_default=True, help="Cases at a time.")
+_THREADS = click.option(
+    "--threads",
+    default=1,
+    show_default=True,
+    help="Threads of a case; results do not depend on it.",
+)
 
 
 @main.command()
 @click.option("--at", "revision", default=None, help="Git revision; default: the working tree.")
 @_COMPLETE
 @_JOBS
-def record(revision: str | None, complete: bool, jobs: int) -> None:
+@_THREADS
+def record(revision: str | None, complete: bool, jobs: int, threads: int) -> None:
     """Record the digests of a revision or of the working tree."""
     with _tree(revision) as tree:
-        found = _run(tree, COMPLETE if complete else CASES, jobs)
+        found = _run(tree, COMPLETE if complete else CASES, jobs, threads)
     OUT.mkdir(parents=True, exist_ok=True)
     text = json.dumps({"machine": _machine(), "of": revision or "working tree", "cases": found})
     (OUT / "recorded.json").write_text(text, encoding="utf-8")
@@ -66,7 +74,8 @@ def record(revision: str | None, complete: bool, jobs: int) -> None:
 @main.command()
 @_COMPLETE
 @_JOBS
-def check(complete: bool, jobs: int) -> None:
+@_THREADS
+def check(complete: bool, jobs: int, threads: int) -> None:
     """Compare the working tree with the recording; exit code 1 if a result has changed."""
     path = OUT / "recorded.json"
     if not path.is_file():
@@ -81,7 +90,7 @@ def check(complete: bool, jobs: int) -> None:
     missing = [name for name in cases if name not in recorded["cases"]]
     if missing:
         raise click.UsageError(f"not recorded: {', '.join(missing)}; record with the same options")
-    found = _run(ROOT, cases, jobs)
+    found = _run(ROOT, cases, jobs, threads)
     lines = [
         line for name in cases for line in _changes(name, recorded["cases"][name], found[name])
     ]
@@ -129,12 +138,12 @@ def _tree(revision: str | None) -> Iterator[Path]:
             )
 
 
-def _run(tree: Path, cases: dict[str, Any], jobs: int) -> dict[str, Digests]:
+def _run(tree: Path, cases: dict[str, Any], jobs: int, threads: int) -> dict[str, Digests]:
     """Return the digests of each case, computed by the source in a folder."""
     begin = time.monotonic()
     found = {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
-        running = {pool.submit(_case, tree, name, Path(folder)): name for name in cases}
+        running = {pool.submit(_case, tree, name, Path(folder), threads): name for name in cases}
         for done in as_completed(running):
             found[running[done]] = done.result()
             click.echo(
@@ -144,10 +153,10 @@ def _run(tree: Path, cases: dict[str, Any], jobs: int) -> dict[str, Digests]:
     return found
 
 
-def _case(tree: Path, name: str, folder: Path) -> Digests:
+def _case(tree: Path, name: str, folder: Path, threads: int) -> Digests:
     """Run one case in a process of its own."""
     out = folder / f"{name}.json"
-    environment = os.environ | dict.fromkeys(_THREADS, "1") | {
+    environment = os.environ | dict.fromkeys(_COUNTS, str(threads)) | {
         "PYTHONPATH": os.pathsep.join(map(str, (tree, tree / "envs", ROOT / "scripts"))),
         "NUMBA_CACHE_DIR": str(OUT / "kernels" / _source_digest(tree)),
         "XDG_CACHE_HOME": str(folder),
