@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from llvmlite.binding import get_host_cpu_name
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -182,12 +183,8 @@ def _source_digest(tree: Path) -> str:
 
 def _machine() -> dict[str, str]:
     """Return what the bits of a result depend on besides the source."""
-    cpu = Path("/proc/cpuinfo")
-    models = [x for x in cpu.read_text().splitlines() if "model name" in x] if cpu.exists() else []
-    return {
-        "processor": models[0].partition(":")[2].strip() if models else platform.processor(),
-        "python": platform.python_version(),
-    } | {name: version(name) for name in _PACKAGES}
+    found = {"processor": get_host_cpu_name(), "python": platform.python_version()}
+    return found | {name: version(name) for name in _PACKAGES}
 
 
 if __name__ == "__main__":
