@@ -92,9 +92,7 @@ def check(complete: bool, jobs: int, threads: int) -> None:
     if missing:
         raise click.UsageError(f"not recorded: {', '.join(missing)}; record with the same options")
     found = _run(ROOT, cases, jobs, threads)
-    lines = [
-        line for name in cases for line in _changes(name, recorded["cases"][name], found[name])
-    ]
+    lines = [line for name in cases for line in changes(name, recorded["cases"][name], found[name])]
     for line in lines:
         click.echo(line)
     changed = sum(not line.startswith("renamed") for line in lines)
@@ -102,7 +100,7 @@ def check(complete: bool, jobs: int, threads: int) -> None:
     sys.exit(1 if changed else 0)
 
 
-def _changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
+def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
     """Yield a line for each quantity that was changed, added, removed or renamed."""
     for name in sorted(before.keys() & after.keys()):
         if before[name][0] != after[name][0]:

@@ -1,8 +1,12 @@
-"""The option ``--fresh-draw N``: every generator of the run draws other numbers.
+"""Options that redraw random numbers, to see which tests depend on one particular draw.
 
-Worlds, noise and test data then differ from those of an ordinary run, as they do in part on a
-processor that rounds differently. A test of a statistical property must hold on every draw but for
-the chance of failure that it states; a test that pins the values of one draw fails.
+``--fresh-noise N``: the noise of every image is another draw. A processor that rounds differently
+has this effect: one pixel whose brightness differs in its last bit shifts the random numbers of all
+pixels after it. Every test must pass with it.
+
+``--fresh-draw N``: every generator draws other numbers, so worlds and measurements differ too.
+Tests marked `statistical` must pass with it, but for the chance of failure in `tests/chance.py`;
+tests that need one particular world may fail.
 """
 
 from __future__ import annotations
@@ -16,24 +20,38 @@ _default_rng = np.random.default_rng
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option."""
-    parser.addoption(
-        "--fresh-draw", type=int, default=0, metavar="N",
-        help="Number of another draw of all random numbers; 0: the usual one.",
-    )  # fmt: skip
+    """Add the options."""
+    for name, text in (
+        ("--fresh-noise", "Number of another draw of the noise of all images; 0: the usual one."),
+        ("--fresh-draw", "Number of another draw of all random numbers; 0: the usual one."),
+    ):
+        parser.addoption(name, type=int, default=0, metavar="N", help=text)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let all generators of this process depend on the number of the draw."""
-    number = config.getoption("--fresh-draw")
-    if not number:
-        return
+    """Replace the generators of this process."""
+    if number := config.getoption("--fresh-noise"):
+        _redraw_noise(number)
+    if number := config.getoption("--fresh-draw"):
+        _redraw_all(number)
 
+
+def _redraw_noise(number: int) -> None:
+    from lunarsim.sensors import camera
+
+    usual = camera.counted
+
+    def counted(electrons: Any, rng: np.random.Generator, **settings: Any) -> Any:
+        return usual(electrons, _default_rng([rng.integers(2**32), number]), **settings)
+
+    camera.counted = counted
+
+
+def _redraw_all(number: int) -> None:
     def default_rng(seed: Any = None) -> np.random.Generator:
         if isinstance(seed, np.random.SeedSequence):
-            seed = np.random.SeedSequence(
-                [*np.atleast_1d(seed.entropy), number], spawn_key=seed.spawn_key
-            )
+            entropy = [*np.atleast_1d(seed.entropy), number]
+            seed = np.random.SeedSequence(entropy, spawn_key=seed.spawn_key)
         elif seed is not None and not isinstance(
             seed, (np.random.Generator, np.random.BitGenerator)
         ):

@@ -32,12 +32,12 @@ def folder(tmp_path):
 
 def test_one_changed_bit_is_found_and_named(folder):
     before = digests_of_folder(folder)
-    assert list(golden._changes("case", before, digests_of_folder(folder))) == []
+    assert list(golden.changes("case", before, digests_of_folder(folder))) == []
     value = np.nextafter(600.0, 601.0)
     pq.write_table(
         pa.table({"time": [0.0, 1.0], "thrust_n": [value, np.nan]}), folder / "a.parquet"
     )
-    (line,) = golden._changes("case", before, digests_of_folder(folder))
+    (line,) = golden.changes("case", before, digests_of_folder(folder))
     assert line.startswith("changed: case: a.parquet:thrust_n: float64 (2,), mean 600")
 
 
@@ -47,18 +47,18 @@ def test_provenance_is_not_compared(folder):
     (folder / "flight.json").write_text(text.replace("abc", "def"))
     assert digests_of_folder(folder) == before
     (folder / "flight.json").write_text(text.replace("0.1", "0.2"))
-    (line,) = golden._changes("case", before, digests_of_folder(folder))
+    (line,) = golden.changes("case", before, digests_of_folder(folder))
     assert "flight.json:verdict.tilt" in line
 
 
 def test_a_renamed_quantity_is_no_change_of_a_result(folder):
     before = digests_of_folder(folder)
     pq.write_table(pa.table({"t": [0.0, 1.0], "thrust_n": [600.0, np.nan]}), folder / "a.parquet")
-    assert list(golden._changes("case", before, digests_of_folder(folder))) == [
+    assert list(golden.changes("case", before, digests_of_folder(folder))) == [
         "renamed: case: a.parquet:time -> a.parquet:t"
     ]
     (folder / "a.parquet").unlink()
-    lines = list(golden._changes("case", before, digests_of_folder(folder)))
+    lines = list(golden.changes("case", before, digests_of_folder(folder)))
     assert [line.partition(":")[0] for line in lines] == ["removed", "removed"]
 
 
