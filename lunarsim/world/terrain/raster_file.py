@@ -12,7 +12,7 @@ import rasterio
 from affine import TransformNotInvertibleError
 from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
-from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError, WindowError
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from lunarsim.errors import InputError
@@ -22,7 +22,7 @@ from lunarsim.errors import InputError
 DRIVERS = ("GTiff", "PDS", "PDS4", "ISIS3", "ENVI", "AAIGrid", "netCDF")
 # What GDAL, PROJ and the reading of their texts raise.
 _ERRORS = (
-    RasterioError, CRSError, WindowError, CPLE_BaseError, TransformNotInvertibleError, OSError,
+    RasterioError, CRSError, CPLE_BaseError, TransformNotInvertibleError, OSError,
     UnicodeError,
 )  # fmt: skip
 # Label files that describe a raster of the same name.
@@ -55,7 +55,9 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
                 _check_files(path, source)
                 _check_band(path, source)
                 yield source
-        except InputError:
+        except InputError as error:
+            if error.field == "terrain.path":  # the path as it was given
+                raise InputError(error.field, str(path), error.expected) from None
             raise
         except _ERRORS as error:
             reason = error.__cause__ or error
@@ -147,7 +149,7 @@ def _check_band(path: Path, source: DatasetReader) -> None:
         )  # fmt: skip
     if source.count != 1:
         raise InputError(
-            "terrain.path", str(path), f"it has {source.count} bands and must have one, the "
+            "terrain.path", str(path), f"it has {source.count} bands, not one band of "
             "elevations. Take band N out: `gdal_translate -b N FILE out.tif`",
         )  # fmt: skip
     if "complex" in source.dtypes[0]:
