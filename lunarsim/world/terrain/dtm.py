@@ -21,6 +21,9 @@ from lunarsim.world.terrain.spline import GappySpline
 
 # Rows of a resampled terrain that are computed at once.
 _ROWS_PER_BLOCK = 256
+# Posts by which a raster is carried on at its edges before a spline is laid through it: the error
+# of the assumed edge falls to a quarter from post to post.
+_SPLINE_MARGIN = 12
 # Heights of rasters with more posts are not read to describe them.
 _MAX_POSTS_DESCRIBED = 20_000_000
 
@@ -220,7 +223,9 @@ def _resampled(
     check_count("terrain.dtm_posting_m", posting, rows, cols, "a coarser posting takes less")
     if min(rows, cols) < 2:
         raise InputError("terrain.dtm_posting_m", posting, "at least 2 x 2 posts: too coarse")
-    spline = GappySpline(z)
+    last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
+    # An odd reflection carries slopes on; the spline itself assumes that they vanish at the edge.
+    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, mode="reflect", reflect_type="odd"))
     out = np.empty((rows, cols))
     east = (np.arange(cols) - 0.5 * (cols - 1)) * step
     north = (np.arange(rows) - 0.5 * (rows - 1)) * step
@@ -229,10 +234,10 @@ def _resampled(
         col, row = frame.pixels(*at)
         col, row = col - 0.5, row - 0.5
         # Outermost posts may be missed by rounding.
-        inside = (col > -1e-6) & (col < z.shape[1] - 1 + 1e-6)
-        inside &= (row > -1e-6) & (row < z.shape[0] - 1 + 1e-6)
-        col = np.clip(np.where(inside, col, 0.0), 0.0, z.shape[1] - 1.0)
-        row = np.clip(np.where(inside, row, 0.0), 0.0, z.shape[0] - 1.0)
+        inside = (np.abs(2.0 * col - last_col) <= last_col + 1e-6)
+        inside &= np.abs(2.0 * row - last_row) <= last_row + 1e-6
+        col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + _SPLINE_MARGIN
+        row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + _SPLINE_MARGIN
         block = spline(row, col)
         block[~inside | spline.is_gap(row, col)] = np.nan
         out[top : top + _ROWS_PER_BLOCK] = block

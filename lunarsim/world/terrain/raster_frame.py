@@ -275,9 +275,9 @@ def _globe(
 
 def _turn(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
     """Return the map units of 360 degrees of longitude."""
-    x, _ = _warped(globe, crs, np.array([lon - 1e-3, lon + 1e-3]), np.array([lat, lat]))
-    step = abs(float(x[1] - x[0]))
-    return step * 180_000.0
+    x, _ = _warped(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
+    # One of the two steps may pass the edge of the map.
+    return float(np.abs(np.diff(x)).min()) * 360_000.0
 
 
 def _warped(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]:
