@@ -50,7 +50,7 @@ class MeasuredGround(Roughness):
         None, "m", gt=0, help="distance between posts, for a raster without a frame"
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
-        None, help="first and last row from the top, first and last column"
+        None, help="first and last row, first and last column, in the order of the file"
     )
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"

@@ -21,8 +21,8 @@ from lunarsim.world.terrain.spline import GappySpline
 
 # Rows of a resampled terrain that are computed at once.
 _ROWS_PER_BLOCK = 256
-# Posts by which a raster is carried on at its edges before a spline is laid through it: the error
-# of the assumed edge falls to a quarter from post to post.
+# Posts by which a raster is carried on before a spline is laid through it. The spline assumes slopes
+# of zero at its edges; the error falls to a quarter from post to post.
 _SPLINE_MARGIN = 12
 # Heights of rasters with more posts are not read to describe them.
 _MAX_POSTS_DESCRIBED = 20_000_000
@@ -224,8 +224,9 @@ def _resampled(
     if min(rows, cols) < 2:
         raise InputError("terrain.dtm_posting_m", posting, "at least 2 x 2 posts: too coarse")
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    # An odd reflection carries slopes on; the spline itself assumes that they vanish at the edge.
-    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, mode="reflect", reflect_type="odd"))
+    spline = GappySpline(
+        np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), carry_slopes=True
+    )
     out = np.empty((rows, cols))
     east = (np.arange(cols) - 0.5 * (cols - 1)) * step
     north = (np.arange(rows) - 0.5 * (rows - 1)) * step

@@ -186,7 +186,7 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
         name, metres = _name(source.crs), _engineering_unit(source)
         mappings = _plane(centre, metres)
     elif source.crs.is_geographic or source.crs.is_projected:
-        _check_netcdf_axes(source)
+        _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
         mappings = _globe(source, transform, cols, rows)
@@ -209,8 +209,14 @@ def _check_no_tie_points(source: DatasetReader) -> None:
         )
 
 
-def _check_netcdf_axes(source: DatasetReader) -> None:
-    """Refuse a netCDF file whose axes are lengths, but whose reference GDAL reads as degrees."""
+def _check_axes(source: DatasetReader) -> None:
+    """Refuse references whose axes GDAL does not pass on as they are meant."""
+    counts_west = re.search(r'AXIS\["[^"]*",WEST', source.crs.to_wkt(), re.IGNORECASE)
+    axes = source.crs.to_dict().get("axis", "enu")
+    if (source.crs.is_geographic and counts_west) or axes != "enu":
+        raise _refusal(
+            source, "its coordinates count west or south. Resample it: `gdalwarp FILE out.tif`"
+        )
     tags = {key.partition("#")[2]: value for key, value in source.tags().items() if "#" in key}
     if source.crs.is_geographic and "projection" in tags.get("standard_name", ""):
         raise _refusal(
