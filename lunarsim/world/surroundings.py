@@ -26,6 +26,8 @@ from lunarsim.world.terrain import Heightfield, RayHits, Terrain, fractal_relief
 Array = NDArray[np.float64]
 
 _MOST_POSTS = 4_000
+# One number or several.
+Numbers = float | tuple[float, ...]
 # Points of a ray that are looked at before the first crossing is halved.
 _SAMPLES, _HALVINGS = 400, 40
 
@@ -64,7 +66,7 @@ class Surroundings:
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
-    dtm_nodata: float | tuple[float, ...] | None = quantity(
+    dtm_nodata: Numbers | None = quantity(
         None, help="numbers that mark posts without a height; [] for none"
     )
 

@@ -14,6 +14,9 @@ from lunarsim.world.grounds.contract import MOST_POSTS, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
+# One number or several.
+Numbers = float | tuple[float, ...]
+
 
 @dataclass(frozen=True)
 class MeasuredGround(Roughness):
@@ -55,7 +58,7 @@ class MeasuredGround(Roughness):
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
-    dtm_nodata: float | tuple[float, ...] | None = quantity(
+    dtm_nodata: Numbers | None = quantity(
         None, help="numbers that mark posts without a height; [] for none"
     )
     height_step: float | None = quantity(
