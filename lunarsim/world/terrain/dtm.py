@@ -21,8 +21,8 @@ from lunarsim.world.terrain.spline import GappySpline
 
 # Rows of a resampled terrain that are computed at once.
 _ROWS_PER_BLOCK = 256
-# Posts by which a raster is carried on before a spline is laid through it. The spline assumes slopes
-# of zero at its edges; the error falls to a quarter from post to post.
+# Posts by which a raster is carried on before a spline is laid through it. The spline assumes
+# slopes of zero at its edges; the error falls to a quarter from post to post.
 _SPLINE_MARGIN = 12
 # Heights of rasters with more posts are not read to describe them.
 _MAX_POSTS_DESCRIBED = 20_000_000
@@ -224,9 +224,7 @@ def _resampled(
     if min(rows, cols) < 2:
         raise InputError("terrain.dtm_posting_m", posting, "at least 2 x 2 posts: too coarse")
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    spline = GappySpline(
-        np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), carry_slopes=True
-    )
+    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), carry_slopes=True)
     out = np.empty((rows, cols))
     east = (np.arange(cols) - 0.5 * (cols - 1)) * step
     north = (np.arange(rows) - 0.5 * (rows - 1)) * step
@@ -235,7 +233,7 @@ def _resampled(
         col, row = frame.pixels(*at)
         col, row = col - 0.5, row - 0.5
         # Outermost posts may be missed by rounding.
-        inside = (np.abs(2.0 * col - last_col) <= last_col + 1e-6)
+        inside = np.abs(2.0 * col - last_col) <= last_col + 1e-6
         inside &= np.abs(2.0 * row - last_row) <= last_row + 1e-6
         col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + _SPLINE_MARGIN
         row = np.where(inside, np.clip(row, 0.0, last_row), 0.0) + _SPLINE_MARGIN

@@ -16,6 +16,7 @@ from rasterio.warp import transform as warp
 from rasterio.windows import Window
 
 from lunarsim.errors import InputError
+from lunarsim.world.terrain.raster_label import wkt2
 
 Array = NDArray[np.float64]
 Mapping = Callable[[Array, Array], tuple[Array, Array]]
@@ -60,14 +61,11 @@ class Frame:
 
     def local(self, cols: ArrayLike, rows: ArrayLike) -> tuple[Array, Array]:
         """Return east and north, m, of fractional columns and rows of the window."""
-        x, y = self.pixel_to_map @ (np.asarray(cols, float), np.asarray(rows, float))
-        return self.to_local(np.atleast_1d(x), np.atleast_1d(y))
+        return self.to_local(*_moved(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
 
     def pixels(self, east: Array, north: Array) -> tuple[Array, Array]:
         """Return fractional columns and rows of places in the local frame."""
-        x, y = self.to_map(east, north)
-        cols, rows = ~self.pixel_to_map @ (x, y)
-        return np.asarray(cols), np.asarray(rows)
+        return _moved(~self.pixel_to_map, *self.to_map(east, north))
 
     @property
     def steps(self) -> Array:
@@ -170,6 +168,7 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
     if not (np.isfinite(transform).all() and abs(transform.determinant) > 0.0):
         raise _refusal(source, "its affine transform is singular or not finite")
     cols, rows = int(window.width), int(window.height)
+    metres: float | None
     centre = transform @ (0.5 * cols, 0.5 * rows)
     if source.crs is None:
         if posting is None:
@@ -224,6 +223,12 @@ def _check_axes(source: DatasetReader) -> None:
         )
 
 
+def _moved(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return places moved by an affine transform."""
+    a, b, c, d, e, f = transform[:6]
+    return a * x + b * y + c, d * x + e * y + f
+
+
 def _step_lengths(transform: Affine) -> tuple[float, float]:
     """Return the length of a step of one column and of one row, map units."""
     return float(np.hypot(transform.a, transform.d)), float(np.hypot(transform.b, transform.e))
@@ -265,8 +270,8 @@ def _globe(
 
         return to_map
 
-    x, y = transform @ tuple(np.meshgrid([0.5, cols / 2, cols - 0.5], [0.5, rows / 2, rows - 0.5]))
-    x, y = x.ravel(), y.ravel()
+    at = np.meshgrid([0.5, cols / 2, cols - 0.5], [0.5, rows / 2, rows - 0.5])
+    x, y = _moved(transform, at[0].ravel(), at[1].ravel())
     east, north = to_local(x, y)
     for period in (0.0, _turn(crs, globe, lon, lat)):
         to_map = back(period)
@@ -307,22 +312,18 @@ def _body(crs: CRS) -> dict[str, Any]:
     return {"a": radius, "rf": inverse_flattening}
 
 
-def _wkt2(crs: CRS) -> str:
-    return str(crs.to_wkt(version="WKT2_2019"))
-
-
 def _is_engineering(crs: CRS) -> bool:
-    return re.match(r"(COMPOUNDCRS\[\"[^\"]*\",)?ENGCRS", _wkt2(crs)) is not None
+    return re.match(r"(COMPOUNDCRS\[\"[^\"]*\",)?ENGCRS", wkt2(crs)) is not None
 
 
 def _engineering_unit(source: DatasetReader) -> float:
     """Return the metres of the unit of a local (engineering) reference."""
-    found = re.search(r'LENGTHUNIT\["[^"]*",([-+.\deE]+)', _wkt2(source.crs).split("VERTCRS")[0])
+    found = re.search(r'LENGTHUNIT\["[^"]*",([-+.\deE]+)', wkt2(source.crs).split("VERTCRS")[0])
     if found is None:
         raise _refusal(source, "its local coordinate reference gives no unit of length")
     return float(found.group(1))
 
 
 def _name(crs: CRS) -> str:
-    names = crs.to_wkt().split('"')
-    return names[1] if len(names) > 1 else crs.to_string()[:60]
+    names = str(crs.to_wkt()).split('"')
+    return names[1] if len(names) > 1 else "unnamed"

@@ -36,7 +36,7 @@ def declared_units(source: DatasetReader) -> list[str]:
     """Return all units of height that a file gives: band, label, vertical reference."""
     found = [source.units[0]] + [unit for _, unit in _label_units(source)]
     if source.crs is not None:
-        vertical = re.search(r'VERTCRS\[.*LENGTHUNIT\["([^"]*)"', _wkt2(source.crs))
+        vertical = re.search(r'VERTCRS\[.*LENGTHUNIT\["([^"]*)"', wkt2(source.crs))
         found.append(vertical.group(1) if vertical else None)
     return [unit.strip() for unit in found if unit and unit.strip()]
 
@@ -131,5 +131,6 @@ def _number(text: Any, dtype: np.dtype[Any]) -> float | None:
         return None
 
 
-def _wkt2(crs: CRS) -> str:
+def wkt2(crs: CRS) -> str:
+    """Return a coordinate reference as text (WKT 2 of 2019)."""
     return str(crs.to_wkt(version="WKT2_2019"))

@@ -5,7 +5,7 @@ The maps are computed by textbook formulas on a sphere, not by PROJ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import rasterio
@@ -140,6 +140,9 @@ ORIENTATIONS = {
 }
 
 
+METRIC = plane(f"+proj=eqc +units=m {SPHERE}", 10.0, origin=(0.0, 0.0))
+
+
 @dataclass(frozen=True)
 class Case:
     """A raster file and what is expected of it.
@@ -161,7 +164,7 @@ class Case:
     """
 
     driver: str = "GTiff"
-    map: Map = plane(f"+proj=eqc +units=m {SPHERE}", 10.0, origin=(0.0, 0.0))
+    map: Map = METRIC
     orientation: str = "north-up"
     dtype: str = "float64"
     scale: float = 1.0
@@ -171,10 +174,6 @@ class Case:
     no_data: float | None = None
     refused: str = ""
     options: tuple = ()
-
-    def but(self, **changes):
-        """Return a changed case."""
-        return replace(self, **changes)
 
     @property
     def size(self):
@@ -225,7 +224,6 @@ def _pds3(case, folder):
     optional = {"UNIT": case.unit, "MISSING_CONSTANT": case.no_data}
     more = "".join(f"  {k} = {v}\n" for k, v in optional.items() if v is not None)
     record = COLS * bits // 8
-    # MAP_SCALE is in metres; map distances here are those of a sphere with lat_ts = 0.
     text = f"""PDS_VERSION_ID = PDS3
 RECORD_TYPE = FIXED_LENGTH
 RECORD_BYTES = {record}
@@ -319,8 +317,7 @@ def _ascii_grid(case, folder):
     (folder / "z.prj").write_text(projection)
     if case.unit:
         (folder / "z.prj").write_text(
-            "Projection GEOGRAPHIC\nUnits DD\nSpheroid SPHERE\nParameters\n"
-            f"Zunits {case.unit}\n"
+            f"Projection GEOGRAPHIC\nUnits DD\nSpheroid SPHERE\nParameters\nZunits {case.unit}\n"
         )
     return folder / "z.asc"
 

@@ -127,7 +127,7 @@ def test_two_units_are_refused(tmp_path):
 
 def test_a_label_in_another_alphabet_is_read_or_refused(tmp_path):
     label = Case("PDS", equirectangular(0.0), dtype="float32").write(tmp_path).with_suffix(".lbl")
-    label.write_bytes(label.read_bytes().replace(b"MOON", b"\"\xff\xfeOON\""))
+    label.write_bytes(label.read_bytes().replace(b"MOON", b'"\xff\xfeOON"'))
     try:
         load_dtm(label)
     except InputError as error:
@@ -330,6 +330,7 @@ def test_keys_of_a_scenario(tmp_path):
 def test_keys_of_the_surroundings(tmp_path):
     path = write(tmp_path / "z.tif", np.where(EAST > 99, -9999.0, HILL), unit="furlong")
     flat = Terrain(load_dtm(SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"))
+
     def first(**keys):
         around = Surroundings(sizes=(8e3,), postings=(40.0,), rms_slopes=(0.0,), path=path, **keys)
         moon = CentralGravity(1.622, 1_737_400.0, np.zeros(3))
