@@ -208,7 +208,8 @@ class Heights:
             missing = np.ma.getmaskarray(raw) | ~(numbers > _MISSING_BELOW) | np.isinf(numbers)
             for value in special:
                 missing |= _equal(numbers, value)
-            z = self.scale.metres_of(numbers.astype(np.float64))
+            with np.errstate(over="ignore", invalid="ignore"):  # masked, or refused by `check`
+                z = self.scale.metres_of(numbers.astype(np.float64))
             z[missing] = np.nan
             yield top, z
 
