@@ -20,7 +20,7 @@ from lunarsim.messages.measurements import (
 )
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from tests.chance import ratio_bounds
+from tests.chance import CHANCE, ratio_bounds
 from tests.conftest import SCENARIOS
 from tests.navigation_errors import error_of
 
@@ -68,10 +68,12 @@ def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
         assert np.linalg.norm(error_of(simulation)[3:6]) < 0.1
         assert not simulation.computer.estimate.lost
         assert not {"doubted", "lost"} & set(events(simulation))
-        # Where the site lies is corrected by metres; the local frame does not jump. It hangs on the
-        # ground of the first scan: the first stars, which tell the tilt, move the lander a metre.
+        # The site is corrected by tens of metres; the local frame does not jump. It is tied to the
+        # terrain of the first scan, 800 m away: the first star reading, which corrects a tilt of
+        # 0.1 deg (1 sigma per axis), moves the lander by a Rayleigh-distributed distance.
         steps = np.linalg.norm(np.diff(np.array(local), axis=0), axis=1)
-        assert steps[1:].max() < 0.1 * 40.0 + 2.0
+        moved = 800.0 * np.deg2rad(0.1) * np.sqrt(-2.0 * np.log(CHANCE / 6))
+        assert steps[1:].max() < 0.1 * 40.0 + moved
         assert (steps[10:] > 0.1 * 40.0).sum() <= 1
     # Two epochs of each of six flights, of which one is independent.
     low, high = ratio_bounds(6 * 9)

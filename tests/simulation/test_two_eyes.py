@@ -137,7 +137,6 @@ def test_the_site_keeps_the_height_that_is_mapped_there():
     assert mapped > 100
 
 
-@pytest.mark.statistical
 @pytest.mark.parametrize("seed", [1, 3])
 def test_rocks_and_scans_are_taken_into_one_filter(seed):
     """Velocities are better known with both than with either, and err as is said."""
