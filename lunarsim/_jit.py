@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import lru_cache
+from threading import RLock
 from typing import Any, Literal, TypeVar, overload
 
 import numba
 from numba.core.registry import CPUDispatcher
 
+from lunarsim import forks
 from lunarsim._kernel_sources import sources_digest
 from lunarsim._shares import Shared
 
@@ -34,6 +37,26 @@ class _Inner(CPUDispatcher):  # type: ignore[misc]
     def __call__(self, *args: Any) -> Any:
         """Refuse."""
         raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
+
+
+_one_at_a_time = RLock()
+
+
+@lru_cache(maxsize=1)
+def _parallel_lock() -> AbstractContextManager[Any]:
+    """Return the lock for parallel kernels; the layer "workqueue" aborts if two run at once."""
+    numba.get_num_threads()  # starts the layer
+    return _one_at_a_time if numba.threading_layer() == "workqueue" else nullcontext()
+
+
+class _Parallel(CPUDispatcher):  # type: ignore[misc]
+    """A kernel on several threads: safe to call in a forked process and from several threads."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Run the kernel, or raise an error where that would end the process."""
+        forks.check()
+        with _parallel_lock():
+            return super().__call__(*args)
 
 
 def _stamp(compiled: Any, function: Any) -> None:
@@ -122,6 +145,8 @@ def kernel(
         _stamp(compiled, function)
         if closed:
             compiled.__class__ = _Inner
+        elif parallel:
+            compiled.__class__ = _Parallel
         return Shared(compiled) if shared else compiled
 
     return decorate
