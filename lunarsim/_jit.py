@@ -1,7 +1,7 @@
-"""One place that says how kernels are compiled.
+"""Compile kernels with Numba, all by the same options.
 
-Every kernel is cached beside its module, so the compilation is paid once a machine. NaN must
-survive (it means no data), so `fastmath` is limited to flags that keep NaN and infinities.
+Every kernel is cached, so it is compiled once per machine. NaN must survive because it means no
+data; `fastmath` is therefore limited to flags that keep NaN and infinities.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numba
 from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
-from lunarsim._kernel_sources import sources_digest
+from lunarsim._kernel_cache import enable_cache
 from lunarsim._shares import Shared
 
 # Threads that have done their share sleep, where the user has not said otherwise: those that spin
@@ -57,16 +57,6 @@ class _Parallel(CPUDispatcher):  # type: ignore[misc]
         forks.check()
         with _parallel_lock():
             return super().__call__(*args)
-
-
-def _stamp(compiled: Any, function: Any) -> None:
-    """Let what is cached hold only for the present source of all that it is linked with.
-
-    A stamp of a kernel's own file is all that Numba looks at.
-    """
-    cached = compiled._cache._cache_file
-    linked = sources_digest(function.__module__, function.__code__.co_filename)
-    cached._source_stamp = cached._source_stamp, linked
 
 
 @overload
@@ -132,7 +122,6 @@ def kernel(
     def decorate(function: Any) -> Any:
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
-            cache=True,
             nogil=True,
             error_model="numpy",
             no_cfunc_wrapper=True,
@@ -142,7 +131,7 @@ def kernel(
             **({"forceinline": True} if inline or exact else {}),
             **({} if allocates and not (inline or exact) else {"_nrt": False}),
         )(function)
-        _stamp(compiled, function)
+        enable_cache(compiled, function)
         if closed:
             compiled.__class__ = _Inner
         elif parallel:
