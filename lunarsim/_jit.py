@@ -120,6 +120,8 @@ def kernel(
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
     def decorate(function: Any) -> Any:
+        if numba.config.DISABLE_JIT:
+            return Shared(function) if shared else function
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             nogil=True,
