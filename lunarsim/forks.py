@@ -7,27 +7,19 @@ use. An OpenGL context and its thread do not survive a fork either.
 from __future__ import annotations
 
 import os
-
-import numba
+import sys
 
 _state = {"is_unsafe": False}
+
+
+def watch_forks() -> None:
+    """Check at every fork from now on whether the child inherits OpenMP threads."""
+    os.register_at_fork(after_in_child=_mark_if_openmp_runs)
 
 
 def mark_unsafe() -> None:
     """Note, in a forked child, that it inherits what does not survive a fork."""
     _state["is_unsafe"] = True
-
-
-def _mark_if_openmp_runs() -> None:
-    try:
-        layer = numba.threading_layer()
-    except ValueError:  # no layer is started
-        return
-    if layer == "omp":
-        mark_unsafe()
-
-
-os.register_at_fork(after_in_child=_mark_if_openmp_runs)
 
 
 def check() -> None:
@@ -44,3 +36,15 @@ def check() -> None:
             'processes with multiprocessing.get_context("spawn"), environments with '
             'vector_kwargs={"context": "spawn"}.'
         )
+
+
+def _mark_if_openmp_runs() -> None:
+    numba = sys.modules.get("numba")
+    if numba is None:
+        return
+    try:
+        layer = numba.threading_layer()
+    except (AttributeError, ValueError):  # Numba is being imported, or no layer is started
+        return
+    if layer == "omp":
+        mark_unsafe()
