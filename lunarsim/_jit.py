@@ -1,20 +1,23 @@
-"""One place that says how kernels are compiled.
+"""Compile kernels with Numba, all by the same options.
 
-Every kernel is cached beside its module, so the compilation is paid once a machine. NaN must
-survive (it means no data), so `fastmath` is limited to flags that keep NaN and infinities.
+Every kernel is cached, so it is compiled once per machine. NaN must survive because it means no
+data; `fastmath` is therefore limited to flags that keep NaN and infinities.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import lru_cache
+from threading import RLock
 from typing import Any, Literal, TypeVar, overload
 
 import numba
 from numba.core.registry import CPUDispatcher
 
-from lunarsim._kernel_sources import sources_digest
+from lunarsim import forks
+from lunarsim._kernel_cache import enable_cache
 from lunarsim._shares import Shared
 
 # Threads that have done their share sleep, where the user has not said otherwise: those that spin
@@ -36,14 +39,24 @@ class _Inner(CPUDispatcher):  # type: ignore[misc]
         raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
 
 
-def _stamp(compiled: Any, function: Any) -> None:
-    """Let what is cached hold only for the present source of all that it is linked with.
+_one_at_a_time = RLock()
 
-    A stamp of a kernel's own file is all that Numba looks at.
-    """
-    cached = compiled._cache._cache_file
-    linked = sources_digest(function.__module__)
-    cached._source_stamp = cached._source_stamp, linked
+
+@lru_cache(maxsize=1)
+def _parallel_lock() -> AbstractContextManager[Any]:
+    """Return the lock for parallel kernels; the layer "workqueue" aborts if two run at once."""
+    numba.get_num_threads()  # starts the layer
+    return _one_at_a_time if numba.threading_layer() == "workqueue" else nullcontext()
+
+
+class _Parallel(CPUDispatcher):  # type: ignore[misc]
+    """A kernel on several threads: safe to call in a forked process and from several threads."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Run the kernel, or raise an error where that would end the process."""
+        forks.check()
+        with _parallel_lock():
+            return super().__call__(*args)
 
 
 @overload
@@ -107,9 +120,10 @@ def kernel(
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
     def decorate(function: Any) -> Any:
+        if numba.config.DISABLE_JIT:
+            return Shared(function) if shared else function
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
-            cache=True,
             nogil=True,
             error_model="numpy",
             no_cfunc_wrapper=True,
@@ -119,9 +133,11 @@ def kernel(
             **({"forceinline": True} if inline or exact else {}),
             **({} if allocates and not (inline or exact) else {"_nrt": False}),
         )(function)
-        _stamp(compiled, function)
+        enable_cache(compiled, function)
         if closed:
             compiled.__class__ = _Inner
+        elif parallel:
+            compiled.__class__ = _Parallel
         return Shared(compiled) if shared else compiled
 
     return decorate

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils, config, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, models, overload, register_model
 
@@ -210,3 +210,17 @@ def any_above(typing: Any, a: Any, b: Any) -> Any:
         return builder.icmp_unsigned("!=", above, ir.Constant(_MASK, 0))
 
     return types.boolean(_lanes, _lanes), code
+
+
+if config.DISABLE_JIT:
+    from lunarsim._lanes_in_python import (  # noqa: F401
+        any_above,
+        item,
+        larger,
+        load,
+        magnitude,
+        root,
+        spread,
+        store,
+        where_above,
+    )

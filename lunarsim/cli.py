@@ -31,7 +31,7 @@ from lunarsim.cli_scenario import parts, scenario
 from lunarsim.cli_start import INTERRUPTED, run
 from lunarsim.cli_terrain import terrain
 from lunarsim.errors import InputError, check_folder, check_output
-from lunarsim.whole_files import filled_whole
+from lunarsim.whole_files import filled_whole, remover_of_new
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -104,6 +104,7 @@ def fly(
             _ = simulation.truth
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
+        remove = remover_of_new(out)
         with filled_whole(out):
             record.save(out)
             loaded.save(out / "scenario.toml")
@@ -114,7 +115,11 @@ def fly(
         _tell(record)
         from lunarsim.viz import draw_flight
 
-        draw_flight(record, simulation.world, simulation.truth, out)
+        try:
+            draw_flight(record, simulation.world, simulation.truth, out)
+        except OSError:
+            remove()
+            raise
     click.echo(f"scenario, record and figures in {out}")
 
 

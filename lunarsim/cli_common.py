@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 PATH = click.Path(path_type=Path)
+
+
+# Errors of a disk, which are not the user's mistake: full, over quota, file too large, damaged.
+_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class IntRange(click.IntRange):
@@ -64,7 +69,7 @@ class Group(click.Group):
                 if isinstance(error, BrokenPipeError):
                     raise
                 _end(ctx, f"output: {error.strerror or error}", 1)
-            _end(ctx, f"{error.filename}: {error.strerror}", 2)
+            _end(ctx, f"{error.filename}: {error.strerror}", 1 if error.errno in _STORAGE else 2)
 
 
 def _end(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
@@ -184,7 +189,7 @@ def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
         task = bar.add_task(name, total=total)
         try:
             yield lambda n: bar.advance(task, n)
-        except InputError:
-            bar.live.transient = True  # nothing began
+        except (InputError, OSError):
+            bar.live.transient = True  # the error is the only line
             bar.console.quiet = not bar.console.is_terminal
             raise

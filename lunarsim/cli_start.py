@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -32,6 +33,7 @@ def heard() -> None:
 
 def run(command: Callable[[], Any]) -> None:
     """Run a command to its end or to the first interrupt."""
+    _check_process()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _take)
         sys.unraisablehook = _quiet
@@ -48,6 +50,8 @@ def run(command: Callable[[], Any]) -> None:
         if not _taken:
             if isinstance(error, SystemExit) and error.code == INTERRUPTED:
                 _ended.append(INTERRUPTED)
+            if isinstance(error, OSError):  # raised outside of a command, for instance by --help
+                sys.exit(f"error: output: {error.strerror or error}")
             raise
         heard()
         _ended.append(INTERRUPTED)
@@ -61,6 +65,19 @@ def run(command: Callable[[], Any]) -> None:
         if signal.getsignal(signal.SIGINT) is _take:
             # What is left is to leave: another one would make a done command a killed one.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _check_process() -> None:
+    """Exit with one line if stdout is closed or the working folder is deleted."""
+    if sys.stderr is None:
+        # A data file must not get the number of stderr: C libraries write messages there.
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    if sys.stdout is None:
+        sys.exit("error: output: stdout is closed. Redirect it to a file or to /dev/null.")
+    try:
+        Path.cwd()
+    except OSError as error:
+        sys.exit(f"error: working folder: {error.strerror}. Change to an existing folder.")
 
 
 def end_of(error: KeyboardInterrupt) -> str:

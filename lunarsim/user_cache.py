@@ -1,13 +1,83 @@
-"""Where what can be made again is kept for a user."""
+"""Folders for data that can be computed again: the user's cache, or a temporary substitute."""
 
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
+
+# Nothing can be read from this folder or written to it.
+_NO_FOLDER = Path("/nonexistent")
 
 
 def user_cache(name: str) -> Path:
-    """Return the folder of a name in this user's cache, by the XDG rule; it may not be there."""
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    base = Path(root) if Path(root).is_absolute() else Path.home() / ".cache"
-    return base / "lunarsim" / name
+    """Return a folder of this user's cache by the XDG rule; it need not exist."""
+    return _cache_home() / "lunarsim" / name
+
+
+def ensure_caches() -> None:
+    """Set the environment to a temporary cache if the user's cache cannot be written to.
+
+    Other libraries and processes started later use it too. Matplotlib needs a folder for its
+    configuration as well.
+    """
+    if not is_writable(_cache_home()):
+        try:
+            folder = _temporary_folder()
+        except OSError as error:
+            warn(f"no cache folder can be created ({error.strerror}): nothing is cached")
+            return
+        os.environ["XDG_CACHE_HOME"] = str(folder)
+        warn(f"the user's cache folder cannot be written to: {folder} is used instead")
+    if "MPLCONFIGDIR" not in os.environ and not is_writable(_xdg("XDG_CONFIG_HOME", ".config")):
+        os.environ["MPLCONFIGDIR"] = str(_cache_home() / "matplotlib")
+
+
+def is_writable(folder: Path) -> bool:
+    """Return whether a folder can be written to, or created."""
+    try:
+        existing = next(p for p in (folder, *folder.parents) if p.exists())
+    except OSError:
+        return False
+    return folder != _NO_FOLDER and existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+
+
+def warn(text: str) -> None:
+    """Print a line on stderr, if there is one."""
+    try:
+        if sys.stderr is not None:
+            print(f"lunarsim: {text}", file=sys.stderr, flush=True)
+    except OSError:
+        pass
+
+
+def _cache_home() -> Path:
+    return _xdg("XDG_CACHE_HOME", ".cache")
+
+
+def _xdg(variable: str, below_home: str) -> Path:
+    """Return a base folder of the XDG rule; an impossible one for a user without a home."""
+    given = Path(os.environ.get(variable, ""))
+    if given.is_absolute():
+        return given
+    try:
+        home = Path.home()
+    except RuntimeError:
+        return _NO_FOLDER
+    return home / below_home if home.is_absolute() and home.is_dir() else _NO_FOLDER
+
+
+def _temporary_folder() -> Path:
+    """Create a folder for this user only, the same one in each process if it can be trusted."""
+    import stat  # noqa: PLC0415  (seldom needed)
+    import tempfile  # noqa: PLC0415
+
+    folder = Path(tempfile.gettempdir()) / f"lunarsim-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        found = folder.lstat()
+        is_own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+        if not is_own or found.st_mode & 0o077:
+            return Path(tempfile.mkdtemp(prefix="lunarsim-"))
+    return folder

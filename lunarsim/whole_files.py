@@ -1,4 +1,4 @@
-"""Files and folders that are there whole or not at all."""
+"""Files and folders that are complete or absent."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from typing import Any
 from lunarsim.errors import InputError
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file beside `path`, bring it to the disk, and rename it to `path`.
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file beside `path`, flush it to the disk, and rename it to `path`.
 
     Parameters
     ----------
     path
-        What a reader sees: the old file or the new one, never a part of it.
+        Readers find the old file or the new one, never a part of it.
     write
         Writes to the path that it is given, which has another suffix.
+
+    Raises
+    ------
+    OSError
+        With `path` as its file name, for instance if the disk is full.
     """
     temporary = path.with_name(f".{path.name}.part")
     try:
@@ -29,8 +34,10 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
         temporary.replace(path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None:
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise
 
 
@@ -73,18 +80,28 @@ def read_tagged(path: Path, field: str, tag: str, hint: str = "") -> dict[str, A
     return data
 
 
+def remover_of_new(folder: Path) -> Callable[[], None]:
+    """Return a function that removes what is created in a folder from now on, and empty parents."""
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists()).absolute()
+    before = set(folder.iterdir()) if folder.is_dir() else set()
+
+    def remove() -> None:
+        for path in set(folder.iterdir()) - before if folder.is_dir() else ():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        created = folder.absolute()
+        while created != above and created.is_dir() and not any(created.iterdir()):
+            created.rmdir()
+            created = created.parent
+
+    return remove
+
+
 @contextmanager
 def filled_whole(folder: Path) -> Iterator[None]:
-    """Take away again what has come into a folder if what fills it is broken off."""
-    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    before = set(folder.iterdir()) if folder.is_dir() else set()
+    """Remove new contents of a folder if an exception ends the block that fills it."""
+    remove = remover_of_new(folder)
     try:
         yield
     except BaseException:
-        for path in set(folder.iterdir()) - before if folder.is_dir() else ():
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        made = folder.absolute()
-        while made != above.absolute() and made.is_dir() and not any(made.iterdir()):
-            made.rmdir()
-            made = made.parent
+        remove()
         raise

@@ -17,6 +17,7 @@ from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.stopping import WidthRule
 from lunarsim.campaign.store import Store
+from lunarsim.whole_files import remover_of_new
 
 COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupted", "out of time"
 
@@ -111,9 +112,16 @@ def run(
     InputError
         If the folder is another's; nothing has been written then.
     OSError
-        If the folder cannot be written to any more; what was finished before is kept.
+        If the folder cannot be written to; finished flights are kept, without any a new folder is
+        removed.
     """
-    store = Store.open(out, plan, retry=retry)
+    remove = None if out.is_dir() and any(out.iterdir()) else remover_of_new(out)
+    try:
+        store = Store.open(out, plan, retry=retry)
+    except OSError:
+        if remove is not None:
+            remove()
+        raise
     halt = Halt()
     before = store.count
     try:
@@ -131,6 +139,9 @@ def run(
         state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
+        if remove is not None and not store.count:
+            remove()
+            raise
         said = (
             f"{error.strerror}; what is finished is kept: make room, and the same command goes on"
         )

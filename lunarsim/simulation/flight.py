@@ -36,6 +36,8 @@ from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.vehicle.touchdown import Touchdown, Verdict
+from lunarsim.whole_files import write_text_whole, write_whole
+from lunarsim.whole_netcdf import write_netcdf_whole
 
 Array = NDArray[np.float64]
 
@@ -231,18 +233,18 @@ class Flight:
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
         units = {f"unit:{name}": unit for name, unit in COLUMNS.items()}
         frames = {f"frame:{what}": frame for what, frame in FRAMES.items()}
-        pq.write_table(table.replace_schema_metadata(units | frames), folder / "trajectory.parquet")
+        _save_table(table.replace_schema_metadata(units | frames), folder / "trajectory.parquet")
         for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
             data = getattr(self, name)
             cloud = {column: data[:, i] for i, column in enumerate(columns)}
             placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL})
-            pq.write_table(placed, folder / f"{name}.parquet")
+            _save_table(placed, folder / f"{name}.parquet")
         for old in (folder / "maps").glob("*"):
             old.unlink()  # of a flight that was saved here before
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
         text = json.dumps(self._record(), indent=1)
-        (folder / "flight.json").write_text(text, encoding="utf-8")
+        write_text_whole(folder / "flight.json", text)
         return folder
 
     def _record(self) -> dict[str, Any]:
@@ -344,6 +346,10 @@ def _rows(path: Path, columns: tuple[str, ...]) -> NDArray[np.float32]:
     return np.column_stack([found[c] for c in columns]).astype(np.float32)
 
 
+def _save_table(table: pa.Table, path: Path) -> None:
+    write_whole(path, lambda part: pq.write_table(table, part))
+
+
 def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     import xarray as xr  # noqa: PLC0415  (loads slowly)
 
@@ -370,11 +376,9 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
         },
     )
     packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    dataset.to_netcdf(
-        folder / f"{name}.nc", engine="h5netcdf", encoding=dict.fromkeys(layers, packed)
-    )
+    write_netcdf_whole(folder / f"{name}.nc", dataset, dict.fromkeys(layers, packed))
     for table, columns in record.tables.items():
-        pq.write_table(pa.table(columns), folder / f"{name}.{table}.parquet")
+        _save_table(pa.table(columns), folder / f"{name}.{table}.parquet")
 
 
 def _load_map(name: str, folder: Path) -> MapRecord:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim import forks
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import Shift, quat_conjugate, quat_multiply, quat_to_rotation_vector
@@ -112,6 +113,7 @@ class Simulation:
         truth: Truth | None = None,
         tap: Tap | None = None,
     ) -> None:
+        forks.check()  # parallel kernels check it too, but some flights meet them late
         if scenario.variation is not None:
             raise InputError(
                 "variation", "given", "left out: Guidance-v0 and Control-v0 alone draw landers"

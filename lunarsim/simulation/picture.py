@@ -121,7 +121,12 @@ def take_picture(
     photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
     if truth is not None:
         write_whole(truth, partial(_save_truth, photo))
-    write_whole(out, partial(_save_picture, photo))
+    try:
+        write_whole(out, partial(_save_picture, photo))
+    except OSError:
+        if truth is not None:
+            truth.unlink(missing_ok=True)
+        raise
     sun = scenario.sun
     return (
         f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m, Sun "

@@ -13,7 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid, check_side
 from lunarsim.models.lander import Lander
 from lunarsim.safety import exact_safety
-from lunarsim.whole_files import write_whole
+from lunarsim.whole_netcdf import write_netcdf_whole
 from lunarsim.world import World
 
 _OFF = 1e-3  # rays to the Sun start this far off the ground, m
@@ -85,7 +85,7 @@ class TruthProducts:
             {name: (("north", "east"), data, {"units": unit}) for name, data, unit in maps},
             {"north": ("north", self.grid.y, units), "east": ("east", self.grid.x, units)},
         )
-        write_whole(path, lambda part: dataset.to_netcdf(part, engine="h5netcdf"))
+        write_netcdf_whole(path, dataset)
 
 
 def survey_grid(world: World, centre: tuple[float, float], size: float, posting: float) -> Grid:

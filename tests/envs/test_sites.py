@@ -231,7 +231,6 @@ def test_the_truth_is_told_as_it_is():
 _FORKED = """
 import sys
 import gymnasium, lunarsim_envs, numba
-from lunarsim_envs import forks
 if __name__ == "__main__":
     from tests.envs.test_sites import SMALL
     @numba.njit(parallel=True)

@@ -14,7 +14,6 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim_envs import forks
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.options import changed_by, take
 from lunarsim_envs.rewards import touch_shares
@@ -90,7 +89,6 @@ class OnboardFlight:
     """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
-        forks.check()
         self.scenario = self._told = scenario
         self.simulation: Simulation | None = None
         self._seen: Observation | None = None

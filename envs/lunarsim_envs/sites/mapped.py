@@ -16,7 +16,6 @@ from lunarsim.onboard.hazards.mapper import map_grid
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle import State
-from lunarsim_envs import forks
 from lunarsim_envs.sites import _map_kernels as m
 from lunarsim_envs.sites.lanes import Mask, SiteLanes
 from lunarsim_envs.sites.view import deciding_mapper
@@ -34,7 +33,6 @@ class MappedLanes(SiteLanes):
     """
 
     def __init__(self, count: int, scenario: Scenario, *given: Any, **settings: Any) -> None:
-        forks.check()
         part = gaussian_dem_of(scenario)
         self._part, self._scenario = part, scenario
         self._lidar = scenario.sensors[part.sensor].make()

@@ -15,7 +15,6 @@ from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
-from lunarsim_envs import forks
 from lunarsim_envs.descent.worlds import Worlds, with_covers
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
@@ -80,7 +79,6 @@ class SitePool:
 
 
 def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SitePool:
-    forks.check()
     worlds: list[World] = []
     layers: list[TruthLayers] = []
     cache = opened(standard_folder())

@@ -1,44 +1,79 @@
-"""One OpenGL context a process, made when a picture is first asked for."""
+"""One OpenGL context per process, owned by one thread that does all rendering.
+
+A context is current in one thread only, and OpenGL calls from any other thread fail or draw garbage
+without an error. All functions that use OpenGL therefore run on the render thread.
+"""
 
 from __future__ import annotations
 
 import os
-from functools import lru_cache
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from functools import lru_cache, wraps
 from importlib.resources import files
+from typing import ParamSpec, TypeVar
 
 import moderngl
+import numba
 
+from lunarsim import forks
 from lunarsim.errors import RenderingError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _INSTALL = (
     "rendering needs OpenGL 3.3 through EGL; on Debian or Ubuntu: "
     "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
 )
+_here = threading.local()
 
 
 @lru_cache(maxsize=1)
-def _context_of(process: int) -> moderngl.Context:
-    try:
-        context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
-    except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
-        raise RenderingError(f"{_INSTALL} ({error})") from error
-    # Objects of collected renderers are freed at once; the default would leak them.
-    context.gc_mode = "auto"
-    return context
+def _render_thread() -> ThreadPoolExecutor:
+    """Return the executor whose only thread owns the context."""
+    os.register_at_fork(after_in_child=forks.mark_unsafe)
+    return ThreadPoolExecutor(1, thread_name_prefix="lunarsim-render")
 
 
+def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a function that uses OpenGL run on the render thread; its callers wait for it."""
+
+    def run(threads: int, *args: P.args, **kwargs: P.kwargs) -> R:
+        _here.is_render_thread = True
+        numba.set_num_threads(threads)
+        # Garbage collection, in whichever thread, only queues OpenGL objects; they are freed here.
+        gl_context().gc()
+        return function(*args, **kwargs)
+
+    @wraps(function)
+    def submit(*args: P.args, **kwargs: P.kwargs) -> R:
+        if getattr(_here, "is_render_thread", False):
+            return function(*args, **kwargs)
+        forks.check()
+        call = copy_context().run, run, numba.get_num_threads()
+        return _render_thread().submit(*call, *args, **kwargs).result()
+
+    return submit
+
+
+@lru_cache(maxsize=1)
 def gl_context() -> moderngl.Context:
-    """Return the context of this process.
-
-    It lives as long as the process. A context does not survive a fork: start processes by "spawn"
-    or "forkserver".
+    """Return the context of this process; only the render thread may use it.
 
     Raises
     ------
     RenderingError
         Where EGL or OpenGL is missing; it says what to install.
     """
-    return _context_of(os.getpid())
+    try:
+        context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
+    except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
+        raise RenderingError(f"{_INSTALL} ({error})") from error
+    context.gc_mode = "context_gc"
+    return context
 
 
 def shader(*names: str, defines: tuple[str, ...] = ()) -> str:

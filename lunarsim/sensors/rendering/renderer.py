@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, RenderingError
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
-from lunarsim.sensors.rendering.context import gl_context
+from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
 from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.mottles import rock_albedos
@@ -54,7 +54,7 @@ _NARROW = 4.0
 
 
 class Renderer:
-    """All buffers of one terrain on the graphics device.
+    """All buffers of one terrain on the graphics device; any thread may use it.
 
     Parameters
     ----------
@@ -67,6 +67,7 @@ class Renderer:
         Where OpenGL is missing or the relief has more posts than a texture can hold.
     """
 
+    @on_render_thread
     def __init__(self, terrain: Terrain) -> None:
         ctx = gl_context()
         self._ctx = ctx
@@ -92,6 +93,7 @@ class Renderer:
         self._bounds: PenumbraBounds | None = None
         self._surface = SurfaceTextures(ctx, relief)
 
+    @on_render_thread
     def render(
         self, view: View, light: Light, *, truth: bool = False, shadows: bool = True
     ) -> RenderedImage:
@@ -317,8 +319,9 @@ class Renderer:
 _RENDERERS: dict[int, Renderer] = {}
 
 
+@on_render_thread
 def renderer_of(terrain: Terrain) -> Renderer:
-    """Return the terrain's renderer, made once and kept as long as the terrain lives."""
+    """Return the renderer of a terrain, created once and kept as long as the terrain lives."""
     key = id(terrain)
     if key not in _RENDERERS:
         _RENDERERS[key] = Renderer(terrain)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
@@ -313,6 +313,58 @@ def test_memory_does_not_grow_with_terrains_made_and_dropped(cycles):
     )
     early, late = map(float, done.stdout.split())
     assert late < early + 30.0
+
+
+def test_any_thread_renders_the_image_of_the_main_thread(rocky):
+    view, light = look(60.0), Light(0.5, 0.3)
+
+    def draw(_=None):
+        return renderer_of(rocky).render(view, light).radiance
+
+    expected = draw()
+    with ThreadPoolExecutor(1) as pool:  # first another thread, then the main thread again
+        images = [pool.submit(draw).result(), draw()]
+    with ThreadPoolExecutor(3) as pool:
+        images += pool.map(draw, range(6))
+    assert expected.std() > 0.0
+    assert all(np.array_equal(image, expected) for image in images)
+
+
+def test_a_terrain_first_drawn_in_a_thread_is_drawn_alike_later():
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(_picture, 3).result()
+    assert np.array_equal(first, _picture(3))
+
+
+_THREADS = """
+import gc, os, threading
+from tests.sensors.rendering.test_renderer import Light, flat_terrain, look, renderer_of
+
+def resident():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+
+def draw():
+    renderer_of(flat_terrain()).render(look(30.0, pixels=(64, 48)), Light())
+
+for count in range(200):
+    thread = threading.Thread(target=draw)
+    thread.start()
+    thread.join()
+    if count == 50:
+        gc.collect()
+        early = resident(), len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd"))
+gc.collect()
+print(*early, resident(), len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd")))
+"""
+
+
+def test_nothing_is_kept_of_short_lived_threads_that_render():
+    done = subprocess.run(
+        [sys.executable, "-c", _THREADS], capture_output=True, text=True, check=True
+    )
+    memory, threads, files, *late = map(float, done.stdout.split())
+    assert late[0] < memory + 30.0
+    assert late[1:] == [threads, files]
 
 
 def test_without_opengl_there_is_one_clear_error():

@@ -1,0 +1,126 @@
+"""Compiled kernels on disk: where they are kept, for which source they hold, and whether intact."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+from numba.core import caching
+
+from lunarsim._kernel_sources import sources_digest
+from lunarsim.user_cache import is_writable, user_cache, warn
+
+_DIGEST_BYTES = 16
+
+
+@lru_cache
+def _folder_of(modules: Path) -> Path | None:
+    """Return the folder for kernels of a folder of modules: NUMBA_CACHE_DIR, beside, or the user's.
+
+    None if none of them can be written to.
+    """
+    name = f"{modules.name}_{hashlib.blake2b(bytes(modules), digest_size=8).hexdigest()}"
+    folders = [modules / "__pycache__", user_cache("kernels") / name]
+    given = str(numba.config.CACHE_DIR)
+    if given:
+        folders.insert(0, Path(given) / name)
+    usable = next(filter(_can_create, folders), None)
+    if given and usable != folders[0]:
+        _warn_once(f"NUMBA_CACHE_DIR = {given}: cannot be written to, kernels are kept elsewhere")
+    if usable is None:
+        _warn_once("no cache folder can be written to: kernels are compiled at each start")
+    return usable
+
+
+def _can_create(folder: Path) -> bool:
+    """Create a folder and a file in it."""
+    if not is_writable(folder):
+        return False
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+@lru_cache
+def _warn_once(text: str) -> None:
+    warn(text)
+
+
+class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
+    """Gives the folder of a kernel and a stamp of all sources that it is linked with."""
+
+    def __init__(self, function: FunctionType, file: str) -> None:
+        super().__init__(function, file)
+        self._linked = sources_digest(function.__module__)
+        self._cache_path = str(_folder_of(Path(file).resolve().parent))
+
+    def get_source_stamp(self) -> tuple[Any, bytes, str]:
+        """Return a stamp; Numba looks at the kernel's own file only."""
+        return super().get_source_stamp(), self._linked, "with checksum"
+
+
+class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
+
+
+class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
+    """Files that are ignored and written again if they are damaged."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            found: dict[Any, str] = super()._load_index()
+        except Exception:  # pickle raises many kinds on a damaged file
+            self._report_damage()
+            return {}
+        return found
+
+    def _load_data(self, name: str) -> Any:
+        # Machine code that is damaged would end the process: the checksum comes first.
+        stored = Path(self._data_path(name)).read_bytes()
+        if _digest(stored[_DIGEST_BYTES:]) != stored[:_DIGEST_BYTES]:
+            self._report_damage()
+            return None
+        return pickle.loads(stored[_DIGEST_BYTES:])
+
+    def _save_data(self, name: str, data: Any) -> None:
+        dumped = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(_digest(dumped) + dumped)
+
+    def _report_damage(self) -> None:
+        _warn_once("damaged files in the kernel cache: their kernels are compiled again")
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=_DIGEST_BYTES).digest()
+
+
+class _KernelCache(caching.Cache):  # type: ignore[misc]
+    _impl_class = _Impl
+
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        files = self._cache_file
+        self._cache_file = _Files(files._cache_path, self._impl.filename_base, files._source_stamp)
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Save a compiled kernel; a disk that is full must not end a flight."""
+        try:
+            super().save_overload(signature, result)
+        except OSError as error:
+            _warn_once(f"compiled kernels cannot be saved ({error.strerror})")
+
+
+def enable_cache(dispatcher: Any, function: FunctionType) -> None:
+    """Let a kernel be loaded from a cache and saved in it, where there is a folder for that."""
+    if _folder_of(Path(function.__code__.co_filename).resolve().parent) is not None:
+        dispatcher._cache = _KernelCache(function)

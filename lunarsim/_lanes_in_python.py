@@ -1,0 +1,61 @@
+"""The functions of `_lanes` in Python, for NUMBA_DISABLE_JIT: a vector is an array (16,)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LANES = 16
+
+Vector = NDArray[np.float32]
+
+
+def load(array: Vector, at: int) -> Vector:
+    """Return sixteen elements from index `at` on; zeros beyond the end of the array."""
+    out = np.zeros(LANES, np.float32)
+    part = array[at : at + LANES]
+    out[: part.size] = part
+    return out
+
+
+def item(array: NDArray[Any], at: int) -> Any:
+    """Return one element."""
+    return array[at]
+
+
+def store(array: Vector, at: int, value: Vector) -> None:
+    """Write sixteen elements from index `at` on, those within the array."""
+    part = array[at : at + LANES]
+    part[:] = value[: part.size]
+
+
+def spread(number: float) -> Vector:
+    """Return sixteen times the same number."""
+    return np.full(LANES, number, np.float32)
+
+
+def larger(a: Vector, b: Vector) -> Vector:
+    """Return the larger one in each lane; b where one is NaN."""
+    return np.where(a > b, a, b)
+
+
+def root(a: Vector) -> Vector:
+    """Return the square root in each lane."""
+    return np.sqrt(a)
+
+
+def magnitude(a: Vector) -> Vector:
+    """Return the absolute value in each lane."""
+    return np.abs(a)
+
+
+def where_above(a: Vector, b: Vector, yes: Vector, no: Vector) -> Vector:
+    """Return `yes` in the lanes in which a >= b, elsewhere `no`."""
+    return np.where(a >= b, yes, no)
+
+
+def any_above(a: Vector, b: Vector) -> bool:
+    """Return whether a > b in any lane."""
+    return bool((a > b).any())

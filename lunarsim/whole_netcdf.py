@@ -1,0 +1,34 @@
+"""NetCDF files that are complete or absent.
+
+HDF5 ends the process with a segmentation fault if it cannot close a file on a full disk. The file
+is therefore created in memory and written by Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lunarsim.whole_files import write_whole
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def write_netcdf_whole(
+    path: Path, dataset: xr.Dataset, encoding: Mapping[Hashable, Mapping[str, Any]] | None = None
+) -> None:
+    """Write a dataset as NetCDF, atomically.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    dataset
+        What is written.
+    encoding
+        Compression by variable, as `xarray.Dataset.to_netcdf` takes it.
+    """
+    data = dataset.to_netcdf(engine="h5netcdf", encoding=dict(encoding or {}))
+    write_whole(path, lambda part: part.write_bytes(data))
