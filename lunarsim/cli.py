@@ -236,7 +236,7 @@ def compare(
             f"exactly safe share of the ground where targets are drawn: {result.safe_share:.3f} at "
             f"every heading, {result.safe_share_at_heading:.3f} at the heading flown"
         )
-        console.print(f"results, records and figures in {out}")
+        console.print(f"results, records and figures in {out}", soft_wrap=True)
     if not result.complete:
         click.echo("interrupted: only finished flights were written", err=True)
         sys.exit(INTERRUPTED)

@@ -151,9 +151,9 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
 
 def wide_console(width: int) -> Console:
     """Return a console for tables, `width` columns wide where it is no terminal."""
-    from rich.console import Console
+    from lunarsim.console import plain_console
 
-    return Console(width=None if sys.stdout.isatty() else width)
+    return plain_console(None if sys.stdout.isatty() else width)
 
 
 @contextmanager
@@ -168,19 +168,9 @@ def kept_if_interrupted(what: str) -> Iterator[None]:
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
     """Show a bar on stderr; what is yielded takes the number of things done since the last call."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from lunarsim.console import plain_console, plain_progress
 
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with plain_progress(plain_console(stderr=True)) as bar:
         task = bar.add_task(name, total=total)
         try:
             yield lambda n: bar.advance(task, n)

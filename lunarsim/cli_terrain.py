@@ -19,9 +19,9 @@ def terrain() -> None:
 @click.argument("file", type=PATH)
 def info(file: Path) -> None:
     """Print what a terrain model FILE (GeoTIFF, PDS .IMG) says of itself."""
-    from rich.console import Console
     from rich.table import Table
 
+    from lunarsim.console import plain_console
     from lunarsim.world.terrain.dtm import read_info
 
     found = read_info(file)
@@ -44,7 +44,7 @@ def info(file: Path) -> None:
         ("no data", f"{100.0 * found.no_data_share:.2f} %"),
     ):
         table.add_row(name, value)
-    Console().print(table)
+    plain_console().print(table)
 
 
 @terrain.command()

@@ -11,9 +11,9 @@ from typing import TypeVar
 
 import numba  # noqa: F401  (loaded, so that its threads are held too)
 from rich.console import Console
-from rich.progress import Progress
 
 from lunarsim.campaign.engines.worker import one_thread
+from lunarsim.console import plain_progress
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -91,7 +91,7 @@ def gathered(
         Name of the tasks, in the plural.
     """
     done: dict[int, R] = {}
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task(what, total=len(tasks))
         try:
             for index, result in outcomes(function, tasks, jobs):
