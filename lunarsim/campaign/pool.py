@@ -12,6 +12,7 @@ from typing import TypeVar
 import numba  # noqa: F401  (loaded, so that its threads are held too)
 from rich.console import Console
 
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.engines.worker import one_thread
 from lunarsim.console import plain_progress
 
@@ -37,6 +38,7 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         for index, task in enumerate(tasks):
             yield index, _done(function, task)
         return
+    check_picklable("tasks", (function, tasks[:1]))
     # OpenGL contexts and Numba's thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=one_thread)
