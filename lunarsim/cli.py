@@ -100,8 +100,10 @@ def fly(
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
         if out is not None:
-            # Pictures show it; what it compiles is told as well.
-            _ = simulation.truth
+            from lunarsim.viz import truth_shown
+
+            # It compiles kernels, which are counted here.
+            truth = truth_shown(record, simulation.world, simulation.lander)
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
         with filled_whole(out):
@@ -114,7 +116,7 @@ def fly(
         _tell(record)
         from lunarsim.viz import draw_flight
 
-        draw_flight(record, simulation.world, simulation.truth, out)
+        draw_flight(record, simulation.world, truth, out)
     click.echo(f"scenario, record and figures in {out}")
 
 
