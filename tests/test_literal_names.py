@@ -21,7 +21,6 @@ from lunarsim.evaluation.comparisons import Difference
 from lunarsim.scenario import Scenario
 from lunarsim.viz import draw_comparison
 from lunarsim.viz.style import literal
-from tests.viz.test_comparison import ROWS
 from tests.worlds import ROOT, TINY_FLIGHT
 
 NAMES = [
@@ -94,7 +93,13 @@ def test_figures_show_dollar_signs(name):
 
 
 def test_a_comparison_draws_any_names(tmp_path):
-    rows = [row | {"policy": "$\\frac{$" + row["policy"]} for row in ROWS]
+    maps = {"map_hits": 30, "map_false_safe": 10, "map_missed": 20}
+    row = {
+        "flight": 0, "safe": False, "failed": "slope", "aborted": False, "propellant_kg": 40.0,
+        "divert_m": 1.0, "vertical_speed_m_s": 2.0, "horizontal_speed_m_s": 0.1, "tilt_deg": 1.0,
+        "safe_site_in_reach": True, **maps,
+    }  # fmt: skip
+    rows = [row | {"policy": name} for name in ("$\\frac{$a", "$\\frac{$b")]
     scenario = Scenario.from_dict({"name": "$\\nonsense$"})
     draw_comparison(rows, scenario, tmp_path / "c.png")
     assert (tmp_path / "c.png").stat().st_size > 0
