@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -118,7 +118,13 @@ def opened_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
     return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
-def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) -> Scenario:
+def load_scenario(
+    given: Path,
+    changes: tuple[str, ...],
+    *,
+    flown: bool = True,
+    parts: Mapping[str, str | None] | None = None,
+) -> Scenario:
     """Return a scenario with changes of the command line; tell on stderr what is odd about it.
 
     Parameters
@@ -127,6 +133,9 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
         A file, or the name of a scenario that comes with the package.
     changes
         ``KEY=VALUE`` each.
+    parts
+        By contract the kind of part that an option such as ``--guidance`` names, or None. A kind
+        that is not the scenario's starts from its defaults. Changes apply to the named part.
     flown
         Whether a flight follows; pictures and maps of the ground use more, and less, of it.
 
@@ -140,10 +149,23 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
     from lunarsim.scenario.notes import notes_on
     from lunarsim.scenario.shipped import found
 
-    loaded = with_changes(Scenario.load(found(given)), changes)
+    loaded = Scenario.load(found(given))
+    for contract, kind in (parts or {}).items():
+        loaded = _with_part(loaded, contract, kind)
+    loaded = with_changes(loaded, changes)
     for note in notes_on(loaded) if flown else ():
         click.echo(f"warning: {note}", err=True)
     return loaded
+
+
+def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
+    """Return a scenario with a part that an option names, with that kind's defaults."""
+    from lunarsim.parts import resolve
+
+    if kind is None or kind == getattr(scenario, contract).kind:
+        return scenario
+    resolve(contract, kind, f"--{contract}")
+    return scenario.changed(**{contract: {"kind": kind}})
 
 
 # --- what is shown meanwhile --------------------------------------------------------------------
