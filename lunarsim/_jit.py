@@ -42,7 +42,7 @@ def _stamp(compiled: Any, function: Any) -> None:
     A stamp of a kernel's own file is all that Numba looks at.
     """
     cached = compiled._cache._cache_file
-    linked = sources_digest(function.__module__, function.__code__.co_filename)
+    linked = sources_digest(function.__module__)
     cached._source_stamp = cached._source_stamp, linked
 
 

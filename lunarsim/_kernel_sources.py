@@ -1,53 +1,113 @@
-"""Of which files a kernel's compiled code is made: its own, and those of kernels that it calls.
+"""Digest of the source that a kernel's compiled code depends on.
 
-Numba links a kernel into the cached code of its callers and looks whether the caller's file has
-changed, not the callee's. After an update of one file callers in others would run the old code.
+Numba links the code of called kernels into the cached code of their caller, and it checks only
+whether the caller's own file has changed. Without this digest, a caller would run outdated code
+after a change to a kernel in another file.
 """
 
 from __future__ import annotations
 
 import hashlib
-import re
+import sys
+from functools import cache
 from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
 
-_IMPORTS = re.compile(r"^from ([\w.]+) import", re.MULTILINE)
-_KERNEL = re.compile(r"^@kernel\(|^@intrinsic", re.MULTILINE)
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
+
+from lunarsim._shares import Shared
+
+_PLAIN = (bool, int, float, complex, str, bytes, np.generic)
+# Packages whose versions Numba compares itself, or that a kernel takes no constants from.
+_FOREIGN = sys.stdlib_module_names | {"numba", "numpy", "scipy"}
 
 
-def sources_digest(module: str, file: str) -> bytes:
-    """Return a digest of a module's source and of all that its kernels are linked with.
+def sources_digest(module: str) -> bytes:
+    """Return a digest of a module's source and of all that is compiled into its kernels.
+
+    It covers the files of all kernels that the module's kernels can call, whatever package they are
+    in and however they are imported, and the values of the constants that these modules hold.
 
     Parameters
     ----------
     module
-        Its absolute name.
-    file
-        Where its source is.
+        Name of an imported module. A module that is still being executed counts with the names that
+        it has defined so far.
     """
-    root = Path(file).resolve().parents[module.count(".")]
-    digest = hashlib.blake2b(digest_size=16)
-    for name in sorted(_linked(module, root, frozenset())):
-        digest.update(name.encode() + b"\0" + _text(root / name).encode() + b"\0")
-    return digest.digest()
+    linked = sorted(linked_modules(module) - {module})
+    parts = b"".join([_contents(module), *map(_contents_when_complete, linked)])
+    return hashlib.blake2b(parts, digest_size=16).digest()
 
 
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def linked_modules(module: str) -> frozenset[str]:
+    """Return the names of a module and of all kernel modules that its kernels can call."""
+    found = {module}
+    pending = [module]
+    while pending:
+        for value in vars(sys.modules[pending.pop()]).values():
+            name = _module_of(value)
+            if name not in found and name in sys.modules and _has_kernels(name):
+                found.add(name)
+                pending.append(name)
+    return frozenset(found)
 
 
-def _linked(module: str, root: Path, before: frozenset[str]) -> frozenset[str]:
-    """Return the files of a module and of the project's own that it imports, as paths below `root`.
+def _module_of(value: Any) -> str:
+    """Return the name of the module that defines a function, kernel or class; a module's own."""
+    if isinstance(value, ModuleType):
+        return value.__name__
+    value = _function_of(value) or value
+    return str(value.__module__) if isinstance(value, (FunctionType, type)) else ""
 
-    Of modules without kernels only constants are compiled in: what they import themselves does not
-    count.
-    """
-    name = module.replace(".", "/") + ".py"
-    path = root / name
-    if name in before or not path.is_file():
-        return before
-    found = before | {name}
-    if before and not _KERNEL.search(_text(path)):
-        return found
-    for imported in _IMPORTS.findall(_text(path)):
-        found = _linked(imported, root, found)
-    return found
+
+def _function_of(value: Any) -> Any:
+    """Return the Python function of a kernel or an intrinsic, None for anything else."""
+    # Other objects are not asked for attributes: some import modules or raise errors of their own.
+    if isinstance(value, Shared):
+        value = value.compiled
+    if isinstance(value, Dispatcher):
+        return value.py_func
+    return value._defn if isinstance(value, _Intrinsic) else None
+
+
+@cache
+def _has_kernels(name: str) -> bool:
+    """Return whether a module outside Numba itself defines a kernel or an intrinsic."""
+    if name.partition(".")[0] in _FOREIGN:
+        return False
+    functions = filter(None, map(_function_of, vars(sys.modules[name]).values()))
+    return any(function.__module__ == name for function in functions)
+
+
+def _contents(name: str) -> bytes:
+    """Return the name, source and constants of a module, without source in interactive sessions."""
+    file = Path(getattr(sys.modules[name], "__file__", None) or "")
+    constants = _constants(vars(sys.modules[name]))
+    return repr((name, file.read_bytes() if file.is_file() else b"", constants)).encode()
+
+
+def _constants(names: dict[str, Any]) -> dict[str, str]:
+    """Return the values that kernels can compile in; names such as `__file__` are no such."""
+    return {k: _constant(v) for k, v in sorted(names.items()) if not k.startswith("__")}
+
+
+# Modules that a module imports are complete by the time that its kernels are defined.
+_contents_when_complete = cache(_contents)
+
+
+def _constant(value: Any) -> str:
+    """Return what kernels can compile in of a global: a value, or the fields of a tuple class."""
+    if isinstance(value, _PLAIN):
+        return repr(value)
+    if isinstance(value, tuple):
+        return repr([_constant(v) for v in value])
+    if isinstance(value, np.ndarray):
+        return repr((value.dtype.str, value.shape, value.tobytes()))
+    if isinstance(value, type):
+        return repr(getattr(value, "_fields", ""))
+    if isinstance(value, ModuleType) and value.__name__.partition(".")[0] not in _FOREIGN:
+        return repr(_constants({k: v for k, v in vars(value).items() if isinstance(v, _PLAIN)}))
+    return ""

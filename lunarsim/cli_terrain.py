@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from lunarsim.cli_common import FLIGHT, PATH, SEED, Group, load_scenario, scenario_options
 from lunarsim.errors import check_output
+
+if TYPE_CHECKING:
+    from lunarsim.world.terrain.dtm import DtmInfo
 
 
 @click.group(cls=Group)
@@ -17,34 +22,59 @@ def terrain() -> None:
 
 @terrain.command()
 @click.argument("file", type=PATH)
-def info(file: Path) -> None:
-    """Print what a terrain model FILE (GeoTIFF, PDS .IMG) says of itself."""
+@click.option(
+    "--window", type=int, nargs=4, metavar="TOP BOTTOM LEFT RIGHT",
+    help="First and last row, first and last column.",
+)  # fmt: skip
+@click.option("--unit", help="Unit of the heights: m, km, ft, us-ft.")
+@click.option("--nodata", type=float, multiple=True, help="Number of posts without a height.")
+def info(
+    file: Path, window: tuple[int, int, int, int] | None, unit: str | None,
+    nodata: tuple[float, ...],
+) -> None:  # fmt: skip
+    """Describe the terrain model FILE (GeoTIFF, PDS, ...)."""
     from rich.table import Table
 
     from lunarsim.console import plain_console
     from lunarsim.world.terrain.dtm import read_info
 
-    found = read_info(file)
+    found = read_info(file, window=window, unit=unit, nodata=nodata or None)
     table = Table(show_header=False, box=None)
-    posting = None
-    if found.posting is None:
-        resampled = found.frame.startswith(("geographic", "rotated"))
-        posting = (
-            "resampled to a metric frame when loaded"
-            if resampled
-            else "not given: set terrain.dtm_posting_m"
-        )
-    for name, value in (
-        ("file", str(found.path)),
-        ("format", found.driver),
-        ("posts", f"{found.rows} x {found.cols} (rows x columns)"),
-        ("posting", posting or f"{found.posting:.4g} m"),
-        ("frame", found.frame),
-        ("elevation", f"{found.z_range[0]:.2f} to {found.z_range[1]:.2f} m"),
-        ("no data", f"{100.0 * found.no_data_share:.2f} %"),
-    ):
+    for name, value in _description(found):
         table.add_row(name, value)
     plain_console().print(table)
+
+
+def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
+    """Yield name and value of the rows that `terrain info` prints."""
+    yield "file", str(found.path)
+    yield "format", found.driver
+    yield "posts", f"{found.rows} x {found.cols} (rows x columns)"
+    if found.posting is None or found.spacing is None:
+        yield "posting", "not given: set terrain.dtm_posting_m"
+    elif found.resampled:
+        along, across = found.spacing
+        yield "posting", f"{along:.4g} m along rows, {across:.4g} m along columns"
+        yield "loaded", f"resampled to {found.posting:.4g} m, north up"
+    else:
+        yield "posting", f"{found.posting:.4g} m"
+        yield "loaded", "post by post, without interpolation"
+    yield "frame", found.frame
+    yield "orientation", found.orientation
+    if found.map_scale is not None:
+        along, across = found.map_scale
+        scale = f"1 m of terrain is {along:.4f} m of map along rows, {across:.4f} m along columns"
+        yield "map scale", scale
+    heights = found.height_scale
+    length = "" if heights.metres == 1.0 else f" ({heights.metres:.10g} m)"
+    yield "unit of heights", heights.unit + length
+    yield "scale, offset", f"number x {heights.scale:g} + {heights.offset:.10g}"
+    if found.statistics is None:
+        yield "elevation", f"not read: {found.rows * found.cols} posts; give --window"
+    else:
+        low, high = found.z_range
+        yield "elevation", f"{low:.2f} to {high:.2f} m"
+        yield "no data", f"{100.0 * found.no_data_share:.2f} %"
 
 
 @terrain.command()

@@ -8,6 +8,8 @@ from hypothesis import HealthCheck, settings
 from lunarsim.scenario import Scenario
 from tests.worlds import ROOT, SCENARIOS, SMALL_FLIGHT
 
+pytest_plugins = ["tests.fresh_draws"]
+
 __all__ = ["ROOT", "SCENARIOS"]
 
 # The first example of a test may compile a kernel.

@@ -1,66 +1,106 @@
-"""Cached kernels are compiled anew when a kernel that they call has changed in another file."""
+"""A cached kernel is recompiled when the code or a constant that it is linked with has changed."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
 import pytest
 
-from lunarsim._kernel_sources import sources_digest
+from lunarsim._kernel_sources import linked_modules
 
-INNER = """
+# Two packages: the caller's, and another one with kernels and constants that the caller uses.
+FILES = {
+    "caller/__init__.py": "",
+    "caller/_kernels.py": """
+from caller._constants import FACTOR
+from caller._types import Pair
+from lunarsim._jit import kernel
+from library import _kernels as k, units
+from library._more_kernels import (
+    third,
+)
+
+@kernel()
+def outer(x):
+    pair = Pair(x, 0.0)
+    return FACTOR * k.inner(pair.first) + units.METRE + third(x)
+""",
+    "caller/_constants.py": "from library.units import KILO\nFACTOR = 2.0 * KILO\n",
+    "caller/_types.py": "from typing import NamedTuple\n\n"
+    "class Pair(NamedTuple):\n    first: float\n    second: float\n",
+    "library/__init__.py": "",
+    "library/units.py": "KILO = 1000.0\nMETRE = 1.0\n",
+    "library/_kernels.py": """
 from lunarsim._jit import kernel
 
 @kernel(inner=True)
 def inner(x):
-    return x + {}
-"""
-OUTER = """
+    return x + 1.0
+""",
+    "library/_more_kernels.py": """
 from lunarsim._jit import kernel
-from pair._inner_kernels import inner
 
-@kernel()
-def outer(x):
-    return inner(x)
+@kernel(inner=True)
+def third(x):
+    return 0.0 * x
+""",
+}
+
+RUN = """
+import json
+from caller._kernels import outer
+print(json.dumps([outer(1.0), sum(outer.stats.cache_hits.values())]))
 """
 
 
-@pytest.fixture
-def pair(tmp_path):
-    folder = tmp_path / "pair"
-    folder.mkdir()
-    (folder / "__init__.py").write_text("")
-    (folder / "_inner_kernels.py").write_text(INNER.format(1))
-    (folder / "_outer_kernels.py").write_text(OUTER)
-    (folder / "constants.py").write_text("FACTOR = 2\n")
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("packages")
+    for name, text in FILES.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
     return folder
 
 
-def test_a_caller_is_compiled_anew_after_its_callee_has_changed(pair):
-    def asked():
-        code = "from pair._outer_kernels import outer as f; print(f(1), len(f.stats.cache_hits))"
-        told = subprocess.run(
-            [sys.executable, "-B", "-c", code], cwd=pair.parent, capture_output=True, text=True,
-            check=True,
-        )  # fmt: skip
-        return told.stdout.split()
-
-    assert asked() == ["2", "0"]
-    assert asked() == ["2", "1"]
-    (pair / "_inner_kernels.py").write_text(INNER.format(2))
-    assert asked() == ["3", "0"]
+def run(folder):
+    """Return the kernel's value in a new process, and how many compiled kernels came from disk."""
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", RUN], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
 
 
-def test_what_counts_are_files_of_kernels_and_constants_they_name(pair):
-    def digest():
-        return sources_digest("pair._outer_kernels", str(pair / "_outer_kernels.py"))
+def test_a_caller_is_recompiled_after_each_change_of_what_it_is_linked_with(packages):
+    def change(name, old, new):
+        text = (packages / name).read_text()
+        assert old in text
+        (packages / name).write_text(text.replace(old, new))
+        return run(packages)
 
-    first = digest()
-    assert digest() == first
-    (pair / "constants.py").write_text("FACTOR = 3\n")
-    assert digest() == first
-    (pair / "_outer_kernels.py").write_text("from pair.constants import FACTOR\n" + OUTER)
-    second = digest()
-    (pair / "constants.py").write_text("FACTOR = 4\n")
-    assert len({first, second, digest()}) == 3
+    assert run(packages) == [4001.0, 0]
+    assert run(packages) == [4001.0, 1]
+    # A called kernel of another package, which the caller imports as a module.
+    assert change("library/_kernels.py", "x + 1.0", "x + 2.0") == [6001.0, 0]
+    # A kernel that a parenthesised import over several lines names.
+    assert change("library/_more_kernels.py", "0.0 * x", "5.0 * x") == [6006.0, 0]
+    # A constant of an imported module, and one that reaches the caller through another module.
+    assert change("library/units.py", "METRE = 1.0", "METRE = 3.0") == [6008.0, 0]
+    assert change("library/units.py", "KILO = 1000.0", "KILO = 10.0") == [68.0, 0]
+    # The order of the fields of a tuple class.
+    swapped = "    second: float\n    first: float\n"
+    assert change("caller/_types.py", "    first: float\n    second: float\n", swapped)[1] == 0
+    # A change that no kernel can see recompiles nothing.
+    assert change("library/units.py", "KILO", "# thousand, as SI has it\nKILO")[1] == 1
+
+
+def test_kernels_of_the_environments_depend_on_those_of_the_simulator():
+    import lunarsim_envs.descent._kernels  # noqa: F401
+
+    linked = linked_modules("lunarsim_envs.descent._kernels")
+    assert {
+        "lunarsim_envs.descent._loop_kernels",  # from package import module as name
+        "lunarsim.vehicle._touchdown_kernels",
+        "lunarsim._frame_kernels",  # through another kernel's module
+    } <= linked

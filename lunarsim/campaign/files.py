@@ -13,6 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from llvmlite.binding import get_host_cpu_name
+
 import lunarsim
 from lunarsim.whole_files import write_text_whole
 
@@ -20,8 +22,9 @@ from lunarsim.whole_files import write_text_whole
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
              "rasterio", "pyarrow")  # fmt: skip
 
-# Of an environment, what changes none.
-_NO_MATTER = ("python", "cores")
+# A campaign may be continued with another value of these. Another processor rounds differently, so
+# it is recorded; a cluster of unlike machines would otherwise not be usable at all.
+_NO_MATTER = ("python", "cores", "processor")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -84,7 +87,7 @@ def differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Return the interpreter, the machine's kind and the versions that may matter."""
+    """Return the interpreter, the kind of machine and the versions that results depend on."""
     packages = {}
     for name in _PACKAGES:
         try:
@@ -95,5 +98,6 @@ def environment() -> dict[str, str]:
         "python": platform.python_version(),
         "platform": f"{sys.platform} {platform.machine()}",
         "cores": str(os.cpu_count()),
+        "processor": os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name(),
         **packages,
     }

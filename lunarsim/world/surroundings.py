@@ -26,6 +26,8 @@ from lunarsim.world.terrain import Heightfield, RayHits, Terrain, fractal_relief
 Array = NDArray[np.float64]
 
 _MOST_POSTS = 4_000
+# One number or several.
+Numbers = float | tuple[float, ...]
 # Points of a ray that are looked at before the first crossing is halved.
 _SAMPLES, _HALVINGS = 400, 40
 
@@ -46,8 +48,8 @@ class Surroundings:
         Share of a level's half side, and of the map's, over which it passes into the next.
     path
         Raster that is the first level, its middle at the map's origin; left out: it is drawn.
-    dtm_posting
-        Of a raster without metric frame, m.
+    dtm_posting, dtm_unit, dtm_nodata
+        How the raster is read; see the keys of the same names of `[terrain]`.
     """
 
     sizes: tuple[float, ...] = quantity((40_960.0, 1_024_000.0), "m", gt=0, help="of each square")
@@ -58,7 +60,15 @@ class Surroundings:
     hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of the levels")
     margin: float = quantity(0.3, gt=0, le=1, help="share of half a side that passes over")
     path: Path | None = quantity(None, help="raster that is the first level, as it is")
-    dtm_posting: float | None = quantity(None, "m", gt=0, help="for a raster without metric frame")
+    dtm_posting: float | None = quantity(
+        None, "m", gt=0, help="distance between posts, for a raster without a frame"
+    )
+    dtm_unit: str | None = quantity(
+        None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
+    )
+    dtm_nodata: Numbers | None = quantity(
+        None, help="numbers that mark posts without a height; [] for none"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "surroundings")
@@ -76,7 +86,7 @@ class Surroundings:
         @cache
         def level(n: int) -> Heightfield:
             if n == 0 and self.path is not None:
-                return _measured(self.path, self.dtm_posting)
+                return _measured(self)
             grid = Grid.centred((0.0, 0.0), self.sizes[n], self.postings[n])
             drawn = fractal_relief(
                 grid, streams.get(f"surroundings.{n}"), hurst=self.hurst,
@@ -87,13 +97,23 @@ class Surroundings:
         return Surrounded(terrain, moon, self, level)
 
 
-def _measured(path: Path, posting: float | None) -> Heightfield:
-    """Return a raster with its middle at the origin, at height nought there."""
+def _measured(settings: Surroundings) -> Heightfield:
+    """Return the raster of the first level; height 0 is at its centre, which is the origin."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
-    z = load_dtm(path, posting=posting)
+    assert settings.path is not None
+    try:
+        z = load_dtm(
+            settings.path, posting=settings.dtm_posting, unit=settings.dtm_unit,
+            nodata=settings.dtm_nodata,
+        )  # fmt: skip
+    except InputError as error:  # the keys have the same names in [terrain]
+        field, expected = (
+            text.replace("terrain.", "surroundings.") for text in (error.field, error.expected)
+        )
+        raise InputError(field, error.value, expected) from None
     if not np.isfinite(z.z).all():
-        raise InputError("surroundings.path", str(path), "a raster without gaps")
+        raise InputError("surroundings.path", str(settings.path), "a raster without gaps")
     g = z.grid
     x0, y0 = (-0.5 * (n - 1) * g.posting for n in (g.cols, g.rows))
     middle = z.z[g.rows // 2, g.cols // 2]

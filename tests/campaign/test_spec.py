@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from scipy.stats import kstest, norm, truncnorm, uniform
+from scipy.stats import kstest, kstwo, norm, truncnorm, uniform
 
 from lunarsim.campaign.dispersions import Dispersions, distribution
 from lunarsim.campaign.factors import parse_over
@@ -18,6 +18,7 @@ from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
+from tests.chance import CHANCE
 from tests.conftest import SCENARIOS
 
 TEXT = f"""
@@ -112,6 +113,7 @@ LAWS = {
 }
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("method", ["monte-carlo", "latin-hypercube", "sobol"])
 @pytest.mark.parametrize("law", LAWS)
 def test_draws_follow_their_law(law, method):
@@ -122,8 +124,8 @@ def test_draws_follow_their_law(law, method):
     for column in values.T:
         statistic = kstest(column, truth.cdf).statistic
         # A design fills the range evenly; independent draws cannot.
-        assert statistic < (0.07 if method == "monte-carlo" else 0.003)
-    assert abs(np.corrcoef(values.T)[0, 1]) < 0.15
+        assert statistic < (kstwo(512).isf(CHANCE) if method == "monte-carlo" else 0.003)
+    assert abs(np.corrcoef(values.T)[0, 1]) < norm.isf(CHANCE) / np.sqrt(512)
 
 
 def test_choices_follow_their_weights():
@@ -132,15 +134,18 @@ def test_choices_follow_their_weights():
     assert {v: drawn.count(v) for v in set(drawn)} == {"x": 250, "z": 750}
 
 
+@pytest.mark.statistical
 def test_correlated_draws_keep_their_laws():
     one = spec()
     drawn = [one.dispersions.draws(i) for i in range(2000)]
     x = np.array([d["start.position_m.0"] for d in drawn])
     v = np.array([d["start.velocity_m_s.0"] for d in drawn])
     scores = norm.ppf(truncnorm(-1.0, np.inf, 28.0, 1.0).cdf(v))
-    assert np.corrcoef(x, scores)[0, 1] == pytest.approx(0.5, abs=0.05)
-    assert kstest(x, norm(-600.0, 30.0).cdf).pvalue > 1e-3
-    assert kstest(v, truncnorm(-1.0, np.inf, 28.0, 1.0).cdf).pvalue > 1e-3
+    assert np.corrcoef(x, scores)[0, 1] == pytest.approx(
+        0.5, abs=norm.isf(CHANCE) * 0.75 / np.sqrt(2000)
+    )
+    assert kstest(x, norm(-600.0, 30.0).cdf).pvalue > CHANCE
+    assert kstest(v, truncnorm(-1.0, np.inf, 28.0, 1.0).cdf).pvalue > CHANCE
 
 
 BAD = [

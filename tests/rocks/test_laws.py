@@ -7,6 +7,7 @@ from scipy.stats import kstest
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.laws import golombek_cover, golombek_number, sample_diameters
+from tests.chance import CHANCE
 
 
 @pytest.mark.parametrize("k", [0.01, 0.05, 0.2])
@@ -18,6 +19,7 @@ def test_number_integrates_cover(k):
         assert golombek_number(d, k) == pytest.approx(quad(density, d, np.inf)[0], rel=1e-6)
 
 
+@pytest.mark.statistical
 def test_sampled_diameters_follow_the_law():
     k, low, high = 0.05, 0.15, 3.0
     d = sample_diameters(40_000.0, k, low, high, np.random.default_rng(1))
@@ -27,7 +29,7 @@ def test_sampled_diameters_follow_the_law():
     def cdf(x):
         return 1.0 - (golombek_number(x, k) - golombek_number(high, k)) / total
 
-    assert kstest(d, cdf).pvalue > 0.01
+    assert kstest(d, cdf).pvalue > CHANCE
     assert (np.diff(d) <= 0).all()
     covered = np.sum(np.pi * d**2 / 4) / 40_000.0
     law = golombek_cover(low, k) - golombek_cover(high, k)

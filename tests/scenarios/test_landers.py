@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from click.testing import CliRunner
 
 from lunarsim.scenario import Scenario
@@ -74,6 +75,7 @@ def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeyp
     assert "| `quaternion-feedback` | none | 1 of 1 |" in done.output
 
 
+@pytest.mark.slow
 def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(script, monkeypatch):
     study = script("landers", "thrusters_and_map")
     world = {**study.WORLD, "terrain": {**study.WORLD["terrain"], "size_m": 160.0}}

@@ -173,6 +173,7 @@ def small_world(script, monkeypatch, tmp_path):
     return flown, compare
 
 
+@pytest.mark.slow
 def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeypatch):
     flown, compare = small_world
     options = ["--flights", "2", "--worlds", "small", "--out", str(tmp_path / "out")]

@@ -107,6 +107,7 @@ def test_a_study_that_is_judged_ends_with_1_where_errors_are_not_what_is_said(sc
         assert ("NEES of all nine at 0.15: " in done.output) is bool(code)
 
 
+@pytest.mark.slow
 def test_flights_with_faults_are_written_and_added_up(script, tmp_path, monkeypatch):
     faults, out = script("navigation", "faults"), tmp_path / "faults.json"
     monkeypatch.setattr(faults, "RELIEFS", (4.0,))

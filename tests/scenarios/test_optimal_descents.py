@@ -189,6 +189,7 @@ def test_a_run_that_is_killed_as_it_writes_goes_on(small, tmp_path, monkeypatch)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "figures.json", "shards"]
 
 
+@pytest.mark.slow
 def test_bits_do_not_depend_on_the_number_of_processes(script, tmp_path, monkeypatch):
     study = script("learning", "optimal_descents")
     # Three shards: one process solves them all, of two one has more than the other.

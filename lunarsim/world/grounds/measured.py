@@ -14,6 +14,9 @@ from lunarsim.world.grounds.contract import MOST_POSTS, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
+# One number or several.
+Numbers = float | tuple[float, ...]
+
 
 @dataclass(frozen=True)
 class MeasuredGround(Roughness):
@@ -23,9 +26,16 @@ class MeasuredGround(Roughness):
     ----------
     path
         GeoTIFF, PDS image or another raster.
-    dtm_posting, dtm_window, height_step
-        For a raster without metric frame, m; first and last row and column; for elevations that
-        come in steps, m.
+    dtm_posting
+        Distance between posts of a raster without a coordinate reference, or wanted posting of one
+        that is resampled, m.
+    dtm_window
+        First and last row and column that are used.
+    dtm_unit, dtm_nodata
+        Unit of the heights, in place of the file's; numbers that mark posts without a height,
+        besides those that the file declares.
+    height_step
+        Step between elevations of a coarsely rounded raster, m.
     relief_scale
         c of Eq. 20 of the Gaussian DEM paper.
     mirrored_to
@@ -39,9 +49,17 @@ class MeasuredGround(Roughness):
     """
 
     path: Path | None = quantity(None, help="raster, relative to the scenario file")
-    dtm_posting: float | None = quantity(None, "m", gt=0, help="for a raster without metric frame")
+    dtm_posting: float | None = quantity(
+        None, "m", gt=0, help="distance between posts, for a raster without a frame"
+    )
     dtm_window: tuple[int, int, int, int] | None = quantity(
-        None, help="first and last row from the top, first and last column"
+        None, help="first and last row, first and last column, in the order of the file"
+    )
+    dtm_unit: str | None = quantity(
+        None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
+    )
+    dtm_nodata: Numbers | None = quantity(
+        None, help="numbers that mark posts without a height; [] for none"
     )
     height_step: float | None = quantity(
         None, "m", gt=0, help="for a raster whose elevations come in steps: smooth within them"
@@ -75,7 +93,10 @@ def _measured(ground: MeasuredGround) -> Heightfield:
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert ground.path is not None
-    measured = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    measured = load_dtm(
+        ground.path, posting=ground.dtm_posting, window=ground.dtm_window, unit=ground.dtm_unit,
+        nodata=ground.dtm_nodata,
+    )  # fmt: skip
     if ground.height_step is not None:
         measured = measured.dequantised(ground.height_step)
     measured = measured.scaled(ground.relief_scale)

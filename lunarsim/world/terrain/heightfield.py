@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.world.terrain.spline import GappySpline
 
 
 @dataclass(frozen=True)
@@ -113,20 +114,11 @@ class Heightfield:
             (rows - 1) * factor + 1,
             (cols - 1) * factor + 1,
         )
-        known = np.isfinite(self.z)
-        filled = self.z.astype(np.float64)
-        if not known.all():
-            nearest = ndimage.distance_transform_edt(
-                ~known, return_distances=False, return_indices=True
-            )
-            filled = filled[tuple(nearest)]
-        coefficients = ndimage.spline_filter(filled, order=3, mode="mirror")
-        axes = np.meshgrid(
+        spline = GappySpline(self.z)
+        rows_at, cols_at = np.meshgrid(
             np.arange(fine.rows) / factor, np.arange(fine.cols) / factor, indexing="ij"
         )
-        z = ndimage.map_coordinates(coefficients, axes, order=3, mode="mirror", prefilter=False)
-        z[::factor, ::factor] = filled  # the spline passes here; this removes its rounding
-        if not known.all():
-            unknown = ndimage.map_coordinates((~known).astype(np.float64), axes, order=1) > 0.0
-            z[unknown] = np.nan
+        z = spline(rows_at, cols_at)
+        z[::factor, ::factor] = spline.filled  # the spline passes here; this removes its rounding
+        z[spline.is_gap(rows_at, cols_at)] = np.nan
         return Heightfield(fine, z.astype(np.float32))

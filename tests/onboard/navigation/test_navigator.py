@@ -23,6 +23,7 @@ from lunarsim.onboard.navigation.registration_settings import RegistrationSettin
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain, hazard_field
+from tests.chance import ratio_bounds
 from tests.lidar_descent import KEEP, LIDAR, START, VELOCITY, Descent, mapped, names
 
 
@@ -31,6 +32,7 @@ def world():
     return World(hazard_field(np.random.default_rng(4), surround=280.0, posting=0.5), 9.81)
 
 
+@pytest.mark.statistical
 def test_it_locks_and_then_errs_as_it_says(world):
     nees, errors = Consistency(), []
     for seed in range(14):
@@ -44,12 +46,13 @@ def test_it_locks_and_then_errs_as_it_says(world):
     # Whoever starts three sigma off sweeps the grass beside the field.
     assert len(errors) >= 12
     # A post's uses count less than they could, never more: the filter may only be too modest.
-    assert 1.0 / 6.0 < nees.ratio < nees.bounds(0.95)[1]
+    assert 1.0 / 6.0 < nees.ratio < ratio_bounds(nees.degrees)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (rms[:3] < 0.3).all()
     assert (np.rad2deg(rms[3:]) < 0.1).all()
 
 
+@pytest.mark.statistical
 def test_before_the_lock_it_knows_that_it_does_not_know(world):
     nees = Consistency()
     for seed in range(12):
@@ -57,7 +60,7 @@ def test_before_the_lock_it_knows_that_it_does_not_know(world):
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
         nees = nees.plus(descent.nees(), 6)
-    assert nees.ratio < nees.bounds(0.99)[1]
+    assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
 
 def test_the_level_of_a_map_is_told_once(world):
@@ -119,6 +122,7 @@ def test_an_azimuth_that_is_corrected_turns_no_ground(world):
     assert np.abs(f.ground_turn.rotation - np.eye(3)).max() > 0.009
 
 
+@pytest.mark.statistical
 def test_odometry_slows_the_drift(world):
     grown = {}
     nees = Consistency()
@@ -138,9 +142,10 @@ def test_odometry_slows_the_drift(world):
                 nees = nees.plus(normalised_square(off, own), 3)
         grown[scans] = np.sqrt(np.mean(np.square(gaps)))
     assert grown[True] < 0.5 * grown[False]
-    assert nees.ratio < nees.bounds(0.999)[1]
+    assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("relief", [0.0, 0.005])
 def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relief):
     """The noise of slopes is all that level ground has, and once passed for slopes.
@@ -160,7 +165,7 @@ def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relie
         assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
         nees = nees.plus(normalised_square(off, own), 3)
     # On ground that is quite level errors are up to twice what is said.
-    assert nees.ratio < (4.0 if relief == 0.0 else nees.bounds(0.999)[1])
+    assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
 
 def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
@@ -403,6 +408,7 @@ def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
     assert off["turned"] < 0.5 * off["as seen"]
 
 
+@pytest.mark.statistical
 def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
     nees, values = Consistency(), Consistency()
     for seed in range(6):
@@ -418,8 +424,8 @@ def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
         assert np.sqrt(state.covariance[block, block][1, 1]) < 0.6 * STATED.boresight_sigma
         assert "doubted" not in names(descent)
     assert nees.degrees >= 30
-    assert 0.2 < nees.ratio < nees.bounds(0.99)[1]
-    assert 0.2 < values.ratio < values.bounds(0.99)[1]
+    assert 0.2 < nees.ratio < ratio_bounds(nees.degrees)[1]
+    assert 0.2 < values.ratio < ratio_bounds(values.degrees)[1]
 
 
 @pytest.mark.parametrize(

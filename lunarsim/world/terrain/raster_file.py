@@ -1,0 +1,156 @@
+"""Open raster files of a short list of formats, without network and inside one folder."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import rasterio
+from affine import TransformNotInvertibleError
+from rasterio._err import CPLE_BaseError
+from rasterio.crs import CRS
+from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
+
+from lunarsim.errors import InputError
+
+# GDAL's names of the formats that are read. A format that refers to other files (VRT) or to the
+# network is not among them.
+DRIVERS = ("GTiff", "PDS", "PDS4", "ISIS3", "ENVI", "AAIGrid", "netCDF")
+# What GDAL, PROJ and the reading of their texts raise.
+_ERRORS = (
+    RasterioError, CRSError, CPLE_BaseError, TransformNotInvertibleError, OSError,
+    UnicodeError,
+)  # fmt: skip
+# Label files that describe a raster of the same name.
+_LABEL_SUFFIXES = (".lbl", ".LBL", ".xml", ".XML")
+# A sidecar file can name a URL: no name is allowed, and requests go to a closed port.
+_CLOSED_PROXY = "http://127.0.0.1:1"
+_GDAL_OPTIONS = {
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_HTTP_PROXY": _CLOSED_PROXY,
+    "GDAL_HTTPS_PROXY": _CLOSED_PROXY,
+    "GDAL_HTTP_MAX_RETRY": "0",
+    "GDAL_CACHEMAX": 64,  # MB; a raster is read once, from top to bottom
+    "AAIGRID_DATATYPE": "Float64",  # float32 would round heights from the body's centre
+}
+
+
+@contextmanager
+def open_raster(path: Path) -> Iterator[DatasetReader]:
+    """Open a raster of one band; turn every error of GDAL and PROJ into an `InputError`.
+
+    A data file that has a PDS label beside it (`ldem.img` and `ldem.lbl`) is opened by its label.
+    """
+    if not path.is_file():
+        raise InputError("terrain.path", str(path), "no such file: give an existing raster file")
+    with rasterio.Env(**_GDAL_OPTIONS), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        _check_proj()
+        try:
+            with _opened(path) as source:
+                _check_files(path, source)
+                _check_band(path, source)
+                yield source
+        except InputError as error:
+            if error.field == "terrain.path":  # the path as it was given
+                raise InputError(error.field, str(path), error.expected) from None
+            raise
+        except _ERRORS as error:
+            reason = error.__cause__ or error
+            raise InputError(
+                "terrain.path", str(path), f"the raster cannot be read ({reason})"
+            ) from None
+
+
+def _opened(path: Path) -> DatasetReader:
+    """Open a raster by itself, or else by the label beside it."""
+    try:
+        return DatasetReader(path.absolute(), driver=list(DRIVERS))
+    except _ERRORS as error:
+        labels = [p for p in map(path.with_suffix, _LABEL_SUFFIXES) if p != path and p.is_file()]
+        if not labels:
+            raise _not_a_raster(path, error) from None
+        label = labels[0]
+    try:
+        source = DatasetReader(label.absolute(), driver=list(DRIVERS))
+    except _ERRORS as error:
+        raise InputError(
+            "terrain.path", str(path), f"its label {label.name} cannot be read ({error})"
+        ) from None
+    if path.resolve() not in [Path(name).resolve() for name in source.files]:
+        source.close()
+        raise InputError(
+            "terrain.path", str(path), f"the label {label.name} beside it names another file"
+        )
+    return source
+
+
+def _not_a_raster(path: Path, error: Exception) -> InputError:
+    """Return the error for a file that none of the formats opens."""
+    with path.open("rb") as file:
+        start = file.read(4096)
+    formats = ", ".join(DRIVERS)
+    if b"<VRTDataset" in start:
+        problem = "a VRT refers to other files and is refused"
+    elif path.suffix.lower() in (".img", ".dat"):
+        label = path.with_suffix(".lbl").name
+        problem = f"not a raster of {formats}, and there is no label {label} beside it ({error})"
+        return InputError("terrain.path", str(path), problem)
+    elif b"PDS_VERSION_ID" in start or b"Product_Observational" in start:
+        problem = f"the label does not lead to a raster ({error})"
+        return InputError("terrain.path", str(path), problem)
+    else:
+        problem = f"not a raster of {formats}"
+    remedy = "convert it: `gdal_translate -of GTiff FILE out.tif`"
+    return InputError("terrain.path", str(path), f"{problem}; {remedy}")
+
+
+def _check_proj() -> None:
+    """Refuse to go on with a PROJ that does not find its data: coordinates would be wrong."""
+    try:
+        CRS.from_epsg(4326)
+    except _ERRORS as error:
+        for name in ("PROJ_DATA", "PROJ_LIB"):
+            if name in os.environ:
+                raise InputError(
+                    name, os.environ[name],
+                    "this environment variable leads PROJ to a folder without the proj.db of the "
+                    f"installed rasterio. Unset it: `unset {name}`",
+                ) from None  # fmt: skip
+        raise InputError(
+            "rasterio", rasterio.__version__,
+            f"PROJ does not find its data ({error}). Install rasterio again",
+        ) from None  # fmt: skip
+
+
+def _check_files(path: Path, source: DatasetReader) -> None:
+    """Refuse a raster whose parts lie outside its folder."""
+    folders = {path.absolute().parent.resolve(), path.resolve().parent}
+    for name in source.files:
+        part = Path(name).resolve()
+        if not (part.is_file() and any(part.is_relative_to(folder) for folder in folders)):
+            raise InputError(
+                "terrain.path", str(path), f"it refers to {name}, which is no file in its folder. "
+                "Put all parts of a raster into one folder",
+            )  # fmt: skip
+
+
+def _check_band(path: Path, source: DatasetReader) -> None:
+    """Refuse a file that does not hold exactly one raster of real numbers."""
+    if source.subdatasets:
+        first = source.subdatasets[0]
+        raise InputError(
+            "terrain.path", str(path), f"it holds {len(source.subdatasets)} rasters. Take one "
+            f"out: `gdal_translate '{first}' heights.tif`",
+        )  # fmt: skip
+    if source.count != 1:
+        raise InputError(
+            "terrain.path", str(path), f"it has {source.count} bands, not one band of "
+            "elevations. Take band N out: `gdal_translate -b N FILE out.tif`",
+        )  # fmt: skip
+    if "complex" in source.dtypes[0]:
+        raise InputError("terrain.path", str(path), "its heights are complex numbers")

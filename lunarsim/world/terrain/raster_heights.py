@@ -1,0 +1,286 @@
+"""Read the heights of a raster in metres: scale, offset, unit, and posts without a height."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+
+from lunarsim.errors import InputError, suggestion
+from lunarsim.grid import bytes_in_words
+from lunarsim.world.terrain.raster_label import (
+    declared_units,
+    has_hexadecimal_no_data,
+    special_values,
+)
+
+# Metres in a unit, by the names that files use; see `metres_in`.
+_METRES = {
+    "m": 1.0, "metre": 1.0, "meter": 1.0,
+    "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
+    "dm": 0.1, "decimetre": 0.1, "decimeter": 0.1,
+    "cm": 0.01, "centimetre": 0.01, "centimeter": 0.01,
+    "mm": 0.001, "millimetre": 0.001, "millimeter": 0.001,
+    "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
+    "international feet": 0.3048, "foot international": 0.3048, "ift": 0.3048,
+    "us survey foot": 1200 / 3937, "us survey feet": 1200 / 3937, "survey foot": 1200 / 3937,
+    "survey feet": 1200 / 3937, "us foot": 1200 / 3937, "us feet": 1200 / 3937,
+    "us ft": 1200 / 3937, "foot us": 1200 / 3937, "feet us": 1200 / 3937, "ftus": 1200 / 3937,
+    "usft": 1200 / 3937, "foot us survey": 1200 / 3937, "ft us": 1200 / 3937,
+    "yd": 0.9144, "yard": 0.9144, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+}  # fmt: skip
+# Words of labels that mean: no unit is given.
+_NO_UNIT = {"", "n/a", "none", "null"}
+
+# Float rasters from PDS mark missing posts by huge negative numbers, not always declared.
+_MISSING_BELOW = -1e30
+# The radius of a body is at most this, m: heights may be counted from its centre.
+_MAX_HEIGHT_M = 1e7
+# Range of heights within one raster, m: no body has more.
+_MAX_RELIEF_M = 1e5
+# Numbers that programs write where they know no height.
+_CUSTOMARY_MARKERS = (
+    -999, -9999, -99999, -999999, -32767, -32768, -(2**31), 9999, 99999, 32767, 65535, 2**31 - 1,
+)  # fmt: skip
+# Sorted by height, posts of natural terrain follow each other closely. A lowest or highest value
+# is taken for an undeclared no-data value if nothing lies within this distance of it, m ...
+_MIN_MARKER_GAP_M = 50.0
+# ... for a number that is not a customary marker (0, for instance), within this distance, m, and
+# within the range of all other heights.
+_MIN_OUTLIER_GAP_M = 500.0
+
+# Posts that are read at once, about 40 MB with their masks.
+_POSTS_PER_BLOCK = 2_000_000
+
+
+def metres_in(unit: str) -> float | None:
+    """Return the length of a unit in metres, None if its name is not known."""
+    words = " ".join(re.sub(r"[-_.()\s]+", " ", unit.lower().strip("\"' ")).split())
+    return _METRES.get(words, _METRES.get(words.removesuffix("s")))
+
+
+def check_count(field_name: str, value: object, rows: int, cols: int, remedy: str) -> None:
+    """Refuse more posts than fit into memory (400 million: 3 GB)."""
+    most = 400_000_000
+    if rows * cols > most:
+        raise InputError(
+            field_name, value,
+            f"{rows} x {cols} posts of 8 bytes are {bytes_in_words(8.0 * rows * cols)}, at most "
+            f"{most} posts are read; {remedy}",
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HeightScale:
+    """How the numbers of a file become metres: (number * scale + offset) * metres.
+
+    Attributes
+    ----------
+    scale, offset
+        As the file gives them.
+    unit
+        Name of the unit, "m" if the file gives none.
+    metres
+        Length of the unit, m.
+    """
+
+    scale: float
+    offset: float
+    unit: str
+    metres: float
+
+    @classmethod
+    def of(cls, source: DatasetReader, unit: str | None) -> HeightScale:
+        """Return what a file declares; `unit` replaces the unit that it gives."""
+        scale, offset = float(source.scales[0]), float(source.offsets[0])
+        if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
+            raise InputError(
+                "terrain.path", source.name, f"its scale {scale:g} or offset {offset:g} is unusable"
+            )
+        if unit is not None:
+            metres = metres_in(unit)
+            if metres is None:
+                known = suggestion(unit, _METRES)
+                raise InputError("terrain.dtm_unit", unit, f"not a known unit of length; {known}")
+            return cls(scale, offset, unit, metres)
+        names = [name for name in declared_units(source) if name.lower() not in _NO_UNIT]
+        lengths = {name: metres_in(name) for name in names}
+        for name, length in lengths.items():
+            if length is None:
+                raise InputError(
+                    "terrain.path", source.name, f"the unit of its heights, {name!r}, is not "
+                    'known. Set terrain.dtm_unit ("m", "km", "ft", "us-ft")',
+                )  # fmt: skip
+        known_lengths = [length for length in lengths.values() if length is not None]
+        if known_lengths and max(known_lengths) > (1.0 + 1e-9) * min(known_lengths):
+            raise InputError(
+                "terrain.path", source.name, f"it gives several units of height: "
+                f"{', '.join(lengths)}. Set terrain.dtm_unit to the right one",
+            )  # fmt: skip
+        return cls(scale, offset, names[0] if names else "m", (known_lengths or [1.0])[0])
+
+    def metres_of(self, numbers: NDArray[np.float64] | float) -> NDArray[np.float64]:
+        """Return numbers of the file in metres."""
+        return np.asarray((np.asarray(numbers) * self.scale + self.offset) * self.metres)
+
+
+@dataclass
+class Extremes:
+    """Statistics of heights, m, gathered block by block.
+
+    Attributes
+    ----------
+    posts, known
+        Number of posts, and of those with a height.
+    lowest, highest
+        The two extreme heights at each end, and how many posts have each; the extreme first.
+    """
+
+    posts: int = 0
+    known: int = 0
+    lowest: list[tuple[float, int]] = field(default_factory=list)
+    highest: list[tuple[float, int]] = field(default_factory=list)
+
+    def add(self, z: NDArray[np.float64]) -> None:
+        """Take in a block of heights, NaN where there are none."""
+        heights = z[np.isfinite(z)]
+        self.posts += z.size
+        self.known += heights.size
+        self.lowest = _two_lowest(heights, self.lowest)
+        negative = [(-value, count) for value, count in self.highest]
+        self.highest = [(-value, count) for value, count in _two_lowest(-heights, negative)]
+
+    @property
+    def z_range(self) -> tuple[float, float]:
+        """Lowest and highest height, m; NaN if there is none."""
+        return (self.lowest[0][0], self.highest[0][0]) if self.known else (np.nan, np.nan)
+
+
+def _two_lowest(
+    heights: NDArray[np.float64], before: list[tuple[float, int]]
+) -> list[tuple[float, int]]:
+    counts = dict(before)
+    for _ in range(2):
+        if heights.size == 0:
+            break
+        low = float(heights.min())
+        above = heights[heights > low]
+        counts[low] = counts.get(low, 0) + heights.size - above.size
+        heights = above
+    return sorted(counts.items())[:2]
+
+
+@dataclass(frozen=True)
+class Heights:
+    """The heights of a raster file.
+
+    Attributes
+    ----------
+    source
+        The open file.
+    scale
+        From its numbers to metres.
+    no_data
+        Numbers of posts without a height that the user declares; None: undeclared ones are looked
+        for.
+    """
+
+    source: DatasetReader
+    scale: HeightScale
+    no_data: Sequence[float] | None
+
+    def blocks(self, window: Window) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Yield first row and heights, m, of blocks of rows; NaN for posts without a height."""
+        source = self.source
+        masked = not has_hexadecimal_no_data(source)
+        special = [*special_values(source), *(self.no_data or ())]
+        step = max(1, _POSTS_PER_BLOCK // int(window.width))
+        for top in range(0, int(window.height), step):
+            rows = min(step, int(window.height) - top)
+            part = Window(window.col_off, window.row_off + top, window.width, rows)
+            raw = source.read(1, window=part, masked=masked)
+            numbers = np.ma.getdata(raw)
+            missing = np.ma.getmaskarray(raw) | ~(numbers > _MISSING_BELOW) | np.isinf(numbers)
+            for value in special:
+                missing |= _equal(numbers, value)
+            with np.errstate(over="ignore", invalid="ignore"):  # masked, or refused by `check`
+                z = self.scale.metres_of(numbers.astype(np.float64))
+            z[missing] = np.nan
+            yield top, z
+
+    def extremes(self, window: Window) -> Extremes:
+        """Return statistics of a window, without holding it in memory.
+
+        Raises
+        ------
+        InputError
+            If the heights are none of a terrain; see `check`.
+        """
+        found = Extremes()
+        for _, z in self.blocks(window):
+            found.add(z)
+        self.check(found)
+        return found
+
+    def read(self, window: Window) -> NDArray[np.float64]:
+        """Return the heights of a window, m; NaN for posts without a height.
+
+        Raises
+        ------
+        InputError
+            If there are too many, or they are none of a terrain; see `check`.
+        """
+        rows, cols = int(window.height), int(window.width)
+        check_count("terrain.path", self.source.name, rows, cols, "give terrain.dtm_window")
+        z, found = np.empty((rows, cols)), Extremes()
+        for top, block in self.blocks(window):
+            found.add(block)
+            z[top : top + len(block)] = block
+        self.check(found)
+        if not found.known:
+            raise InputError("terrain.path", self.source.name, "no post has an elevation")
+        return z
+
+    def check(self, found: Extremes) -> None:
+        """Refuse an undeclared no-data value, and heights that no body has."""
+        if not found.known:
+            return
+        low, high = found.z_range
+        if self.no_data is None:
+            self._check_marker(found.lowest, high, "below")
+            self._check_marker(found.highest, low, "above")
+        if max(-low, high) > _MAX_HEIGHT_M or high - low > _MAX_RELIEF_M:
+            raise InputError(
+                "terrain.path", self.source.name,
+                f"its heights reach from {low:.6g} to {high:.6g} m, more than {_MAX_RELIEF_M:g} m "
+                "apart. Declare what marks missing posts: terrain.dtm_nodata",
+            )  # fmt: skip
+
+    def _check_marker(self, extreme: list[tuple[float, int]], opposite: float, side: str) -> None:
+        """Refuse an extreme value that is far from all others; `opposite` is the other end."""
+        if len(extreme) < 2:
+            return
+        (value, count), (next_value, _) = extreme
+        gap, rest = abs(next_value - value), abs(opposite - next_value)
+        customary = value in self.scale.metres_of(np.array(_CUSTOMARY_MARKERS, dtype=np.float64))
+        if gap > _MIN_MARKER_GAP_M if customary else gap > max(rest, _MIN_OUTLIER_GAP_M):
+            number = (value / self.scale.metres - self.scale.offset) / self.scale.scale
+            shown = f"{number:.9g}"
+            raise InputError(
+                "terrain.path", self.source.name,
+                f"{count} posts of value {shown} lie {gap:.0f} m {side} all others. Set "
+                f"terrain.dtm_nodata = {shown}, or [] if these heights are real",
+            )  # fmt: skip
+
+
+def _equal(numbers: NDArray[np.generic], value: float) -> NDArray[np.bool_]:
+    """Whether numbers are a value, rounded to their type."""
+    if numbers.dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            value = float(numbers.dtype.type(value))
+    return np.asarray(numbers == value)

@@ -1,0 +1,58 @@
+"""Interpolate a raster that may have gaps by cubic spline."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+
+
+class GappySpline:
+    """Cubic spline through a raster; its values next to gaps are only invented.
+
+    Parameters
+    ----------
+    z
+        Values (rows, cols); NaN in gaps, but not everywhere.
+    carry_slopes
+        Whether slopes are carried on into gaps, which keeps the spline from swinging beside them;
+        otherwise gaps take the value of the nearest post.
+    """
+
+    def __init__(self, z: NDArray[np.floating], *, carry_slopes: bool = False) -> None:
+        self._known = np.isfinite(z)
+        self.filled = z.astype(np.float64)
+        if not self._known.all():
+            nearest = ndimage.distance_transform_edt(
+                ~self._known, return_distances=False, return_indices=True
+            )
+            self.filled = self.filled[tuple(nearest)]
+            if carry_slopes:
+                self._carry_slopes(nearest)
+        self._coefficients = ndimage.spline_filter(self.filled, order=3, mode="mirror")
+
+    def _carry_slopes(self, nearest: NDArray[np.int32]) -> None:
+        """Reflect the raster at the post nearest to a gap, through its value."""
+        rows, cols = np.nonzero(~self._known)
+        at = nearest[:, rows, cols]
+        shape = np.array(self._known.shape)[:, None]
+        row, col = np.clip(2 * at - (rows, cols), 0, shape - 1)
+        known = self._known[row, col]
+        rows, cols, row, col = rows[known], cols[known], row[known], col[known]
+        self.filled[rows, cols] = 2.0 * self.filled[rows, cols] - self.filled[row, col]
+
+    def __call__(self, rows: Array, cols: Array) -> Array:
+        """Return values at fractional rows and columns, which lie within the raster."""
+        z = ndimage.map_coordinates(
+            self._coefficients, (rows, cols), order=3, mode="mirror", prefilter=False
+        )
+        return np.asarray(z)
+
+    def is_gap(self, rows: Array, cols: Array) -> NDArray[np.bool_]:
+        """Whether a gap is among the four posts about each place."""
+        if self._known.all():
+            return np.zeros(np.shape(rows), dtype=bool)
+        gaps = (~self._known).astype(np.float64)
+        return np.asarray(ndimage.map_coordinates(gaps, (rows, cols), order=1) > 1e-9)

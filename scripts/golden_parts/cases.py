@@ -1,0 +1,141 @@
+"""Golden cases: each computes results on a fixed seed and returns their digests.
+
+A case uses the command line and registered environments only, so that the same case runs on an
+older revision of the code. Run as a program, with a case's name and a JSON file to write.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from golden_parts.digests import digest, digests_of_folder
+
+Digests = dict[str, list[str]]
+
+_CAMPAIGN = """
+name = "golden"
+scenario = "golombek.toml"
+flights = 4
+seed = 5
+
+[[arms]]
+name = "no-divert"
+set = { policy = "no-divert" }
+
+[[arms]]
+name = "safest"
+set = { policy = "safest" }
+"""
+
+
+def _lunarsim(folder: Path, *arguments: str) -> None:
+    subprocess.run([sys.executable, "-m", "lunarsim", *arguments], check=True, cwd=folder)
+
+
+def fly(scenario: str, *arguments: str) -> Digests:
+    """Fly a shipped scenario with the policy that moves to the safest site."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        policy = () if "--policy" in arguments else ("--policy", "safest")
+        _lunarsim(folder, "fly", scenario, *policy, *arguments, "--out", "flight")
+        return digests_of_folder(folder / "flight")
+
+
+def true_maps(scenario: str) -> Digests:
+    """Compute the true safety map of a shipped scenario."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _lunarsim(folder, "terrain", "truth", scenario, "--size", "40", "--out", "truth.nc")
+        return digests_of_folder(folder)
+
+
+def campaign() -> Digests:
+    """Fly a small campaign; export its rows and write its report."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _lunarsim(folder, "scenario", "new", "golombek")
+        (folder / "golden.toml").write_text(_CAMPAIGN, encoding="utf-8")
+        _lunarsim(folder, "campaign", "run", "golden.toml", "--out", "run", "--jobs", "1")
+        (folder / "results").mkdir()
+        _lunarsim(folder, "campaign", "export", "run", "--out", "results/rows.csv")
+        _lunarsim(folder, "campaign", "report", "run", "--out", "results/report.md")
+        return digests_of_folder(folder / "results")
+
+
+def steps(environment: str, count: int, lanes: int = 0) -> Digests:
+    """Step an environment, or a batch of `lanes` of them, with random actions."""
+    import gymnasium
+    import numpy as np
+
+    made: Any
+    if lanes:
+        made = gymnasium.make_vec(
+            f"lunarsim_envs:{environment}", lanes, vectorization_mode="vector_entry_point"
+        )
+    else:
+        made = gymnasium.make(f"lunarsim_envs:{environment}")
+    observation, _ = made.reset(seed=11)
+    made.action_space.seed(12)
+    observations, rewards, ends = [_flat(observation)], [], []
+    for _ in range(count):
+        observation, reward, terminated, truncated, _ = made.step(made.action_space.sample())
+        observations.append(_flat(observation))
+        rewards.append(np.asarray(reward, np.float64))
+        ends.append(np.asarray([terminated, truncated]))
+        if not lanes and (terminated or truncated):
+            observation, _ = made.reset()
+    made.close()
+    series = {"observations": observations, "rewards": rewards, "ends": ends}
+    return {name: digest(np.array(values)) for name, values in series.items()}
+
+
+def _flat(observation: Any) -> Any:
+    """Return an observation, which may be a dictionary or a tuple, as one array."""
+    import numpy as np
+
+    if isinstance(observation, dict):
+        observation = [observation[key] for key in sorted(observation)]
+    if isinstance(observation, (list, tuple)):
+        return np.concatenate([np.ravel(_flat(part)).astype(np.float64) for part in observation])
+    return np.asarray(observation)
+
+
+CASES: dict[str, Callable[[], Digests]] = {
+    "fly hirise": partial(fly, "hirise"),
+    "steps of Guidance-v0": partial(steps, "lunarsim/Guidance-v0", 1000),
+    "steps of Guidance-v0, batch": partial(steps, "lunarsim/Guidance-v0", 1000, 8),
+    "steps of Control-v0": partial(steps, "lunarsim/Control-v0", 1000),
+    "steps of Control-v0, batch": partial(steps, "lunarsim/Control-v0", 1000, 8),
+    "fly golombek": partial(fly, "golombek"),
+    "fly hard": partial(fly, "hard"),
+    "optimal path": partial(fly, "golombek", "--guidance", "optimal", "--policy", "no-divert"),
+    "steps of Retarget-v0": partial(steps, "lunarsim/Retarget-v0", 40),
+    "steps of Retarget-v0, batch": partial(steps, "lunarsim/Retarget-v0", 200, 8),
+    "true maps of golombek": partial(true_maps, "golombek"),
+    "true maps of hirise": partial(true_maps, "hirise"),
+}
+COMPLETE: dict[str, Callable[[], Digests]] = CASES | {
+    "fly shadow_nominal": partial(fly, "shadow_nominal"),
+    "fly shadow_modified": partial(fly, "shadow_modified"),
+    "fly morpheus": partial(fly, "morpheus"),
+    "fly two_eyes": partial(fly, "two_eyes"),
+    "fly all_eyes_hard": partial(fly, "all_eyes_hard"),
+    "fly instruments": partial(fly, "instruments"),
+    "campaign and report": campaign,
+}
+
+
+def main(name: str, out: str) -> None:
+    """Run one case and write its digests."""
+    Path(out).write_text(json.dumps(COMPLETE[name]()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,28 @@
+"""Thresholds of statistical tests, from the chance that a fresh draw exceeds them.
+
+The suite has fewer than 50 such assertions. With the chance below for each of them, it fails on a
+fresh draw of all of them once in 2,000 runs, if the program is right.
+"""
+
+from __future__ import annotations
+
+from scipy.stats import chi2
+
+# Of one assertion.
+CHANCE = 1e-5
+
+
+def ratio_bounds(degrees: int, excess: float = 1.0) -> tuple[float, float]:
+    """Return bounds of a sum of normalised squared errors over its degrees of freedom.
+
+    Parameters
+    ----------
+    degrees
+        Degrees of freedom that are independent. Epochs of one flight are not independent, nor are
+        flights that share world and noise: such a group counts once.
+    excess
+        Factor by which the true variance may differ from the stated one, for a filter whose model
+        is not exact.
+    """
+    low, high = chi2.ppf([CHANCE, 1.0 - CHANCE], degrees) / degrees
+    return float(low) / excess, float(high) * excess
