@@ -100,9 +100,12 @@ def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
         # A jerk limits no path, but needs a velocity over ground.
         eased = replace(approach, **({"jerk": None} | {name: _WITHOUT_LIMIT[name]}))
         yield f"approach.{name}{_UNITS.get(name, '')}", shown, replace(case, approach=eased)
-    for name, other in (("thrust_min", 0.0), ("thrust_max", _MORE_THRUST * lander.thrust_max)):
-        eased_lander = replace(lander, **{name: other})
-        yield f"vehicle.{name}_n", getattr(lander, name), replace(case, lander=eased_lander)
+    yield (
+        "vehicle.thrust_min_n", lander.thrust_min,
+        replace(case, lander=replace(lander, thrust_min=0.0)),
+    )  # fmt: skip
+    stronger = replace(lander, thrust_max=_MORE_THRUST * lander.thrust_max)
+    yield "vehicle.thrust_max_n", lander.thrust_max, replace(case, lander=stronger)
     yield (
         "vehicle.propellant_mass_kg", lander.propellant_mass,
         replace(case, lacking=lander.propellant_mass),

@@ -71,8 +71,10 @@ class Truth:
         step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
         rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
         s = self.safety
-        maps = (raster[rows, cols] for raster in (s.slope, s.roughness, s.safe, s.observed))
-        safety = SafetyMap(_part(s.grid, rows, cols), *maps)
+        safety = SafetyMap(
+            _part(s.grid, rows, cols), s.slope[rows, cols], s.roughness[rows, cols],
+            s.safe[rows, cols], s.observed[rows, cols],
+        )  # fmt: skip
         return Truth(safety, self.elevation[rows, cols], self.lander)
 
     @cached_property
