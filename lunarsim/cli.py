@@ -36,7 +36,6 @@ from lunarsim.whole_files import filled_whole, remover_of_new
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lunarsim.scenario import Scenario
     from lunarsim.simulation.flight import Flight
 
 _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
@@ -87,8 +86,7 @@ def fly(
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
 
-    loaded = load_scenario(scenario, changes)
-    loaded = _with_part(_with_part(loaded, "policy", policy), "guidance", guidance)
+    loaded = load_scenario(scenario, changes, parts={"policy": policy, "guidance": guidance})
     if out is not None:
         check_folder(out)
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
@@ -100,8 +98,10 @@ def fly(
             click.echo(f"warning: {forecast}", err=True)
         record = simulation.run()
         if out is not None:
-            # Pictures show it; what it compiles is told as well.
-            _ = simulation.truth
+            from lunarsim.viz import truth_shown
+
+            # It compiles kernels, which are counted here.
+            truth = truth_shown(record, simulation.world, simulation.lander)
     if out is not None:
         # Before anything is printed: whoever reads that may stop listening.
         remove = remover_of_new(out)
@@ -116,21 +116,11 @@ def fly(
         from lunarsim.viz import draw_flight
 
         try:
-            draw_flight(record, simulation.world, simulation.truth, out)
+            draw_flight(record, simulation.world, truth, out)
         except OSError:
             remove()
             raise
     click.echo(f"scenario, record and figures in {out}")
-
-
-def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
-    """Return a scenario with a part that an option names, with that kind's defaults."""
-    from lunarsim.parts import resolve
-
-    if kind is None or kind == getattr(scenario, contract).kind:
-        return scenario
-    resolve(contract, kind, f"--{contract}")
-    return scenario.changed(**{contract: {"kind": kind}})
 
 
 def _tell(record: Flight) -> None:
@@ -221,10 +211,15 @@ def compare(
     from lunarsim.campaign.comparison import compare as fly_all
     from lunarsim.campaign.engines.local import WorkersDieError
 
-    loaded = load_scenario(scenario, changes)
-    given = policies if policies is not None else loaded.policy.kind if laws else _POLICIES
+    given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
     check_request(names, flights, jobs, laws)
+    # If several parts are compared, `--set` applies to the scenario's own.
+    parts = {"policy": names, "guidance": laws}
+    single = {contract: kinds[0] for contract, kinds in parts.items() if len(kinds) == 1}
+    loaded = load_scenario(scenario, changes, parts=single)
+    if policies is None and laws:
+        names = [loaded.policy.kind]
     kept, console = opened_cache(cache, cache_size), wide_console(195 if laws else 170)
     with progress_bar(loaded.name, flights * len(names) * max(len(laws), 1)) as advance:
         try:
@@ -241,7 +236,7 @@ def compare(
             f"exactly safe share of the ground where targets are drawn: {result.safe_share:.3f} at "
             f"every heading, {result.safe_share_at_heading:.3f} at the heading flown"
         )
-        console.print(f"results, records and figures in {out}")
+        console.print(f"results, records and figures in {out}", soft_wrap=True)
     if not result.complete:
         click.echo("interrupted: only finished flights were written", err=True)
         sys.exit(INTERRUPTED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -123,7 +123,13 @@ def opened_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
     return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
 
 
-def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) -> Scenario:
+def load_scenario(
+    given: Path,
+    changes: tuple[str, ...],
+    *,
+    flown: bool = True,
+    parts: Mapping[str, str | None] | None = None,
+) -> Scenario:
     """Return a scenario with changes of the command line; tell on stderr what is odd about it.
 
     Parameters
@@ -132,6 +138,9 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
         A file, or the name of a scenario that comes with the package.
     changes
         ``KEY=VALUE`` each.
+    parts
+        By contract the kind of part that an option such as ``--guidance`` names, or None. A kind
+        that is not the scenario's starts from its defaults. Changes apply to the named part.
     flown
         Whether a flight follows; pictures and maps of the ground use more, and less, of it.
 
@@ -145,10 +154,23 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
     from lunarsim.scenario.notes import notes_on
     from lunarsim.scenario.shipped import found
 
-    loaded = with_changes(Scenario.load(found(given)), changes)
+    loaded = Scenario.load(found(given))
+    for contract, kind in (parts or {}).items():
+        loaded = _with_part(loaded, contract, kind)
+    loaded = with_changes(loaded, changes)
     for note in notes_on(loaded) if flown else ():
         click.echo(f"warning: {note}", err=True)
     return loaded
+
+
+def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
+    """Return a scenario with a part that an option names, with that kind's defaults."""
+    from lunarsim.parts import resolve
+
+    if kind is None or kind == getattr(scenario, contract).kind:
+        return scenario
+    resolve(contract, kind, f"--{contract}")
+    return scenario.changed(**{contract: {"kind": kind}})
 
 
 # --- what is shown meanwhile --------------------------------------------------------------------
@@ -156,9 +178,9 @@ def load_scenario(given: Path, changes: tuple[str, ...], *, flown: bool = True) 
 
 def wide_console(width: int) -> Console:
     """Return a console for tables, `width` columns wide where it is no terminal."""
-    from rich.console import Console
+    from lunarsim.console import plain_console
 
-    return Console(width=None if sys.stdout.isatty() else width)
+    return plain_console(None if sys.stdout.isatty() else width)
 
 
 @contextmanager
@@ -173,19 +195,9 @@ def kept_if_interrupted(what: str) -> Iterator[None]:
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
     """Show a bar on stderr; what is yielded takes the number of things done since the last call."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from lunarsim.console import plain_console, plain_progress
 
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    )  # fmt: skip
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with plain_progress(plain_console(stderr=True)) as bar:
         task = bar.add_task(name, total=total)
         try:
             yield lambda n: bar.advance(task, n)

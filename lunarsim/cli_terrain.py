@@ -33,17 +33,16 @@ def info(
     nodata: tuple[float, ...],
 ) -> None:  # fmt: skip
     """Describe the terrain model FILE (GeoTIFF, PDS, ...)."""
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
+    from lunarsim.console import plain_console
     from lunarsim.world.terrain.dtm import read_info
 
     found = read_info(file, window=window, unit=unit, nodata=nodata or None)
     table = Table(show_header=False, box=None)
     for name, value in _description(found):
-        table.add_row(name, escape(value))
-    Console().print(table)
+        table.add_row(name, value)
+    plain_console().print(table)
 
 
 def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:

@@ -19,10 +19,10 @@ import eyes_flights
 from eyes_figures import draw, show
 from eyes_flights import DEAD_BELOW, ROWS, Task, fly
 from rich.console import Console
-from rich.progress import Progress
 
 from lunarsim.campaign.files import code_digest
 from lunarsim.campaign.pool import outcomes
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.whole_files import write_text_whole
 
 
@@ -80,7 +80,7 @@ def code() -> str:
 def flown(tasks: list[Task], jobs: int, kept: Kept, console: Console) -> list[dict[str, Any]]:
     """Return the flights of all tasks; those that are kept are not flown again."""
     missing = [task for task in tasks if task.key not in kept.flights]
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks), completed=len(tasks) - len(missing))
         for index, flight in outcomes(fly, missing, jobs):
             kept.keep(missing[index], flight)
@@ -131,7 +131,7 @@ def main(
     # Rows of one world and field one after the other: it is built once.
     order = sorted(wanted, key=lambda name: ROWS[name].world)
     tasks = [Task(row, n, seed, levels) for n in range(fields) for row in order]
-    console = Console(width=150)
+    console = plain_console(150)
     flights = flown(tasks, jobs, kept, console)
     flights.sort(key=lambda f: wanted.index(f["row"]))
     show(flights, DEAD_BELOW, console)

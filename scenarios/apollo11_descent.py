@@ -23,9 +23,9 @@ import click
 import numpy as np
 from landers import apollo11
 from landers.apollo11_figure import drawn
-from rich.console import Console
 from rich.table import Table
 
+from lunarsim.console import plain_console
 from lunarsim.onboard.computer import APPROACH, BRAKING
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -235,7 +235,7 @@ def main(
     isp: float, seed: int, ground: str, sample: bool, out: Path | None, file: Path | None
 ) -> None:
     """Fly the descent automatically and by two pilots, and set it beside the record."""
-    console = Console(width=130)
+    console = plain_console(130)
     base = scenario_of(isp, ground)
     console.print(f"Ignition {apollo11.uprange(base) / 1852.0:.1f} nautical miles uprange.")
     runs = [

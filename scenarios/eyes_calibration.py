@@ -17,10 +17,10 @@ from typing import Any
 import click
 import numpy as np
 from eyes_flights import ODDS, POSTING
-from rich.console import Console
 from rich.table import Table
 from scipy.special import expit
 
+from lunarsim.console import plain_console
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
@@ -90,7 +90,7 @@ def main(file: Path, out: Path | None) -> None:
         raise click.BadParameter(
             f"{file} holds flights of one row: each is judged by a fit to others", param_hint="FILE"
         )
-    console, lander = Console(width=140), Lander()
+    console, lander = plain_console(140), Lander()
     table = Table(title="Squared error, and mean of C less what is safe, each row by the others")
     table.add_column("row")
     for name in FITS:

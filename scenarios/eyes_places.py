@@ -16,12 +16,11 @@ import click
 import numpy as np
 from eyes_flights import WORLDS, scenario_of, world_of
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.spatial import cKDTree
 
 from lunarsim.campaign.pool import outcomes
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.rng import flight_seed
 from lunarsim.simulation import Simulation
 
@@ -95,8 +94,8 @@ def main(fields: int, seed: int, jobs: int) -> None:
     altitudes = (1000.0, 700.0, 500.0, 200.0, 100.0)
     tasks = [Task(world, n, seed, altitudes) for world in WORLDS for n in range(fields)]
     flights: list[Any] = [None] * len(tasks)
-    console = Console(width=110)
-    with Progress(console=console) as progress:
+    console = plain_console(110)
+    with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         for index, found in outcomes(fly, tasks, jobs):
             flights[index] = found

@@ -19,13 +19,13 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
 from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
 
 from lunarsim.campaign.kept_flights import Flight, KeptFlights
 from lunarsim.campaign.pool import outcomes
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import mean_interval
 
@@ -163,7 +163,7 @@ def main(
     figure: Path | None,
 ) -> None:  # fmt: skip
     """Fly the three paths over the same fields and compare what they see."""
-    console = Console(width=150)
+    console = plain_console(150)
     if points and sensors not in {"all", "camera"}:
         raise click.BadParameter("Sobol points are flown with the camera", param_hint="--sensors")
     try:
@@ -180,7 +180,7 @@ def main(
         wanted = SENSORS if sensors == "all" else (sensors,)
         everything = [Task(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS]
     tasks = [t for t in everything if t.key not in results.flights]
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
             for index, result in outcomes(fly, tasks, jobs):

@@ -15,9 +15,8 @@ import time
 from pathlib import Path
 
 import numba
-from rich.console import Console
-from rich.progress import Progress
 
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.scenario import Scenario
@@ -72,7 +71,7 @@ def main() -> int:
     parser.add_argument("--scenario", help="file or name; left out: rolling ground, 12 %% rocks")
     parser.add_argument("--step", type=float, default=0.02, help="of the integration, s")
     args = parser.parse_args()
-    console = Console(stderr=True)
+    console = plain_console(stderr=True)
     tally, cut, begun = None, False, 0.0
     try:
         for name, least in (("flights", 1), ("seed", 0), ("worlds", 1)):
@@ -83,7 +82,7 @@ def main() -> int:
         console.print("preparing worlds and kernels")
         next(batches(scenario, min(args.flights, 64), args.seed, args.worlds))
         begun = time.perf_counter()
-        with Progress(console=console, transient=True) as progress:
+        with plain_progress(console, transient=True) as progress:
             task = progress.add_task("flights", total=args.flights)
             for one in batches(scenario, args.flights, args.seed, args.worlds):
                 tally = one if tally is None else tally + one

@@ -31,7 +31,7 @@ observation, reward, terminated, truncated, info = env.step(0)
 this film); the ground ends where the world that was drawn does. `render_mode="human"` shows frames
 in a window where there is a screen; `RecordFilm` writes flights as films. Gymnasium's own
 `RecordVideo` does so too, with MoviePy, which names an older Pillow but works with this one:
-`pip install --no-deps moviepy imageio imageio-ffmpeg proglog decorator python-dotenv`.
+`pip install --no-deps moviepy imageio imageio-ffmpeg proglog tqdm decorator python-dotenv`.
 
 ```python
 import gymnasium

@@ -23,9 +23,9 @@ from mutant_parts.equivalent import BrokenListError, Equivalent, load_equivalent
 from mutant_parts.faults import Fault, drawn, faults_of, kernel_lines
 from mutant_parts.run import Trials
 from mutant_parts.trial import CAUGHT, BrokenTestsError
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from lunarsim.console import plain_console, plain_progress
 
 ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENT = ROOT / "scripts" / "mutants_equivalent.toml"
@@ -219,7 +219,7 @@ def _report(
     faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]], texts: dict[str, str]
 ) -> bool:
     """Print the table and what the tests let pass; tell whether they catch enough."""
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console = plain_console(None if sys.stdout.isatty() else 120)
     console.print(_summary(faults, trials, listed))
     for title, verdict in (("survived", "survived"), ("refused by the compiler", "refused")):
         for fault in faults:
@@ -299,10 +299,7 @@ def main(
 def _tried(faults: list[Fault], trials: Trials, jobs: int, limit: float) -> None:
     """Try the faults of which nothing is known yet, behind a progress bar."""
     left = [fault for fault in faults if trials.known(fault) is None]
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True),
-    ) as bar:  # fmt: skip
+    with plain_progress(plain_console(stderr=True)) as bar:
         task = bar.add_task("faults", total=len(faults), completed=len(faults) - len(left))
         if left:
             trials.run(left, jobs, limit, lambda _: bar.advance(task))

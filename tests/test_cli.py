@@ -16,7 +16,7 @@ from lunarsim.cli import main
 from lunarsim.parts import CONTRACTS, resolve, settings_of
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Flight
-from tests.worlds import SCENARIOS
+from tests.worlds import SCENARIOS, TINY_FLIGHT
 
 
 def run(*args: str):
@@ -256,3 +256,24 @@ def test_a_class_of_ones_own_is_flown(small, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "vertical speed" in done.stdout
     assert "divert to" not in done.stdout
+
+
+@pytest.mark.parametrize("command", ["fly", "compare"])
+def test_set_applies_to_the_parts_that_options_name(command, tmp_path):
+    """Keys of the named law and policy, which the scenario's own parts lack."""
+    tiny = tmp_path / "tiny.toml"
+    Scenario.from_dict(TINY_FLIGHT | {"policy": {"kind": "no-divert"}}).save(tiny)
+    changes = ["--set", "guidance.gamma=0.6", "--set", "policy.enough=0.9"]
+    parts = {"fly": ["--policy", "nearest-safe"], "compare": ["--policies", "nearest-safe"]}
+    more = {"fly": [], "compare": ["--flights", "1", "--jobs", "1", "--no-figures",
+                                   "--cache-size", "0"]}  # fmt: skip
+    out = tmp_path / "out"
+    done = run(
+        command, str(tiny), *changes, "--guidance", "fractional-polynomial", *parts[command],
+        *more[command], "--out", str(out),
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    flown = Scenario.load(out / "scenario.toml")
+    assert (flown.guidance.kind, flown.guidance.gamma) == ("fractional-polynomial", 0.6)
+    assert (flown.policy.kind, flown.policy.enough) == ("nearest-safe", 0.9)
+    assert run(command, str(tiny), *changes, "--out", str(tmp_path / "other")).exit_code == 2

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from importlib.metadata import EntryPoint
 
 from click.testing import CliRunner
 
 from lunarsim.cli import main
-from lunarsim.parts import CONTRACTS, registry
+from lunarsim.parts import CONTRACTS, registry, settings_of
 from lunarsim.scenario.reference import parts_list, reference_text
+from lunarsim.sensors.imu import InertialUnit
 from tests.conftest import ROOT
 
 
@@ -57,3 +59,17 @@ def test_a_scenario_is_printed_whole():
     assert "frequency_rad_s = 4.0" in done.output
     wrong = CliRunner().invoke(main, ["scenario", "check", "nowhere.toml"])
     assert wrong.exit_code == 2
+
+
+def test_defaults_of_nested_tables_are_those_that_fly():
+    """Also where a scenario gives only one key of such a table."""
+    text = reference_text(markdown=True)
+    table = settings_of(InertialUnit)
+    unit = table().make()
+    for triad in ("gyroscopes", "accelerometers"):
+        errors = getattr(unit, triad)
+        for field in fields(errors):
+            assert f"| `{triad}.{field.name}` | {getattr(errors, field.name):.6g} |" in text
+    partial = table.model_validate({"gyroscopes": {"bias": 0.0}}).make()
+    assert partial.gyroscopes == replace(unit.gyroscopes, bias=0.0)
+    assert partial.accelerometers == unit.accelerometers

@@ -173,10 +173,11 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     - ``views``: whether frames show a chase view of the lander over the rendered ground, what its
       camera sees, and gauges as well (needs OpenGL; not of flights by kernels).
 
-    - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: so many flights in kernels, with perception
+    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
+      vectorization_mode="vector_entry_point")``: number of flights in kernels, with perception
       ``"surrogate"`` unless another of those that kernels fly is asked for; "NextStep", "SameStep"
-      or "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+      or "Disabled"; number of steps after which an episode is truncated. Lane i with seed s flies
+      what one environment with seed s + i does.
 
     ## Version History
 

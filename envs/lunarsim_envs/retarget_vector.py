@@ -23,6 +23,7 @@ from lunarsim_envs.sites.flights import sights_of
 from lunarsim_envs.sites.parts import DEFAULT, Shown, ShownSites
 from lunarsim_envs.sites.perception import lanes_of
 from lunarsim_envs.sites.sights import MAP_CELLS, Sights, shrunk
+from lunarsim_envs.step_limit import StepLimit
 
 Mask = NDArray[np.bool_]
 _MODE = gymnasium.vector.AutoresetMode
@@ -51,6 +52,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         covers: Sequence[float] = (),
         surrogate: Any = None,
         render_mode: None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         no_pictures(render_mode)
         num_envs, worlds = whole("num_envs", num_envs, 1), whole("worlds", worlds, 1)
@@ -76,6 +78,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._small = np.zeros((num_envs, 2, MAP_CELLS, MAP_CELLS), np.float32)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._due = np.zeros(num_envs, np.bool_)
+        self._limit = StepLimit(max_episode_steps, num_envs)
         # Whose flights have begun and not been told to have ended: they may end before a decision.
         self._open = np.zeros(num_envs, np.bool_)
 
@@ -107,6 +110,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.lanes.seed(mask, keys[mask])
         self.lanes.begin(mask)
         self._open |= mask
+        self._limit.begin(mask)
         self._shrink(mask)
         self.rewards.begin(mask, *self.standing())
 
@@ -155,11 +159,14 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         lanes.decide(orders.site, moved, orders.stretch)
         self._shrink(lanes.mapped)
         over = moved & (lanes.ended != FLYING)
-        self._open &= ~over
         late = over & (lanes.ended == LATE)
-        terms = self._terms(moved, over & ~late, orders.invalid)
+        terminated = over & ~late
+        terms = self._terms(moved, terminated, orders.invalid)
         rewards = summed(terms)
         info = self._told(terms, moved, over, late)
+        truncated = late | self._limit.reached(moved)
+        over = terminated | truncated
+        self._open &= ~over
         if self.actions.stretches:
             info["stretch_refused"] = moved & (orders.lost | lanes.unstretched)
             info["_stretch_refused"] = moved
@@ -173,7 +180,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
             self._begin(over)
-        return self._observe(), rewards, over & ~late, late, info | self._info()
+        return self._observe(), rewards, terminated, truncated, info | self._info()
 
     def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
         lanes = self.lanes

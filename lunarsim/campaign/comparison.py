@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import pickle
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from lunarsim.campaign.dispersions import Dispersions
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.engines.local import LocalEngine
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.factors import Arm
 from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
@@ -168,7 +168,8 @@ def compare(
     by_law = bool(guidance)
     engine: Engine = LocalEngine(min(jobs, flights)) if apart else InlineEngine()
     if apart:
-        _check_travel(policies)
+        for policy in policies:
+            check_picklable("policies", policy)
     fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
@@ -211,17 +212,6 @@ def _spec(
         arms.append(Arm(name, values, changed, None if isinstance(policy, str) else policy))
     head = Head(scenario.name, flights, seed, records="all", figures=figures)
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
-
-
-def _check_travel(policies: Sequence[str | RetargetingPolicy]) -> None:
-    for policy in policies:
-        try:
-            pickle.dumps(policy)
-        except Exception as error:  # pickling raises what it likes
-            said = str(error).split("\n")[0]
-            raise InputError(
-                "policies", policy, f"an object that can be pickled ({said}), or jobs = 1"
-            ) from None
 
 
 def _result(folder: Path, complete: bool, by_law: bool) -> CompareResult:

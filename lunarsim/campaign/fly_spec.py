@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.flying import check_flyable, plan_of
 from lunarsim.campaign.manifest import manifest_of
 from lunarsim.campaign.run import Ran, run
@@ -43,12 +44,16 @@ def fly_spec(
     Raises
     ------
     InputError
-        If the first flight of an arm cannot be flown, or the folder is another's; nothing has been
-        written then.
+        If the first flight of an arm cannot be flown or sent to worker processes, or the folder is
+        another's; nothing has been written then.
     """
     plan = plan_of(spec, out, cache)
     if manifest_of(out, plan) is None:
         check_flyable(spec)
+    if engine.name == "local":
+        for arm in spec.arms:
+            check_picklable(f"arm {arm.name!r}", arm.policy or arm.scenario)
+        check_picklable("campaign", plan.work)
     if cache is not None and say is not None and engine.name == "local":
         warm(spec, plan, cache, say)
     stop = spec.stop

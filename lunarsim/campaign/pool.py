@@ -11,9 +11,10 @@ from typing import TypeVar
 
 import numba  # noqa: F401  (loaded, so that its threads are held too)
 from rich.console import Console
-from rich.progress import Progress
 
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.engines.worker import one_thread
+from lunarsim.console import plain_progress
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -37,6 +38,7 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         for index, task in enumerate(tasks):
             yield index, _done(function, task)
         return
+    check_picklable("tasks", (function, tasks[:1]))
     # OpenGL contexts and Numba's thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=one_thread)
@@ -91,7 +93,7 @@ def gathered(
         Name of the tasks, in the plural.
     """
     done: dict[int, R] = {}
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task(what, total=len(tasks))
         try:
             for index, result in outcomes(function, tasks, jobs):

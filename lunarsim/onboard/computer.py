@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim._blas import one_blas_thread
-from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
@@ -38,11 +37,13 @@ from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
 from lunarsim.onboard.outlook import Course, Outlook
+from lunarsim.onboard.part_results import checked_command
 from lunarsim.onboard.policies.contract import (
     Candidates,
     Decision,
     Observation,
     RetargetingPolicy,
+    checked_decision,
 )
 from lunarsim.onboard.tank_account import TankAccount
 from lunarsim.onboard.tasking.contract import Situation
@@ -326,8 +327,7 @@ class OnboardComputer:
         InputError
             If a policy gave something else.
         """
-        if not isinstance(decision, Decision):
-            raise InputError("policy", decision, "a policy whose decide returns a Decision")
+        decision = checked_decision(self.policy, decision, self.time)
         self._next_decision = self.time + self.decisions.interval
         if decision.abort:
             self.phase = ABORT
@@ -408,8 +408,7 @@ class OnboardComputer:
 
     def _end_braking(self) -> None:
         """Follow the time-to-go of braking; begin the approach when its end comes."""
-        end = self.braking.end(self.site)
-        left = self.braking.time_left(self.estimate, end, self.time_to_go)
+        left = self.braking.time_left(self.estimate, self.braking.end(self.site), self.time_to_go)
         self._arrival = self.time + left
         if left > self.braking.ends_at:
             return
@@ -457,14 +456,16 @@ class OnboardComputer:
         here = self._steadied()
         if self.phase == APPROACH:
             end = self.approach.end(self.site, self.lander)
-            wanted = self.guidance.command(here, end, self.time, self.time_to_go)
+            given = self.guidance.command(here, end, self.time, self.time_to_go)
+            wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
             tilt = self.approach.max_tilt
             self._follow_guidance()
             if self._strain.lasts(wanted, self.mass, (tilt, self.lander.thrust_max), self.time):
                 self._arrive_later()
         elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
-            wanted = self.vertical.command(here, end, self.time)
+            given = self.vertical.command(here, end, self.time)
+            wanted = checked_command("descent", self.briefing.software.descent, given, self.time)
             tilt = self.vertical.lean
         else:
             wanted = climb(self.estimate, self.lander.thrust_max / self.mass)
@@ -475,8 +476,7 @@ class OnboardComputer:
         """Return where guidance takes the lander to be on the last part of the way."""
         if not self.navigation.steps or self.phase not in {APPROACH, VERTICAL}:
             return self.estimate
-        left = self.time_to_go if self.phase == APPROACH else 0.0
-        return self._place.of(self.estimate, left)
+        return self._place.of(self.estimate, self.time_to_go if self.phase == APPROACH else 0.0)
 
     def _follow_guidance(self) -> None:
         """Take over when a law means to arrive, if it says so, and what it reports."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.guidance.divert import DivertCost
-from lunarsim.onboard.hazards.mapper import HazardMapper
+from lunarsim.onboard.hazards.mapper import HazardMapper, asked_map
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.onboard.policies.candidates import candidate_sites
 from lunarsim.onboard.policies.contract import Observation
@@ -155,7 +155,9 @@ class Outlook:
         mapper = self.mapper
         if mapper is None:
             raise RuntimeError("this lander has no mapper: there is nothing to decide on")
-        site, estimate, hazard_map = course.site, course.estimate, mapper.hazard_map()
+        site, estimate = course.site, course.estimate
+        part = self.briefing.software.mappers[self.decisions_map]
+        hazard_map = asked_map(self.decisions_map, part, mapper, course.time)
         miss = float(self._miss_of(np.array([course.time_to_go]), course)[0])
         aim = self._aim.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)

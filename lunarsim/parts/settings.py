@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from functools import cache
+from collections.abc import Mapping
+from functools import cache, partial
 from typing import Annotated, Any, Union
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import Quantity, quantity_of
@@ -95,12 +96,11 @@ def settings_of(cls: type) -> type[PartSettings]:
             default = f.default
         elif f.default_factory is not dataclasses.MISSING:
             default = f.default_factory()
+        annotation = _bounded(hints[f.name], q)
         if dataclasses.is_dataclass(default) and not isinstance(default, type):
             default = table_of(default)
-        fields[key] = (
-            _bounded(hints[f.name], q),
-            Field(default, description=q.help if q else None),
-        )
+            annotation = Annotated[annotation, BeforeValidator(partial(_completed, default))]
+        fields[key] = annotation, Field(default, description=q.help if q else None)
         keys[key] = (f.name, q)
     doc = (cls.__doc__ or "").strip().splitlines()
     model: type[PartSettings] = create_model(
@@ -123,6 +123,11 @@ def table_of(part: Any) -> PartSettings:
         else:
             values[key] = q.from_si(value) if q else value
     return model.model_validate(values)
+
+
+def _completed(default: PartSettings, given: Any) -> Any:
+    """Return a nested table with the default's values for the keys that it omits."""
+    return dict(default) | dict(given) if isinstance(given, Mapping) else given
 
 
 def _bounded(annotation: Any, q: Quantity | None) -> Any:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lunarsim.errors import InputError, suggestion
-from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix
+from lunarsim.messages.measurements import InertialSamples, LidarScan, NavigationFix, Picture
 from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.hazards.fusion import FusedMapping
 from lunarsim.onboard.hazards.mapper import check_map, sensors_of
@@ -363,6 +363,8 @@ def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
     if scenario.control.make().torques:
         wanted = (*wanted, InertialSamples)
     for name, sensor in sensors.items():
+        if issubclass(sensor.gives, Picture):
+            continue  # a camera may record
         if name not in used and not (wanted and issubclass(sensor.gives, wanted)):
             raise InputError(
                 f"sensors.{name}", scenario.sensors[name].kind,

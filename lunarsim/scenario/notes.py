@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from lunarsim.messages.measurements import Picture
 from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.mapper import sensors_of
 from lunarsim.parts import PartSettings, kinds
 from lunarsim.scenario.scenario import Scenario
 
@@ -37,7 +39,7 @@ def notes_on(scenario: Scenario) -> list[str]:
     """
     lander = scenario.vehicle.make()
     figures = list(_lander_notes(lander)) if isinstance(lander, Lander) else []
-    return [*figures, *_without_effect(scenario)]
+    return [*figures, *_without_effect(scenario), *_sensor_notes(scenario), *_variation(scenario)]
 
 
 # --- a lander whose figures disagree ------------------------------------------------------------
@@ -99,6 +101,39 @@ def _standing_notes(lander: Lander) -> Iterator[str]:
 
 def _listed(values: Any) -> str:
     return "[" + ", ".join(f"{float(v):.6g}" for v in values) + "]"
+
+
+# --- sensors and commands ------------------------------------------------------------------------
+
+
+def _sensor_notes(scenario: Scenario) -> Iterator[str]:
+    """Yield what sensors measure in vain."""
+    mapped = {name for part in scenario.mappers.values() for name in sensors_of(part.make())}
+    for name, settings in scenario.sensors.items():
+        sensor = settings.make()
+        looks = getattr(scenario.tasking[name].make(), "looks", None) if sensor.tasked else None
+        reach = getattr(sensor, "max_range", None)
+        if looks is not None and reach is not None:
+            lowest = min(looks.at) if looks.at else looks.lowest
+            if lowest >= reach:
+                yield (
+                    f"sensors.{name}.max_range_m = {reach:g}: without a return, [tasking.{name}] "
+                    f"measures from {lowest:g} m up. Raise max_range_m or lower the altitudes"
+                )
+        if issubclass(sensor.gives, Picture) and name not in mapped:
+            yield (
+                f"sensors.{name} = {settings.kind!r}: no mapper uses its images; the record holds "
+                "when it took them"
+            )
+
+
+def _variation(scenario: Scenario) -> Iterator[str]:
+    """Yield which commands use a table that flights refuse."""
+    if scenario.variation is not None:
+        yield (
+            "variation = given: `fly`, `compare` and campaigns refuse it. It is for the "
+            "environments: `lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`"
+        )
 
 
 # --- settings without effect --------------------------------------------------------------------

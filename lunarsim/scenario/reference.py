@@ -39,14 +39,23 @@ def parts_list(contract: str | None = None) -> list[str]:
     return lines
 
 
-def _rows(model: type[PartSettings], prefix: str = "") -> Iterator[tuple[str, ...]]:
-    """Yield key, default, unit, bounds and meaning of a table; nested tables one by one."""
+def _rows(
+    model: type[PartSettings], prefix: str = "", defaults: PartSettings | None = None
+) -> Iterator[tuple[str, ...]]:
+    """Yield key, default, unit, bounds and meaning of a table; nested tables one by one.
+
+    A nested table that is omitted has the values of `defaults`, not those of its own fields.
+    """
     for key, field in model.model_fields.items():
         nested = field.annotation
+        value = field.default if defaults is None else getattr(defaults, key)
         if isinstance(nested, type) and issubclass(nested, PartSettings):
-            yield from _rows(nested, f"{prefix}{key}.")
+            yield from _rows(
+                nested, f"{prefix}{key}.", value if isinstance(value, PartSettings) else None
+            )
             continue
-        default = "required" if field.is_required() else _word(field.default)
+        required = defaults is None and field.is_required()
+        default = "required" if required else _word(value)
         choices = _choices(field.annotation)
         bounds = choices or bounds_of(model, key)
         yield (

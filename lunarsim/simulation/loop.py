@@ -116,7 +116,10 @@ class Simulation:
         forks.check()  # parallel kernels check it too, but some flights meet them late
         if scenario.variation is not None:
             raise InputError(
-                "variation", "given", "left out: Guidance-v0 and Control-v0 alone draw landers"
+                "variation",
+                "given",
+                "must be omitted: only the environments Guidance-v0 and Control-v0 vary the lander "
+                "(`lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`)",
             )
         self.scenario = scenario
         self.streams = Streams(seed)

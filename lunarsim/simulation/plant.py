@@ -18,6 +18,7 @@ from lunarsim.messages.commands import Command, SensorTask
 from lunarsim.messages.measurements import InertialSamples, Measurements
 from lunarsim.models.gimbal import within
 from lunarsim.models.jet_lander import com_of
+from lunarsim.onboard.part_results import wrong_result
 from lunarsim.sensors.contract import Sensor, SensorPart
 from lunarsim.sensors.imu import Imu
 from lunarsim.vehicle import Dynamics, State, Verdict, judge_touchdown, pad_contacts
@@ -47,12 +48,15 @@ class Instrument:
         Whether it measures only when told to; else once a cycle.
     gimbal_limit
         Greatest angle of its boresight from body -z, rad.
+    part
+        Its part of the scenario.
     """
 
     sensor: Sensor
     rng: np.random.Generator
     tasked: bool
     gimbal_limit: float
+    part: SensorPart
 
     @classmethod
     def of(cls, part: SensorPart, rng: np.random.Generator, step: float) -> Instrument:
@@ -60,7 +64,7 @@ class Instrument:
         build = getattr(part, "build", None)
         sensor: Any = part if build is None else build(rng, step)
         limit = getattr(part.calibration(), "gimbal_limit", np.pi)
-        return cls(sensor, rng, part.tasked, limit)
+        return cls(sensor, rng, part.tasked, limit, part)
 
 
 class Plant:
@@ -153,7 +157,11 @@ class Plant:
     def _measure(self, name: str, mount: Array | None) -> object:
         i = self._instruments[name]
         held = None if mount is None else within(mount.copy(), i.gimbal_limit)
-        return i.sensor.measure(self.world, self.state, self.time, i.rng, held)
+        found = i.sensor.measure(self.world, self.state, self.time, i.rng, held)
+        if not isinstance(found, i.part.gives):
+            wanted = f"a measurement of type {i.part.gives.__name__}"
+            raise wrong_result(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
+        return found
 
     def moved(
         self,

@@ -1,9 +1,9 @@
-"""Why no path leads from the start to the target: which field of `[approach]` forbids it."""
+"""Which limit alone leaves no path from the start to the target."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# What asks nothing of a path, by field. A tilt of a quarter turn and more is no approach's.
-_ASKS_NOTHING: dict[str, Any] = {
+# Values of the fields of `[approach]` that do not limit a path. An approach tilts by less than 85
+# deg, and an end at the default height and speed is one that every lander can fly to.
+_WITHOUT_LIMIT: dict[str, Any] = {
     "max_tilt": np.deg2rad(84.0),
     "glideslope": 0.0,
     "reserve": 0.0,
@@ -32,6 +33,31 @@ _ASKS_NOTHING: dict[str, Any] = {
 _UNITS = {"arrival_acceleration": "_m_s2", "arrival_velocity": "_m_s", "arrival_offset": "_m"}
 _UNITS |= {"max_tilt": "_deg", "glideslope": "_deg", "reserve": "_kg", "vertical_speed": "_m_s"}
 _UNITS |= {"vertical_altitude": "_m"}
+# Factor on the largest thrust that counts as relaxing it.
+_MORE_THRUST = 2.0
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What decides whether there is a path."""
+
+    here: Estimate
+    target: Array
+    software: Software
+    approach: Approach
+    lander: Lander
+    gravity: float
+    # Propellant that the tanks lack, kg.
+    lacking: float = 0.0
+
+    @property
+    def feasible(self) -> bool:
+        """Whether a path keeps all limits."""
+        end = self.approach.end(self.target[None, :], self.lander)
+        limits = self.approach.limits
+        limits = replace(limits, reserve=limits.reserve - self.lacking)
+        cost = self.software.guidance.cost(self.here, end, self.lander, self.gravity, limits)
+        return bool(cost.feasible[0])
 
 
 def unreachable(
@@ -39,8 +65,9 @@ def unreachable(
 ) -> InputError:
     """Return the error of a start from which the target (3,) cannot be reached.
 
-    It names the field of `[approach]` that is not its default and without which there is a path,
-    the end of the approach where that lies above the start, and else the start.
+    Each limit is relaxed alone. The error names those without which there is a path: fields of
+    `[approach]` that are not at their defaults first, then its other fields, the lander's limits
+    and the velocity at the start. It names the start's position if no single limit is the cause.
     """
     approach, plain = software.approach, Approach()
     above = here.position - target
@@ -48,34 +75,41 @@ def unreachable(
     if ends >= above[2] > plain.vertical_altitude + lander.com_height:
         return InputError(
             "approach.vertical_altitude_m", approach.vertical_altitude,
-            f"less: the start's centre of mass is {above[2]:g} m above the target",
+            f"must be less: the start's centre of mass is {above[2]:g} m above the target",
         )  # fmt: skip
-    for name in _to_blame(here, target, software, lander, gravity):
-        value = getattr(approach, name)
-        told = round(float(np.rad2deg(value)), 9) if _UNITS.get(name) == "_deg" else value
+    case = _Case(here, target, software, approach, lander, gravity)
+    causes = [(f, v) for f, v, relaxed in _relaxed(case) if relaxed.feasible]
+    if not causes:
         return InputError(
-            f"approach.{name}{_UNITS.get(name, '')}", told,
-            "one that leaves a path from the start to the target within thrust and propellant: "
-            "without it there is one",
+            "start.position_m", tuple(float(v) for v in above),
+            "no path to the target keeps thrust, tilt, glide slope and propellant within their "
+            "limits. Start elsewhere, or relax several limits",
         )  # fmt: skip
-    return InputError(
-        "start.position_m", tuple(float(v) for v in above),
-        "a start from which the target can be reached within thrust, tilt, glideslope and "
-        "propellant: no time-to-go is admissible",
+    (field, value), *others = causes
+    also = "".join(f", or {other} = {v}" for other, v in others)
+    return InputError(field, value, f"leaves no path from the start to the target. Relax it{also}")
+
+
+def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
+    """Yield field and value of each limit, and the case without that limit."""
+    approach, plain, lander = case.approach, Approach(), case.lander
+    fields = [n for n in _WITHOUT_LIMIT if getattr(approach, n) != _WITHOUT_LIMIT[n]]
+    for name in sorted(fields, key=lambda n: getattr(approach, n) == getattr(plain, n)):
+        value = getattr(approach, name)
+        shown = round(float(np.rad2deg(value)), 9) if _UNITS.get(name) == "_deg" else value
+        # A jerk limits no path, but needs a velocity over ground.
+        eased = replace(approach, **({"jerk": None} | {name: _WITHOUT_LIMIT[name]}))
+        yield f"approach.{name}{_UNITS.get(name, '')}", shown, replace(case, approach=eased)
+    yield (
+        "vehicle.thrust_min_n", lander.thrust_min,
+        replace(case, lander=replace(lander, thrust_min=0.0)),
     )  # fmt: skip
-
-
-def _to_blame(
-    here: Estimate, target: Array, software: Software, lander: Lander, gravity: float
-) -> Iterator[str]:
-    """Yield the fields, not at their defaults, without any one of which there is a path."""
-    approach, plain = software.approach, Approach()
-    for name, nothing in _ASKS_NOTHING.items():
-        if getattr(approach, name) == getattr(plain, name):
-            continue
-        # A jerk asks nothing of a path, but for a speed over ground to count along.
-        eased = replace(approach, **({"jerk": None} | {name: nothing}))
-        end = eased.end(target[None, :], lander)
-        cost = software.guidance.cost(here, end, lander, gravity, eased.limits)
-        if cost.feasible[0]:
-            yield name
+    stronger = replace(lander, thrust_max=_MORE_THRUST * lander.thrust_max)
+    yield "vehicle.thrust_max_n", lander.thrust_max, replace(case, lander=stronger)
+    yield (
+        "vehicle.propellant_mass_kg", lander.propellant_mass,
+        replace(case, lacking=lander.propellant_mass),
+    )  # fmt: skip
+    velocity = tuple(float(v) for v in case.here.velocity)
+    at_rest = replace(case.here, velocity=np.zeros(3))
+    yield "start.velocity_m_s", velocity, replace(case, here=at_rest)

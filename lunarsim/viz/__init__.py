@@ -1,6 +1,6 @@
 """Figures of flights and comparisons."""
 
 from lunarsim.viz.comparison import draw_comparison
-from lunarsim.viz.flight import draw_flight
+from lunarsim.viz.flight import draw_flight, truth_shown
 
-__all__ = ["draw_comparison", "draw_flight"]
+__all__ = ["draw_comparison", "draw_flight", "truth_shown"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lunarsim.evaluation.statistics import mean_interval, summarise
 from lunarsim.scenario import Scenario
-from lunarsim.viz.style import COLOURS, new_figure, policy_colour, save
+from lunarsim.viz.style import COLOURS, literal, new_figure, policy_colour, save
 
 Rows = list[dict[str, Any]]
 
@@ -54,12 +54,13 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
     _draw_shifts(axes[8], rows, names, limits)
     _draw_maps(axes[9], rows, names)
+    shown = [literal(name) for name in names]
     for i, ax in enumerate(axes):
-        ax.set_yticks(range(len(names)), names if i % 5 == 0 else [""] * len(names))
+        ax.set_yticks(range(len(names)), shown if i % 5 == 0 else [""] * len(names))
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.grid(axis="x", alpha=0.3)
     flights = sum(row["policy"] == names[0] for row in rows)
-    figure.suptitle(f"{scenario.name}: {flights} flights a policy over the same worlds")
+    figure.suptitle(f"{literal(scenario.name)}: {flights} flights a policy over the same worlds")
     save(figure, path)
 
 
@@ -130,7 +131,7 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
             label="safe here alone" if not place else None,
         )  # fmt: skip
         ax.barh(place, -worse, height=0.5, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
-                label=f"safe with {names[0]} alone" if not place else None)  # fmt: skip
+                label=f"safe with {literal(names[0])} alone" if not place else None)  # fmt: skip
         if place:
             # Above the bar: the first policy is at the top.
             ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
@@ -138,7 +139,7 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, -1.0), max(high, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    ax.set_xlabel(f"flights that ended otherwise\nthan under {names[0]}")
+    ax.set_xlabel(f"flights that ended otherwise\nthan under {literal(names[0])}")
     ax.legend(loc="best")
 
 
@@ -173,7 +174,7 @@ def _draw_shifts(
             ax.plot(found.mean, at, markers[n], color=colour, mec="black", mew=0.6)
     ax.axvline(0.0, color="black", lw=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set_xlabel(f"difference from {names[0]}\non the same world, over the limit")
+    ax.set_xlabel(f"difference from {literal(names[0])}\non the same world, over the limit")
     ax.legend(loc="upper left")
 
 

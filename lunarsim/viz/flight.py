@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lunarsim.models.lander import Lander
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.viz.maps import draw_maps
+from lunarsim.viz.window import shown_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
+
+
+def truth_shown(flight: Flight, world: World, lander: Lander) -> Truth:
+    """Return the exact safety of the part of the world that ``maps.png`` shows."""
+    return Truth.of(world, lander, bounds=shown_bounds(flight, world))
 
 
 def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
@@ -21,8 +28,10 @@ def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) 
     ----------
     flight
         As flown or as loaded.
-    world, truth
+    world
         That it was flown in: see `lunarsim.evaluation.worlds.world_of`.
+    truth
+        Exact safety of the world, or of the part that is shown: see `truth_shown`.
     folder
         Where pictures go.
     """

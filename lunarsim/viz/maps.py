@@ -19,6 +19,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
+from lunarsim.viz.window import diverts_of, shown_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
@@ -34,6 +35,8 @@ _CANDIDATE: dict[str, Any] = {
 _DIVERT = COLOURS[3]
 # Letters of a line that fit a panel of ground that is tall, and of other ground.
 _LETTERS = {True: 34, False: 60}
+# Cells along a side of a raster that is drawn: more than the pixels of a panel.
+_MOST_CELLS = 1500
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
@@ -43,7 +46,7 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     # Seen on dark and on bright ground.
     axes.plot(*first_aim(flight), "x", color="white", ms=10, mew=4)
     axes.plot(*first_aim(flight), "x", color="black", ms=8, mew=2)
-    for start, goal in _diverts(flight):
+    for start, goal in diverts_of(flight):
         axes.annotate(
             "", goal, start, zorder=6,
             arrowprops={"arrowstyle": "-|>", "color": _DIVERT, "lw": 1.6, "shrinkA": 0,
@@ -54,31 +57,26 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     axes.add_patch(Circle(end[:2], radius, fill=False, ec=COLOURS[1], lw=1.2))
 
 
-def _diverts(flight: Flight) -> list[tuple[Any, Any]]:
-    """Return where each divert left from and went to (2,), true frame, m.
-
-    What is told of sites is in the frame that the computer flies in; it is moved by where the
-    lander believed to be at that time.
-    """
-    t = flight.trajectory
-    found = []
-    for decision in flight.decisions:
-        row = int(np.argmin(np.abs(t["time"] - decision["time"])))
-        error = np.array([t[f"estimated_{a}"][row] - t[f"position_{a}"][row] for a in "xy"])
-        ends = (np.asarray(decision[key], np.float64)[:2] - error for key in ("from", "to"))
-        found.append((next(ends), next(ends)))
-    return found
-
-
 def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
     All panels are in the true frame: the map is moved by the navigation error when it was drawn.
+    They show the part of the world that `lunarsim.viz.window.shown_bounds` returns.
+
+    Parameters
+    ----------
+    flight, world
+        The record and the world of the flight.
+    truth
+        Exact safety at least within these bounds.
+    path
+        PNG file to write.
     """
-    west, east, south, north = world.terrain.bounds
+    bounds = west, east, south, north = shown_bounds(flight, world)
     tall = (north - south) > 1.25 * (east - west)
     figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
+    truth = truth.within(bounds, _MOST_CELLS)
     grid = truth.safety.grid
     shade = hillshade(truth.elevation, grid.posting)
     for panel in panels:
@@ -86,13 +84,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     _draw_truth(figure, panels[0], panels[1], truth)
     _draw_map(figure, panels[2], flight, _LETTERS[tall])
     _draw_measured(figure, panels[3], flight)
-    if flight.hazard_map is not None:
-        x0, x1, y0, y1 = flight.hazard_map.grid.moved(-flight.map_error).extent
-        if max(x1 - x0, y1 - y0) < 0.5 * max(east - west, north - south):
-            # The ground reaches far beyond what is mapped: show the map and some of the way to it.
-            aside = 0.25 * (x1 - x0)
-            west, east, south, north = x0 - aside, x1 + aside, y0 - aside, y1 + aside
-    outlines = draw_reach(panels[2], flight, (west, east, south, north))
+    outlines = draw_reach(panels[2], flight, bounds)
     for panel in panels:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)

@@ -44,11 +44,16 @@ def save(figure: Figure, path: Path) -> None:
     write_whole(path, lambda part: figure.savefig(part, dpi=130, format="png"))
 
 
+def literal(text: str) -> str:
+    """Return a name so that Matplotlib draws its dollar signs instead of mathematics."""
+    return text.replace("$", r"\$")
+
+
 def end_of(flight: Flight) -> str:
     """Return scenario, policy and end of a flight as a title."""
     name = Scenario.from_toml(flight.scenario).name
     end = "landed safe" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
-    return f"{name}, {flight.policy}: {end}"
+    return literal(f"{name}, {flight.policy}: {end}")
 
 
 def policy_colour(name: str) -> str:

@@ -12,15 +12,18 @@ from scipy import ndimage
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap, exact_safety
+from lunarsim.safety.footprint import footprint_of
 from lunarsim.world import World
 
 # Of the yardstick, m: its own, so that no map's setting changes what maps are judged by.
 POSTING = 0.2
+# West, east, south and north edges, m.
+Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True elevation and exact safety of the whole terrain.
+    """True elevation and exact safety of the terrain or of a part of it.
 
     Attributes
     ----------
@@ -37,14 +40,42 @@ class Truth:
     lander: Lander
 
     @classmethod
-    def of(cls, world: World, lander: Lander, posting: float = POSTING) -> Truth:
-        """Evaluate the whole terrain at a posting (m)."""
+    def of(
+        cls, world: World, lander: Lander, posting: float = POSTING, bounds: Bounds | None = None
+    ) -> Truth:
+        """Evaluate exact safety.
+
+        Parameters
+        ----------
+        world, lander
+            What is evaluated.
+        posting
+            Distance of cells, m.
+        bounds
+            West, east, south and north edges of the part that is evaluated, m; omitted: the
+            complete terrain. The cells are those of the complete terrain.
+        """
         west, east, south, north = world.terrain.bounds
         grid = Grid.centred(
             (0.5 * (west + east), 0.5 * (south + north)), east - west, posting, north - south
         )
+        if bounds is not None:
+            rows, cols = _cells_within(grid, bounds, footprint_of(lander, posting).reach)
+            grid = _part(grid, rows, cols)
         elevation = world.terrain.raster(grid)
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
+
+    def within(self, bounds: Bounds, most_cells: int) -> Truth:
+        """Return the truth within bounds, thinned to at most so many cells along a side."""
+        rows, cols = _cells_within(self.safety.grid, bounds, 0)
+        step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
+        rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
+        s = self.safety
+        safety = SafetyMap(
+            _part(s.grid, rows, cols), s.slope[rows, cols], s.roughness[rows, cols],
+            s.safe[rows, cols], s.observed[rows, cols],
+        )  # fmt: skip
+        return Truth(safety, self.elevation[rows, cols], self.lander)
 
     @cached_property
     def clearance(self) -> NDArray[np.float64]:
@@ -88,3 +119,23 @@ class Truth:
             np.abs(grid.y - centre[1]) <= half_sides[1] + 0.5 * grid.posting
         )[:, None]
         return float(safe[inside].mean()) if inside.any() else float("nan")
+
+
+def _cells_within(grid: Grid, bounds: Bounds, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the cells in bounds, and of `margin` cells around them."""
+    west, east, south, north = bounds
+    (south_row, north_row), (west_col, east_col) = grid.cell([[west, south], [east, north]])
+    return (
+        slice(max(int(south_row) - margin, 0), min(int(north_row) + margin + 1, grid.rows)),
+        slice(max(int(west_col) - margin, 0), min(int(east_col) + margin + 1, grid.cols)),
+    )
+
+
+def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+    """Return the grid of some rows and columns."""
+    step = rows.step or 1
+    return Grid(
+        grid.x0 + grid.posting * cols.start, grid.y0 + grid.posting * rows.start,
+        grid.posting * step, len(range(rows.start, rows.stop, step)),
+        len(range(cols.start, cols.stop, step)),
+    )  # fmt: skip

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import DENSE
@@ -110,7 +110,7 @@ def descend(task: tuple[str, int, int, float]) -> np.ndarray:
               help="Processes; results do not depend on it.")  # fmt: skip
 def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
     """Print the NEES of cells measured, interpolated and on rocks, world by world."""
-    console = Console(width=120)
+    console = plain_console(120)
     tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
     found = gathered(descend, tasks, jobs, console, "descents")
     table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans; cells")

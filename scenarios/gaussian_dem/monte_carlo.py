@@ -17,12 +17,12 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy import fft, ndimage
 from testbed import LANDER, MARGIN, Field, Mapped, mapped, testbed
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import calibration_error, reliability
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem
@@ -144,7 +144,7 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
               help="Folder for the figure.")  # fmt: skip
 def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
     """Compare stochastic safety with exact safety on sampled terrain."""
-    console = Console(width=150)
+    console = plain_console(150)
     tasks = [
         Task(c, seed, first, min(10, samples - first))
         for c in range(len(CONFIGURATIONS))

@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from testbed import CONFIGURATIONS, DENSITY, LANDER, MARGIN, Field, Mapped, mapped, testbed
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.statistics import mean_interval
 from lunarsim.safety import stochastic_safety
@@ -297,7 +298,7 @@ def show_misses(results: list[list[Missed]], seeds: int, console: Console) -> li
               help="Folder for the figure.")  # fmt: skip
 def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
     """Sweep the random field over both tables, and the scans from 1000 m."""
-    console = Console(width=190)
+    console = plain_console(190)
     kept: dict[str, Any] = {}
     if study in {"field", "all"}:
         results = gathered(swept, range(seeds), jobs, console, "testbeds")

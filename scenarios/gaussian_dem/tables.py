@@ -47,6 +47,7 @@ from testbed import (
     testbed,
 )
 
+from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import calibration_error
 from lunarsim.evaluation.statistics import mean_interval
 
@@ -249,7 +250,7 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
               help="Folder for the figures; left out, none are drawn.")  # fmt: skip
 def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
     """Print the paper's tables with ours beside them."""
-    console = Console(width=190)
+    console = plain_console(190)
     gathered = {}
     for name in TABLES if which == "all" else (which,):
         compute, show = TABLES[name]

@@ -20,10 +20,10 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.messages.briefing import Briefing
@@ -262,7 +262,7 @@ def main(
     out: Path | None,
 ) -> None:
     """Fly every law from the same starts and print what each spends over the optimum."""
-    console = Console(width=178)
+    console = plain_console(178)
     chosen = laws or tuple(kinds("guidance"))
     tasks = [Task(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)]
     try:

@@ -13,9 +13,9 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from lunarsim.console import plain_console
 from lunarsim.models.gravity import RoundMoon
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
@@ -71,7 +71,7 @@ def places() -> Table:
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="First.")
 def main(flights: int, seed: int) -> None:
     """Print where round and level ground differ, and flights of the last kilometre on both."""
-    console = Console(width=120)
+    console = plain_console(120)
     console.print(places())
     flat = Scenario.from_dict(FLOWN)
     apart, more = [], []

@@ -13,6 +13,7 @@ import click
 import numpy as np
 from rich.console import Console
 
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.scenario import Scenario
@@ -71,7 +72,7 @@ def nominal(console: Console, control: str, flights: int, first: int) -> None:
               help="Flights of each control besides in which none fails.")  # fmt: skip
 def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
     """Fly landers with a dead thruster with and without the watch, and print what becomes."""
-    console = Console(width=160)
+    console = plain_console(160)
     shut_ones = [n for n in range(16) if (n in TUNED_ON) != held_out]
     for control in ("phase-plane", "quaternion-feedback"):
         for watch in (False, True):

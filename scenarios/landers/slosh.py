@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import quat_angle
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -134,7 +135,7 @@ def report(console: Console, flown: list[Flown]) -> None:
 @click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
     """Fly the same descents with and without liquid that swings, and print what it does."""
-    console = Console(width=180, soft_wrap=True)
+    console = plain_console(180, soft_wrap=True)
     tasks = [
         Task(control, case, seed + n)
         for control in CONTROLS for case in CASES for n in range(flights)

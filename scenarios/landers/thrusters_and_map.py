@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.comparisons import mean_difference
 from lunarsim.evaluation.map_quality import local_ground, map_quality
 from lunarsim.evaluation.statistics import Proportion
@@ -166,7 +167,7 @@ def report(console: Console, flown: list[Flown], seed: int) -> None:
 @click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
     """Fly the same descents with an ideal attitude and with thrusters, and compare the maps."""
-    console = Console(width=220, soft_wrap=True)
+    console = plain_console(220, soft_wrap=True)
     tasks = [Task(way, n, seed) for way in WAYS for n in range(flights)]
     flown = gathered(fly, tasks, jobs, console, "flights")
     report(console, flown, seed)

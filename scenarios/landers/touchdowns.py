@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import (
     attitude_from_thrust,
@@ -145,7 +146,7 @@ def main(
     seed: int, jobs: int, out: Path | None,
 ) -> None:  # fmt: skip
     """Set the static judgement of touchdowns beside the motion on legs."""
-    console = Console(width=120)
+    console = plain_console(120)
     cases = [(relief, cover) for relief in reliefs for cover in COVERS]
     tasks, left = [], touchdowns
     while left > 0:

@@ -35,10 +35,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 
 from lunarsim import __version__
 from lunarsim.campaign.pool import outcomes
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.optimal.errors import InfeasibleError, SolverError
@@ -176,7 +176,7 @@ def solve_all(tasks: list[Task], folder: Path, jobs: int, console: Console) -> l
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{task.number:05d}-{DrawnStarts.key(task)}.npz" for task in tasks]
     todo = [k for k, file in enumerate(files) if not file.exists()]
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task("shards", total=len(tasks), completed=len(tasks) - len(todo))
         for at, shard in outcomes(solve, [tasks[k] for k in todo], jobs):
             write_whole(files[todo[at]], lambda part, shard=shard: _save(part, shard))
@@ -255,7 +255,7 @@ def write_dataset(files: list[Path], folder: Path, task: Task, console: Console)
         folder.absolute(), Box(-np.inf, np.inf, (OBSERVED,), np.float64),
         Box(-np.inf, np.inf, (COMMANDED,), np.float64), data_format="hdf5",
     )  # fmt: skip
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         for file in progress.track(files, description="writing"):
             shard = read_shard(file)
             storage.update_episodes(_episodes(shard, figures["descents"], EpisodeBuffer))
@@ -325,7 +325,7 @@ def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
               help="Folder of the shards, and of the data set in `data`.")  # fmt: skip
 def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None:
     """Solve descents of least propellant and write them as a data set."""
-    console = Console(width=110, soft_wrap=True)
+    console = plain_console(110, soft_wrap=True)
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
         raise click.UsageError("minari or h5py is missing: the extra `data` installs them")
     data = out / "data"

@@ -19,6 +19,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from lunarsim.console import plain_console
 from lunarsim_envs.training.settings import Training
 
 # Who is flown beside the agent at the end, on seeds that no training has.
@@ -58,7 +59,7 @@ def compare(out: Path, settings: Training, episodes: int, console: Console) -> N
               help="Flights at the end beside what needs no training.")  # fmt: skip
 def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
     """Train an agent of Guidance-v0, and set it beside agents that need no training."""
-    console = Console(width=150, soft_wrap=True)
+    console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve
         from lunarsim_envs.training.guidance import Look, Run, train

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from optimal_descents import PROBLEM, check_problem, problem_of, read_shard
 from rich.console import Console
 
+from lunarsim.console import plain_console
 from lunarsim.errors import InputError, check_output
 from lunarsim.onboard.guidance.neural_law import NeuralOptimalLaw
 from lunarsim.onboard.guidance.optimal_network import (
@@ -171,7 +172,7 @@ def main(
     descents: Path, epochs: int, minutes: float, width: int, seed: int, out: Path, told: Path | None
 ) -> None:
     """Train a network on the shards of a folder."""
-    console = Console(width=110, soft_wrap=True)
+    console = plain_console(110, soft_wrap=True)
     files = sorted((descents / "shards").glob("*.npz"))
     if len(files) < 2:
         raise click.UsageError(

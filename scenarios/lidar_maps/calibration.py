@@ -28,6 +28,7 @@ from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.reliability import (
     brier_skill,
     calibration_error,
@@ -378,7 +379,7 @@ def study(
     """Do what the options of a calibration ask for."""
     if row is not None and (target is not None or picture is not None):
         raise click.UsageError("--row judges one row: it saves no model and draws no diagram")
-    console = Console(width=205)
+    console = plain_console(205)
     judged = judged_scenes(method.judge, method.draw(count, seed), file, jobs, console)
     judged = [j for j in judged if len(j.safe)]
     if row is not None:

@@ -25,12 +25,12 @@ import click
 import numpy as np
 from flown import MAPPERS, STRATA, WAYS, WORLDS, Flown, Judged, Task, fly
 from flown_kept import flown_or_kept
-from rich.console import Console
 from rich.table import Table
 from rows import ROWS
 from scipy.stats import binomtest
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.map_quality import MapQuality
 from lunarsim.evaluation.reliability import calibration_error
 from lunarsim.evaluation.statistics import Proportion
@@ -223,7 +223,7 @@ def _points(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -
               help="Folder for figures.json, the picture and each flight.")  # fmt: skip
 def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
     """Fly every map over every world and compare."""
-    console = Console(width=200)
+    console = plain_console(200)
     names = [w.strip() for w in worlds.split(";")]
     for name in names:
         if name not in WORLDS:

@@ -28,12 +28,12 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.consistency import Consistency, normalised_square
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
@@ -416,7 +416,7 @@ def main(
     judge: float | None, out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Fly, and compare what navigation says of its errors with the errors."""
-    console = Console(width=120)
+    console = plain_console(120)
     by_start: dict[str, list[Flown]] = {}
     for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):
         tasks = [

@@ -18,10 +18,10 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
-from rich.console import Console
 from study import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import (
@@ -233,7 +233,7 @@ def fly(task: Task) -> Flown:
 @seed_and_jobs
 def main(flights: int, only: tuple[str, ...], out: Path | None, seed: int, jobs: int) -> None:
     """Let instruments fail, and see whether navigation says so."""
-    console = Console(width=120)
+    console = plain_console(120)
     faults = list(only or FAULTS)
     tasks = [
         Task(fault, relief, n, seed)

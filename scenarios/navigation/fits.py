@@ -18,11 +18,11 @@ from itertools import product
 import click
 import numpy as np
 from places import UPRIGHT, craters, objects
-from rich.console import Console
 from rich.table import Table
 from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.grid import Grid
@@ -136,7 +136,7 @@ def judged(seen, error, sigmas, result, believed, posting):  # type: ignore[no-u
 @seed_and_jobs
 def main(count: int, seed: int, jobs: int) -> None:
     """Fit flashes to maps, and count those that are believed and wrong."""
-    console = Console(width=120)
+    console = plain_console(120)
     worlds = -(-count // PER_WORLD)
     rows = list(product(GROUNDS, POSTINGS, STALE))
     tasks = [Task(*row, n, seed) for row in rows for n in range(worlds)]

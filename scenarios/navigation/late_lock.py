@@ -16,12 +16,12 @@ from pathlib import Path
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.rng import flight_seed
@@ -182,7 +182,7 @@ def main(
     seed: int, jobs: int,
 ) -> None:  # fmt: skip
     """Hand the map over early, late or never, and see how the lander comes down."""
-    console = Console(width=150)
+    console = plain_console(150)
     flown: dict[str, list[Flown]] = {}
     for start in starts or (None,):
         for late in lates:

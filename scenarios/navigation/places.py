@@ -19,11 +19,11 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from study import seed_and_jobs
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import attitude_from_thrust, quat_from_rotation_vector, quat_multiply
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
@@ -247,7 +247,7 @@ def forecasts(found: list[Found]) -> str:
 @seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
     """Search for the place of sweeps on maps, and print how it went."""
-    console = Console(width=180)
+    console = plain_console(180)
     rows = [n for n, case in enumerate(CASES) if only in str(case)]
     if not rows:
         raise click.UsageError(f"--only: none of {', '.join(map(str, CASES))}")

@@ -20,10 +20,10 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
-from rich.console import Console
 from study import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -168,7 +168,7 @@ def main(
     flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int
 ) -> None:
     """Fly on maps and scanners that are wrong, and see whether navigation says so."""
-    console = Console(width=120)
+    console = plain_console(120)
     rows = list(only or ROWS)
     # No two rows fly over the same ground.
     tasks = [

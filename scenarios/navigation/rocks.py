@@ -20,11 +20,11 @@ from typing import Any
 import click
 import numpy as np
 from consistency import SCENARIOS, error_of
-from rich.console import Console
 from scipy.spatial import cKDTree
 from study import declared_table, json_option, seed_and_jobs, write_flights
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import turned_about_up
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import ShadowMapper
@@ -244,7 +244,7 @@ def main(
     out: Path | None, cells: bool,
 ) -> None:  # fmt: skip
     """Fly by rocks where it is hard, and see whether navigation says so when it is wrong."""
-    console = Console(width=120)
+    console = plain_console(120)
     tasks = tasks_of(flights, seed, reliefs, covers)
     flown = gathered(fly, tasks, jobs, console, "flights")
     if cells:

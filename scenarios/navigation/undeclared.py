@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.table import Table
 
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 
 
@@ -47,7 +47,7 @@ def main(files: tuple[Path, ...]) -> None:
             shown(sum(f["lost"] for f in right), len(right)),
             shown(sum(f["safe"] for f in some), len(some)),
         )  # fmt: skip
-    Console(width=120).print(table)
+    plain_console(120).print(table)
 
 
 if __name__ == "__main__":

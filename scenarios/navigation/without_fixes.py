@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import click
 import numpy as np
 from consistency import SCENARIOS
-from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -174,7 +174,7 @@ def table_of(flown: dict[tuple[str, str], list[Flown]]) -> Table:
 )  # fmt: skip
 def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
     """Fly scenarios with fixes and with instruments of their own, and compare."""
-    console = Console(width=160)
+    console = plain_console(160)
     flown: dict[tuple[str, str], list[Flown]] = {}
     for name in only or FLOWN:
         for way in WAYS:

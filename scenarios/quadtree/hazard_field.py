@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.quadtree import (
@@ -271,7 +272,7 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
               help="Folder for pictures of the first field; left out, none are drawn.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
     """Sweep hazard fields and judge maps and sites against the truth."""
-    console = Console(width=140)
+    console = plain_console(140)
     tasks = [Task(i, seed, out is not None and i == 0) for i in range(fields)]
     results = gathered(fly, tasks, jobs, console, "sweeps")
     summary = summarise(results)

@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import mean_interval
 
 SHARES = (0.5, 0.1)  # of the returns that are mapped where safety is judged
@@ -129,7 +130,7 @@ def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict
               help="Folder for the figure.")  # fmt: skip
 def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> None:
     """Map real returns with both LiDAR mappers and judge by returns held back."""
-    console = Console(width=170)
+    console = plain_console(170)
     limit = 24.0 if quick else None
     kept, drawn = study(load(limit=limit), splits, "ground returns", console)
     result = {"ground": kept}

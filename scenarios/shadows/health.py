@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
@@ -193,7 +194,7 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
               help="Write every verdict to this file.")  # fmt: skip
 def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
     """Judge good and spoilt pictures."""
-    console = Console(width=140)
+    console = plain_console(140)
     cells = list(product(range(fields), COVERS, SLOPES))
     tasks = [Task(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)]
     rows = [row for found in gathered(look, tasks, jobs, console, "fields") for row in found]

@@ -27,6 +27,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.hazards.shadows import TrackerSettings
@@ -276,7 +277,7 @@ def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
     for k in track(range(fields), description="fields"):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
         looks.append(descend(make_world(shape, elevation, rng), model, rng))
-    show(looks, Console(width=120))
+    show(looks, plain_console(120))
 
 
 if __name__ == "__main__":

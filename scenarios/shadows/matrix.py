@@ -23,11 +23,11 @@ from cells import CELLS, Cell
 from nominal_vs_modified import METHODS
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from lunarsim.campaign.kept_flights import KeptFlights
 from lunarsim.campaign.pool import outcomes
+from lunarsim.console import plain_console, plain_progress
 from lunarsim.errors import InputError
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, Classification, classify
 from lunarsim.evaluation.reliability import calibration_error, reliability
@@ -260,7 +260,7 @@ def main(
     json_file: Path | None,
 ) -> None:
     """Fly the cells and print how good their maps are."""
-    console = Console(width=150)
+    console = plain_console(150)
     wanted = [p.strip() for p in patterns.split(",")]
     cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
     if not cells:
@@ -278,7 +278,7 @@ def main(
     # Field by field: an interrupt leaves something of every cell.
     everything = [Task(cell, k, seed, way, method) for k in range(fields) for cell in cells]
     tasks = [t for t in everything if not has(results, t)]
-    with Progress(console=console) as progress:
+    with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
             for index, result in outcomes(fly, tasks, jobs):

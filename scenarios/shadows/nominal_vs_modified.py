@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lunarsim.campaign.pool import gathered
+from lunarsim.console import plain_console
 from lunarsim.evaluation.classification import RELIABILITY_EDGES, classify
 from lunarsim.evaluation.reliability import reliability
 from lunarsim.evaluation.statistics import MeanInterval, mean_interval
@@ -193,7 +194,7 @@ def main(
     out: Path | None,
 ) -> None:
     """Fly both paths over random fields and compare their maps."""
-    console = Console(width=140)
+    console = plain_console(140)
     tasks = [Task(path, field, seed, shapes, method) for field in range(fields) for path in PATHS]
     results = gathered(fly, tasks, jobs, console, "flights")
     # A field counts once both paths have flown it.

@@ -29,6 +29,7 @@ from rich.table import Table
 from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 
+from lunarsim.console import plain_console
 from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.gimbal import gimbal_mount
@@ -244,7 +245,7 @@ def main(
     images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
 ) -> None:
     """Measure the rates and fit the lines."""
-    console = Console(width=130)
+    console = plain_console(130)
     elevation = np.radians(sun_elevation)
     looks = []
     for k in track(range(images), description="images"):

@@ -16,11 +16,11 @@ from typing import Any
 import click
 import numpy as np
 from matplotlib.patches import Circle, Rectangle
-from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.onboard.perception.detector import Detections, detect_rocks
 from lunarsim.onboard.perception.direction import mean_direction, shadow_directions
@@ -139,7 +139,7 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
               help="Folder for the picture; left out, none is drawn.")  # fmt: skip
 def main(json_file: Path | None, out: Path | None) -> None:
     """Detect, measure the shadows' direction, compare with the labels."""
-    console = Console(width=100)
+    console = plain_console(100)
     image = load()
     seen = detect(image)
     angle, half, number = mean_direction(shadow_directions(image, seen))

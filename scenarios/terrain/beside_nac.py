@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import ndimage
 
+from lunarsim.console import plain_console
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.sensors.camera import Camera
@@ -256,7 +257,7 @@ def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict
 def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
     """Compare renders with the real picture."""
     images, found = compare(grounds, seed)
-    console = Console(width=150)
+    console = plain_console(150)
     show(found, console)
     spread, length = smooth_part(images["real"])
     console.print(

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from lunarsim.console import plain_console
 from lunarsim.scenario import Scenario
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim.world.grounds.measured import MeasuredGround
@@ -120,7 +120,7 @@ def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Pa
     for n, lag in enumerate(LAGS):
         cells = [f"{v[n, k] / lag:.4f}" for k in range(2) for v in rows.values()]
         table.add_row(f"{lag:g}", *(c if c != "nan" else "" for c in cells))
-    Console(width=150).print(table)
+    plain_console(150).print(table)
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         plain = {name: v.tolist() for name, v in rows.items()}

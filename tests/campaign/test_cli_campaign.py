@@ -203,11 +203,14 @@ def test_texts_of_flights_do_not_become_part_of_the_page(tmp_path, monkeypatch):
     fly(plan(raises=["0-0"]), InlineEngine(), tmp_path / "c")
     path = tmp_path / "c" / "results" / "part-00000.parquet"
     table = pq.read_table(path).to_pandas()
-    table.loc[0, "error"] = "</script><b onclick='x'>"
+    table.loc[0, "error"] = "</script><b onclick='x'> *a* | [b](c) sun.elevation_deg <!--<script>"
     pq.write_table(pq.read_table(path).from_pandas(table, pq.read_schema(path)), path)
     out = tmp_path / "r.html"
     assert run("campaign", "report", tmp_path / "c", "--out", out).exit_code == 0
-    assert "<b onclick" not in out.read_text()
+    assert "<b onclick" not in out.read_text() and "<!--" not in out.read_text()
+    assert run("campaign", "report", tmp_path / "c", "--out", tmp_path / "r.md").exit_code == 0
+    tables = (tmp_path / "r.md").read_text()
+    assert r"\</script>\<b onclick='x'> \*a\* \| [b]\(c) sun.elevation_deg \<!--" in tables
 
 
 def drawn(page: Path, query: str, tmp_path: Path) -> tuple[str, str]:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import copy
 import pickle
+from itertools import product
 
+import gymnasium
 import numpy as np
 import pytest
 
+from lunarsim.errors import InputError
 from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.rewards import RewardWeights
+from lunarsim_envs.step_limit import StepLimit
 from tests.envs.site_scene import SMALL, made_up
 
 LANES = 4
@@ -164,3 +168,56 @@ def test_lanes_that_fly_are_as_many_environments(mode):
     pair = Pair(many, ones, mode, np.random.default_rng(2))
     ended, late = flown(pair, DESCENT_OPTIONS, act, 200)
     assert ended - late > 3 and late > 3
+
+
+LIMITED = {
+    "Retarget-v0": (SITE, (2,), 4),
+    "Guidance-v0": (DESCENT | {"covers": [], "worlds": 1}, (3,), 9),
+    "Control-v0": (DESCENT | {"covers": [], "worlds": 1}, (4,), 9),
+}
+
+
+def test_all_batches_are_tried_with_a_step_limit():
+    registered = {
+        spec.name + f"-v{spec.version}"
+        for spec in gymnasium.registry.values()
+        if spec.namespace == "lunarsim" and spec.vector_entry_point is not None
+    }
+    assert registered == set(LIMITED)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [*product(("Retarget-v0", "Guidance-v0"), MODES), ("Control-v0", "SameStep")],
+)
+def test_lanes_with_a_step_limit_are_environments_within_gymnasiums_time_limit(name, mode):
+    """Of Guidance-v0, flights from low starts end by themselves; others at the limit."""
+    settings, shape, limit = LIMITED[name]
+
+    def act(rng):
+        if name == "Retarget-v0":
+            return rng.integers(0, 3, (LANES, *shape))
+        return rng.uniform(-0.1, 0.0, (LANES, *shape)).astype(np.float32)
+
+    many = gymnasium.make_vec(
+        f"lunarsim/{name}", num_envs=LANES, vectorization_mode="vector_entry_point",
+        max_episode_steps=limit, autoreset_mode=mode, **settings,
+    )  # fmt: skip
+    ones = [gymnasium.make(f"lunarsim/{name}", max_episode_steps=limit, disable_env_checker=True,
+                           **settings) for _ in range(LANES)]  # fmt: skip
+    low = {"position_m": [0.0, 0.0, 20.0], "velocity_m_s": [0.0, 0.0, -30.0],
+           "position_sigma_m": 0.0}  # fmt: skip
+    ended, late = flown(Pair(many, ones, mode, np.random.default_rng(3)), [low, {}], act, 60)
+    assert late > 5 and (name != "Guidance-v0" or ended - late > 5)
+
+
+@pytest.mark.parametrize("wrong", [0, -2, 1.5, True, "7"])
+def test_a_step_limit_that_is_none_is_refused(wrong):
+    with pytest.raises(InputError, match="max_episode_steps"):
+        StepLimit(wrong, 2)
+
+
+@pytest.mark.parametrize("none", [None, -1])
+def test_without_a_step_limit_no_lane_reaches_one(none):
+    limit = StepLimit(none, 2)
+    assert not any(limit.reached(np.ones(2, bool)).any() for _ in range(1000))

@@ -8,6 +8,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.notes import notes_on
+from lunarsim.simulation import Simulation
 from tests.worlds import SCENARIOS
 
 CAMERA = {"kind": "camera"}
@@ -100,3 +101,42 @@ def test_a_scenario_that_is_changed_twice_follows_the_last_mass():
     again = once.changed(vehicle={"dry_mass_kg": 1200.0})
     assert again.vehicle.make().inertia_dry[0] == 1200.0
     assert notes_on(again) == []
+
+
+LIDAR = {name: {"kind": kind} for name, kind in FIXED.items()}
+
+
+@pytest.mark.parametrize(
+    ("tasking", "told"),
+    [
+        ({"kind": "at-altitudes", "altitudes_m": [700.0, 200.0]}, "measures from 200 m up"),
+        ({"kind": "periodic", "last_altitude_m": 150.0}, "measures from 150 m up"),
+        ({"kind": "at-altitudes", "altitudes_m": [700.0, 80.0]}, None),
+        ({"kind": "periodic"}, None),
+    ],
+)
+def test_a_lidar_whose_range_is_below_all_tasked_altitudes_is_odd(tasking, told):
+    flash = LIDAR["flash"] | {"max_range_m": 100.0}
+    found = notes(sensors=LIDAR | {"flash": flash}, tasking={"flash": tasking})
+    if told is None:
+        assert found == []
+    else:
+        (note,) = found
+        assert note.startswith("sensors.flash.max_range_m = 100") and told in note
+
+
+def test_variation_is_odd_where_landers_fly_by_themselves():
+    (note,) = notes(variation={"load_kg": 10.0})
+    assert "variation" in note and "lunarsim evaluate Guidance-v0" in note
+
+
+def test_a_camera_that_no_mapper_uses_may_record():
+    tables = {
+        "terrain": {"size_m": 60.0},
+        "sensors": LIDAR | {"eye": {"kind": "camera", "width": 64, "height": 48}},
+        "tasking": {"flash": {"kind": "at-altitudes"}, "eye": {"kind": "periodic", "rate_hz": 0.5}},
+    }
+    (note,) = notes(**tables)
+    assert note.startswith("sensors.eye = 'camera': no mapper uses its images")
+    flight = Simulation(Scenario.from_dict(tables), 1, "no-divert").run()
+    assert {e["sensor"] for e in flight.events if e["name"] == "picture"} == {"eye"}

@@ -149,13 +149,13 @@ def test_a_start_below_its_target_is_refused():
             },
             "approach.vertical_altitude_m", 100.0,
         ),
-        # A jerk takes a speed over ground: neither goes without the other, so both are tried away.
+        # A jerk needs a velocity over ground: both are relaxed together, and are not the cause.
         (
             {
                 "approach": {"jerk_m_s3": 0.001, "arrival_velocity_m_s": [1.0, 0.0]},
                 "start": {"velocity_m_s": [400.0, 0.0, -18.0]},
             },
-            "start.position_m", None,
+            "start.velocity_m_s", (400.0, 0.0, -18.0),
         ),
         (
             {"approach": {"jerk_m_s3": 0.001, "arrival_velocity_m_s": [300.0, 0.0]}},
@@ -163,15 +163,20 @@ def test_a_start_below_its_target_is_refused():
         ),
         # Two at once, neither alone at fault: the start is named.
         ({"approach": {"glideslope_deg": 75.0, "reserve_kg": 370.0}}, "start.position_m", None),
-        ({"start": {"velocity_m_s": [400.0, 0.0, -18.0]}}, "start.position_m", None),
+        ({"start": {"velocity_m_s": [400.0, 0.0, -18.0]}}, "start.velocity_m_s", None),
+        ({"start": {"position_m": [-60000.0, 0.0, 500.0]}}, "start.position_m", None),
         # Lower than any approach ends by default: no end of it is at fault.
         ({"start": {"position_m": [-60.0, 0.0, 11.0], "velocity_m_s": [4.0, 0.0, -1.0]}},
          "start.position_m", None),
-        # Under the glideslope that an approach has by default: the start is at fault.
+        # Fields at their defaults are named as well.
         (
             {"start": {"position_m": [-600.0, 0.0, 90.0], "velocity_m_s": [20.0, 0.0, -4.0]}},
-            "start.position_m", None,
+            "approach.glideslope_deg", 8.0,
         ),
+        ({"vehicle": {"thrust_min_n": 1780.0, "thrust_max_n": 9000.0}},
+         "approach.throttle_margin", 0.08),
+        ({"vehicle": {"thrust_max_n": 2600.0}}, "vehicle.thrust_max_n", 2600.0),
+        ({"vehicle": {"propellant_mass_kg": 30.0}}, "vehicle.propellant_mass_kg", 30.0),
     ],
 )  # fmt: skip
 def test_what_leaves_no_path_is_named(changes, field, value):

@@ -16,10 +16,11 @@ from lunarsim.grid import Grid
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.viz import maps
+from lunarsim.viz import maps, truth_shown
 from lunarsim.viz import reach as viz_reach
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import new_figure
+from lunarsim.viz.window import shown_bounds
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain
 from lunarsim.world.truth import Truth
@@ -259,3 +260,61 @@ def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, mo
     grid = Grid.centred(record.sites[row, :2], 4.0, 1.0)
     costs = [reach_in(flight, row, grid).propellant for flight in (record, raised)]
     assert np.all(np.abs(costs[0] - costs[1]) > 0.05)
+
+
+@pytest.fixture(scope="module")
+def wide(flown):
+    """Return a flight, and its world as the middle of one ten times as wide."""
+    record, world, _ = flown
+    relief = world.terrain.relief
+    west, east, _, _ = world.terrain.bounds
+    width = 10.0 * (east - west)
+    grid = Grid.centred(relief.grid.centre, width, relief.grid.posting)
+    z = np.resize(relief.z, grid.shape)
+    return record, World(Terrain(Heightfield(grid, z)), 1.622, world.light)
+
+
+def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide, drawn):
+    record, world = wide
+    lander = Scenario.from_toml(record.scenario).vehicle.make()
+    truth = truth_shown(record, world, lander)
+    west, east, south, north = shown_bounds(record, world)
+    assert max(east - west, north - south) < 0.25 * (world.terrain.bounds[1] * 2.0)
+    for panel in _panels(drawn(record, world, truth)):
+        assert (*panel.get_xlim(), *panel.get_ylim()) == pytest.approx((west, east, south, north))
+        for image in panel.images[:1]:
+            x0, x1, y0, y1 = image.get_extent()
+            assert x0 <= west and east <= x1 and y0 <= south and north <= y1
+    points = [first_aim(record), record.positions[-1, :2], *record.candidates[:, :2]]
+    x, y = np.array(points).T
+    assert west < x.min() and x.max() < east and south < y.min() and y.max() < north
+
+
+def test_the_window_has_the_cells_and_the_safety_of_the_complete_truth(wide):
+    record, world = wide
+    lander = Scenario.from_toml(record.scenario).vehicle.make()
+    bounds = shown_bounds(record, world)
+    part = truth_shown(record, world, lander).within(bounds, 10_000)
+    # Far smaller than the world, which would take a minute: twice the window on each side.
+    west, east, south, north = bounds
+    more = (west - 20.0, east + 20.0, south - 20.0, north + 20.0)
+    whole = Truth.of(world, lander, bounds=more).within(bounds, 10_000)
+    assert part.safety.grid.shape == whole.safety.grid.shape
+    assert part.safety.grid.extent == pytest.approx(whole.safety.grid.extent)
+    assert part.safety.observed.all()
+    # The places of cells differ by rounding.
+    for name in ("slope", "roughness"):
+        assert getattr(part.safety, name) == pytest.approx(getattr(whole.safety, name), abs=1e-5)
+    assert np.mean(part.safety.safe != whole.safety.safe) < 1e-4
+    thin = part.within(bounds, 50)
+    assert max(thin.elevation.shape) <= 50
+    middle = thin.safety.grid.centre_of(7, 9)
+    assert thin.elevation[7, 9] == part.elevation[tuple(part.safety.grid.cell(middle))]
+
+
+def test_a_flight_without_a_map_shows_where_it_came_down(wide):
+    record, world = wide
+    bounds = shown_bounds(replace(record, maps={}), world)
+    end = record.positions[-1, :2]
+    assert bounds[0] < end[0] - 40.0 and end[0] + 40.0 < bounds[1]
+    assert max(bounds[1] - bounds[0], bounds[3] - bounds[2]) < 300.0

@@ -16,6 +16,7 @@ from lunarsim_envs.descent.picture import Picture
 from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
 from lunarsim_envs.rewards import summed
 from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.step_limit import StepLimit
 
 Shown = NDArray[np.float32]
 
@@ -119,6 +120,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
         render_mode: None = None,
+        max_episode_steps: int | None = None,
         **settings: Unpack[Settings],
     ) -> None:
         no_pictures(render_mode)
@@ -134,6 +136,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.action_space = batch(self.single_action_space, num_envs)
         self.observation_space = batch(self.single_observation_space, num_envs)
         self._due, self._begun = np.zeros((2, num_envs), np.bool_)
+        self._limit = StepLimit(max_episode_steps, num_envs)
         self.render_mode = None
 
     def reset(
@@ -149,10 +152,14 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seeds = lane_seeds(seed, mask)
         self.descents.take(mask, left)
         self.descents.seed(mask, seeds)
-        self.descents.restart(mask)
+        self._restart(mask)
         self._begun |= mask
         self._due[mask] = False
         return self.descents.observe(), self._hidden()
+
+    def _restart(self, mask: NDArray[np.bool_]) -> None:
+        self.descents.restart(mask)
+        self._limit.begin(mask)
 
     def _hidden(self) -> dict[str, Any]:
         told = self.descents.hidden()
@@ -178,16 +185,19 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info |= {"failed": np.where(over, d.lanes.failed, 0), "_failed": over}
             for name, told in d.told().items():
                 info |= {name: np.where(over, told, 0.0), f"_{name}": over}
+        truncated = truncated | self._limit.reached(moved)
+        over = terminated | truncated
+        d.lanes.stop(over)
         if self.autoreset_mode is mode.NEXT_STEP:
             if self._due.any():
-                d.restart(self._due)
+                self._restart(self._due)
             self._due = over
         elif self.autoreset_mode is mode.SAME_STEP and over.any():
             info |= {"final_obs": d.observe(), "_final_obs": over} | self._hidden()
             left = ("_reward_terms", "_cost", "final_obs", "_final_obs")
             info["final_info"] = {name: info[name] for name in info if name not in left}
             info["_final_info"] = over
-            d.restart(over)
+            self._restart(over)
         info |= self._hidden()
         return d.observe(), summed(terms), terminated, truncated, info
 
@@ -272,9 +282,10 @@ class GuidanceEnv(DescentEnv):
       ``reset(options={"cover": ...})``.
     - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the
       default observation has it, then all of ``info["drawn"]``.
-    - ``num_envs``, ``autoreset_mode`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: so many flights in one kernel; "NextStep",
-      "SameStep" or "Disabled". Lane i with seed s flies what one environment with seed s + i does.
+    - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
+      vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
+      "SameStep" or "Disabled"; number of steps after which an episode is truncated. Lane i with
+      seed s flies what one environment with seed s + i does.
 
     ## Version History
 

@@ -269,6 +269,10 @@ class Lanes:
                 min(WIDE, self.count), self._vehicle, self._grounds, self._flights,
             )  # fmt: skip
 
+    def stop(self, mask: NDArray[np.bool_]) -> None:
+        """End the flights that are still in the air in the lanes of `mask` (n,)."""
+        self.ended[mask & (self.ended == FLYING)] = LATE
+
     @property
     def safe(self) -> NDArray[np.bool_]:
         """Whether each has landed within all limits (n,)."""

@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of, check, label
 from lunarsim_envs.evaluation.episodes import Study, fly_episodes
@@ -92,6 +93,7 @@ def _spread(
 
     They are spawned: a fork of a process that has flown or rendered may hang.
     """
+    check_picklable("study", study)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(work)), mp_context=context) as pool:
         futures: list[Future[Rows]] = [pool.submit(_chunk, study, *chunk) for chunk in work]

@@ -166,7 +166,9 @@ class LocalEngine:
             self._stillborn += 1
             if self._stillborn >= TRIES:
                 raise WorkersDieError(
-                    f"{TRIES} workers in a row ended before they were ready (exit code {code})"
+                    f"{TRIES} workers in a row ended before they were ready (exit code {code}). "
+                    "Their messages stand above. A script that flies with several jobs needs the "
+                    'line `if __name__ == "__main__":` before it calls lunarsim'
                 )
         elif worker.left:
             arm = worker.left[0] if worker.arm is None else worker.arm

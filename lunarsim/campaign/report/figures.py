@@ -5,6 +5,7 @@ Colours of text, grid and paper are the page's, which knows whether it is light 
 
 from __future__ import annotations
 
+import html
 import math
 from typing import Any
 
@@ -36,7 +37,22 @@ def colour(index: int) -> str:
 
 
 def _plot(identity: str, title: str, said: str, traces: list[Plot], layout: Plot) -> Plot:
-    return {"id": identity, "title": title, "said": said, "data": traces, "layout": layout}
+    return {
+        "id": identity, "title": title, "said": said, "data": _literal(traces),
+        "layout": _literal(layout),
+    }  # fmt: skip
+
+
+def _literal(value: Any) -> Any:
+    """Return a value whose texts Plotly draws as they are, where it would read tags.
+
+    The page compares the names of arms and does not draw them.
+    """
+    if isinstance(value, dict):
+        return {k: v if k in ("arm", "arms") else _literal(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_literal(v) for v in value]
+    return html.escape(value, quote=False) if isinstance(value, str) else value
 
 
 def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, float]]) -> Plot:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,8 @@ _WORST = 5
 _MOST_SENSITIVE, _RESAMPLES = 8, 50
 # Rows of the table of what went wrong.
 _MOST_CAUSES = 60
+# Underscores within words and brackets that no link follows mean themselves.
+_MARKDOWN = re.compile(r"([\\`*<|~]|(?<!\w)_|_(?!\w)|(?<=\])\()")
 _LABELS = {
     "propellant_kg": "propellant (kg)",
     "divert_m": "divert (m)",
@@ -75,7 +77,6 @@ def write_report(folder: str | Path, out: Path) -> Results:
     if not len(found.table):
         raise InputError("folder", str(folder), "a campaign with at least one flight flown")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
-    # Nothing that a text of a flight says may end the script that it stands in.
     page = template.render(
         **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
@@ -93,15 +94,19 @@ def _markdown(jinja2: Any) -> Any:
     """Return the template of the tables in Markdown, a row of a table a line."""
 
     def row(cells: Iterable[object]) -> str:
-        told = (" ".join(str(c).split()).replace("|", "\\|") for c in cells)
-        return f"| {' | '.join(told)} |"
+        return f"| {' | '.join(map(_literal, cells))} |"
 
     def head(cells: Sequence[object]) -> str:
         return row(cells) + "\n" + row(["---"] * len(cells))
 
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters |= {"row": row, "head": head}
+    environment.filters |= {"row": row, "head": head, "literal": _literal}
     return environment.from_string(_text("page.md.j2"))
+
+
+def _literal(text: object) -> str:
+    """Return a text on one line with the characters escaped that Markdown gives a meaning."""
+    return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
 def _text(name: str) -> str:
@@ -191,7 +196,7 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
         "wanted": found.wanted,
         "factors": _factors(found),
         "plots": {p["id"]: p for p in drawn},
-        "data": _in_script(json.dumps(drawn, allow_nan=False)),
+        "data": drawn,
         "causes": failures(found)[:_MOST_CAUSES],
         "worst": _worst(found),
         "timing": _timing(found),

@@ -15,6 +15,7 @@ from lunarsim.onboard.control.allocation import Allocation
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
 from lunarsim.onboard.control.thruster_watch import ThrusterWatch
+from lunarsim.onboard.part_results import checked_vector
 
 Array = NDArray[np.float64]
 
@@ -138,9 +139,13 @@ class JetLoop(AttitudeLoop):
         if hasattr(law, "rate_change"):
             a = self.allocation.authority / inertia
             least = self.allocation.least_impulse / inertia
-            impulse = inertia * law.rate_change(error, rate, a, least)
+            change = law.rate_change(error, rate, a, least)
+            impulse = inertia * checked_vector("control", law, "rate_change", change, "rad/s")
         else:
-            impulse = np.asarray(law.torque(error, rate, inertia)) * period + self._carry
+            torque = checked_vector(
+                "control", law, "torque", law.torque(error, rate, inertia), "N m"
+            )
+            impulse = torque * period + self._carry
         self.on_times = self.allocation.on_times(impulse / period, period)
         given = self.allocation.impulse(self.on_times)
         if not hasattr(law, "rate_change"):

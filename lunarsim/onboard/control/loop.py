@@ -11,6 +11,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.control import _kernels as k
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.contract import AttitudeControl
+from lunarsim.onboard.part_results import checked_vector
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,8 @@ class AttitudeLoop:
             return self.state[7:].copy()
         error = np.empty(3)
         rotation_between(self.state[:4], self.target, error)
-        wanted = np.asarray(self.law.torque(error, self.state[4:7].copy(), self.inertia))
+        given = self.law.torque(error, self.state[4:7].copy(), self.inertia)
+        wanted = checked_vector("control", self.law, "torque", given, "N m")
         self.state[7:] = np.clip(wanted, -self.torque_max, self.torque_max)
         return self.state[7:].copy()
 

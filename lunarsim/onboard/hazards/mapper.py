@@ -15,7 +15,9 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
 from lunarsim.onboard.hazards.published import Published
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
+from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
+from lunarsim.onboard.part_results import wrong_result
 
 Array = NDArray[np.float64]
 
@@ -205,3 +207,19 @@ def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid
     """
     check_map(size, posting, lander)
     return Grid.centred(centre, size, posting)
+
+
+def asked_map(name: str, part: object, mapper: HazardMapper, time: float) -> HazardMap:
+    """Return the hazard map of a mapper, of a name and a part, at a time (s).
+
+    Raises
+    ------
+    InputError
+        If it returns something else, or a map whose arrays are wrong; the mapper is named.
+    """
+    table = f"mappers.{name}"
+    with named_in(table):
+        found: Any = mapper.hazard_map()
+    if not isinstance(found, HazardMap):
+        raise wrong_result(table, part, "hazard_map", found, "a HazardMap", time)
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.part_results import checked_vector, wrong_result
 from lunarsim.onboard.policies.reach import Reach
 
 Array = NDArray[np.float64]
@@ -211,3 +212,18 @@ class RetargetingPolicy(Protocol):
     def decide(self, observation: Observation) -> Decision:
         """Return the decision for this observation."""
         ...
+
+
+def checked_decision(policy: object, value: Any, time: float) -> Decision:
+    """Return the decision of a policy, which was asked at a time (s).
+
+    Raises
+    ------
+    InputError
+        If it is not a `Decision`, or its site is not three finite numbers.
+    """
+    if not isinstance(value, Decision):
+        raise wrong_result("policy", policy, "decide", value, "a Decision", time)
+    if value.site is not None:
+        checked_vector("policy", policy, "decide", value.site, "m as the site", time)
+    return value

@@ -111,7 +111,8 @@ def gathered(
                         band = across * 0.5 * (
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
-                        total += between(shine, row, column) * band
+                        # Of a narrow band rounding may leave less than nothing.
+                        total += between(shine, row, column) * max(band, 0.0)
                         seen, sine = here, top
                     distance = max(distance + 1.0, distance * growth)
             out[i, j] = 2.0 * total / azimuths

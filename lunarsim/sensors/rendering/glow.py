@@ -74,6 +74,7 @@ def glow_map(relief: Heightfield, light: Light) -> GlowMap:
         shine = cosine * light.hemispheric_albedo(cosine)
         slope = np.stack((east, north), axis=-1)
         values[..., 0] = kernels.gathered(z, slope, posting, shine, _AZIMUTHS, _GROWTH)
-        values[..., 1] = ndimage.uniform_filter(shine, 5, mode="nearest")
+        # The filter's running sums leave some -1e-17 behind where nothing shines.
+        values[..., 1] = np.maximum(ndimage.uniform_filter(shine, 5, mode="nearest"), 0.0)
     corner = np.array([relief.grid.x0, relief.grid.y0])
     return GlowMap(corner, posting, values)

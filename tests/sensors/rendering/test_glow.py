@@ -42,7 +42,7 @@ def test_a_plane_sees_nothing_of_itself():
     x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
     z = 0.3 * x - 0.2 * y
     found = kernels.gathered(z, slopes(z, 1.0), 1.0, np.ones(z.shape), 16, 1.2)
-    assert np.all(np.abs(found) < 1e-9)
+    assert np.all((found >= 0.0) & (found < 1e-9))
 
 
 @pytest.mark.parametrize(("elevation", "azimuth"), [(10.0, 90.0), (25.0, 270.0), (20.0, 0.0)])
@@ -89,3 +89,13 @@ def test_hemispherical_albedo_of_lambert_ground_is_its_albedo():
     assert light.diffuse_albedo == pytest.approx(0.3, rel=2e-3)
     # Lunar soil throws a good part of its light back to the Sun: its Bond-like albedo is lower.
     assert 0.02 < Light(photometry="hapke").diffuse_albedo < 0.12
+
+
+@pytest.mark.parametrize("elevation", [0.5, 1.0, 3.0])
+def test_no_light_is_negative_under_a_low_sun(elevation):
+    x, y = np.meshgrid(np.arange(90.0), np.arange(90.0))
+    z = 4.0 * np.sin(0.15 * x) * np.cos(0.11 * y) + np.random.default_rng(1).normal(0, 0.3, x.shape)
+    relief = Heightfield(Grid(0.0, 0.0, 1.0, 90, 90), z.astype(np.float32))
+    values = glow_map(relief, Light(elevation=np.radians(elevation))).values
+    assert np.all(np.isfinite(values)) and values.min() >= 0.0
+    assert np.count_nonzero(values[..., 1] == 0.0) > 50, "some ground about is dark"

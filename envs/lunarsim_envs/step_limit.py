@@ -1,0 +1,40 @@
+"""The limit on the steps of an episode, as Gymnasium's wrapper `TimeLimit` applies it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim_envs.arguments import whole
+
+Mask = NDArray[np.bool_]
+
+
+class StepLimit:
+    """Counts the steps of each lane's episode.
+
+    Parameters
+    ----------
+    max_episode_steps
+        Steps after which an episode is truncated; None or -1: no limit.
+    count
+        Number of lanes n.
+    """
+
+    def __init__(self, max_episode_steps: Any, count: int) -> None:
+        given = None if max_episode_steps == -1 else max_episode_steps
+        self.most = None if given is None else whole("max_episode_steps", given, 1)
+        self._steps = np.zeros(count, np.int64)
+
+    def begin(self, mask: Mask) -> None:
+        """Start counting anew in the lanes of `mask` (n,)."""
+        self._steps[mask] = 0
+
+    def reached(self, moved: Mask) -> Mask:
+        """Count a step of the lanes that moved (n,), and return which are at the limit (n,)."""
+        self._steps[moved] += 1
+        if self.most is None:
+            return np.zeros_like(moved)
+        return moved & (self._steps >= self.most)

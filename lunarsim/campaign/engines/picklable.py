@@ -1,0 +1,66 @@
+"""What can be sent to worker processes, which start with a fresh interpreter."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from multiprocessing.spawn import get_preparation_data
+from pathlib import Path
+from typing import Any
+
+from lunarsim.errors import InputError
+
+
+def check_picklable(field: str, value: object) -> None:
+    """Refuse an object that worker processes cannot load.
+
+    Parameters
+    ----------
+    field
+        What it is called in the message.
+    value
+        Any object.
+
+    Raises
+    ------
+    InputError
+        If it cannot be pickled, or is of a class or function that exists only in this process, as
+        those of a notebook do.
+    """
+    kind = type(value).__qualname__
+    try:
+        sent = pickle.dumps(value)
+        found = _Recorder(io.BytesIO(sent))
+        found.load()
+    except Exception as error:  # objects raise whatever they like
+        said = str(error).split("\n")[0]
+        raise InputError(
+            field, kind, f"must be an object that can be pickled ({said}). Use jobs = 1"
+        ) from None
+    if found.of_main and not _main_can_be_loaded():
+        raise InputError(
+            field, kind,
+            f"{found.of_main[0]} is defined in a notebook or in an interactive session, which "
+            "worker processes cannot import. Move it into a module file, or use jobs = 1",
+        )  # fmt: skip
+
+
+class _Recorder(pickle.Unpickler):
+    """Loads a pickle and notes the names that it takes from the module ``__main__``."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self.of_main: list[str] = []
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Return a class or function by its name."""
+        if module == "__main__":
+            self.of_main.append(name)
+        return super().find_class(module, name)
+
+
+def _main_can_be_loaded() -> bool:
+    """Return whether a spawned process loads the module that this process runs as ``__main__``."""
+    data = get_preparation_data("worker")
+    path = data.get("init_main_from_path")
+    return "init_main_from_name" in data or (path is not None and Path(path).is_file())

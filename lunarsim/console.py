@@ -1,0 +1,52 @@
+"""Rich consoles that print names, paths and messages exactly as they are.
+
+Rich reads square brackets as markup and ``:name:`` as an emoji. Both occur in file names, scenario
+names and messages of errors, and every text of this project is data or plain prose.
+"""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+
+def plain_console(
+    width: int | None = None, *, stderr: bool = False, soft_wrap: bool = False
+) -> Console:
+    """Return a console without markup and emoji codes.
+
+    Parameters
+    ----------
+    width
+        Number of columns; omitted: that of the terminal.
+    stderr
+        Print to standard error instead of standard output.
+    soft_wrap
+        Leave long lines whole.
+    """
+    return Console(width=width, stderr=stderr, soft_wrap=soft_wrap, markup=False, emoji=False)
+
+
+def plain_progress(console: Console, *, transient: bool = False) -> Progress:
+    """Return a progress display whose descriptions are printed without markup.
+
+    Parameters
+    ----------
+    console
+        The console to draw on.
+    transient
+        Remove the display at its end.
+    """
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=console, transient=transient)
