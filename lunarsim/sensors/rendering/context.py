@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from functools import lru_cache, wraps
+from functools import lru_cache, partial, wraps
 from importlib.resources import files
 from typing import ParamSpec, TypeVar
 
@@ -53,8 +53,8 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
         if getattr(_here, "is_render_thread", False):
             return function(*args, **kwargs)
         forks.check()
-        call = copy_context().run, run, numba.get_num_threads()
-        return _render_thread().submit(*call, *args, **kwargs).result()
+        call = partial(run, numba.get_num_threads(), *args, **kwargs)
+        return _render_thread().submit(copy_context().run, call).result()
 
     return submit
 
