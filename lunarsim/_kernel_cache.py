@@ -109,7 +109,7 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        files: Any = self._cache_file  # type: ignore[has-type]
+        files: Any = self._cache_file
         self._cache_file: Any = _Files(
             files._cache_path, self._impl.filename_base, files._source_stamp
         )
