@@ -74,7 +74,8 @@ def test_it_errs_as_it_says_and_comes_down_where_it_believes(scenario):
         steps = np.linalg.norm(np.diff(np.array(local), axis=0), axis=1)
         moved = 800.0 * np.deg2rad(0.1) * np.sqrt(-2.0 * np.log(CHANCE / 6))
         assert steps[1:].max() < 0.1 * 40.0 + moved
-        assert (steps[10:] > 0.1 * 40.0).sum() <= 1
+        # Later it moves when ranges, and when scans, first meet the small terrain.
+        assert (steps[10:] > 0.1 * 40.0).sum() <= 2
     # Two epochs of each of six flights, of which one is independent.
     low, high = ratio_bounds(6 * 9)
     assert low < nees.ratio < high
