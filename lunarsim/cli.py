@@ -214,9 +214,12 @@ def compare(
     given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
     check_request(names, flights, jobs, laws)
-    # If several parts are compared, `--set` applies to the scenario's own.
-    parts = {"policy": names, "guidance": laws}
-    single = {contract: kinds[0] for contract, kinds in parts.items() if len(kinds) == 1}
+    # Keys of a single part apply to it; if several are compared, they apply to the scenario's own.
+    single = {
+        contract: kinds[0]
+        for contract, kinds in {"policy": names, "guidance": laws}.items()
+        if len(kinds) == 1 and any(text.strip().startswith(f"{contract}.") for text in changes)
+    }
     loaded = load_scenario(scenario, changes, parts=single)
     if policies is None and laws:
         names = [loaded.policy.kind]
