@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -217,7 +218,8 @@ def test_a_wrong_folder_of_proj_is_named(tmp_path, variable, command):
 @pytest.mark.parametrize(
     ("value", "dtype"),
     [(-9999.0, "float32"), (-32768, "int16"), (32767, "int16"), (3.4028234663852886e38, "float32"),
-     (-99999.0, "float64"), (1e10, "float32"), (0.0, "float32"), (-999.0, "float32")],
+     (-99999.0, "float64"), (1e10, "float32"), (-(2**31), "int32"), (-1234.5678, "float64"),
+     (0.0, "float32"), (-999.0, "float32")],
 )  # fmt: skip
 def test_undeclared_no_data_is_refused_and_can_be_declared(tmp_path, value, dtype):
     z = 10.0 * HILL + 900.0
@@ -225,10 +227,56 @@ def test_undeclared_no_data_is_refused_and_can_be_declared(tmp_path, value, dtyp
     path = write(tmp_path / "z.tif", z, dtype=dtype)
     with pytest.raises(InputError, match=r"dtm_nodata") as caught:
         load_dtm(path)
-    assert f"{value:.9g}"[:6] in str(caught.value) or value > 1e30
+    declared = re.search(r"terrain\.dtm_nodata = (\S+),", str(caught.value))
+    if declared:  # as it is proposed
+        assert np.isnan(load_dtm(path, nodata=float(declared.group(1))).z).sum() == 4
     assert np.isnan(load_dtm(path, nodata=value).z).sum() == 4
     with pytest.raises(InputError, match="dtm_nodata"):
         read_info(path)
+
+
+@pytest.mark.parametrize("markers", [(-32768, -32767), (-9999, -9998), (32766, 32767)])
+def test_several_undeclared_no_data_values_are_refused_together(tmp_path, markers):
+    z = 10.0 * HILL + 900.0
+    z[10, 20:22] = markers
+    path = write(tmp_path / "z.tif", z, dtype="int16")
+    with pytest.raises(InputError, match=r"2 posts.*dtm_nodata = \[.*,.*\]"):
+        load_dtm(path)
+    assert np.isnan(load_dtm(path, nodata=markers).z).sum() == 2
+
+
+def test_a_margin_of_zeros_is_refused(tmp_path):
+    z = HILL + 300.0
+    z[:4] = 0.0
+    with pytest.raises(InputError, match=r"800 posts of value 0 lie .*dtm_nodata = 0,"):
+        load_dtm(write(tmp_path / "z.tif", z))
+
+
+def test_a_reference_without_a_transform_is_no_frame(tmp_path):
+    """GDAL returns the identity, by which row 0 would be the southern one at steps of 1 m."""
+    path = write(tmp_path / "z.tif", HILL, transform=Affine.identity())
+    with pytest.raises(InputError, match="a coordinate reference, but no transform"):
+        load_dtm(path)
+    assert read_info(path).posting is None
+    loaded = load_dtm(path, posting=2.0)
+    top = loaded.grid.centre_of(*np.unravel_index(loaded.z.argmax(), loaded.z.shape))
+    assert top == pytest.approx([80.0, 80.0], abs=1.01)
+
+
+def test_depths_are_refused(tmp_path):
+    path = write(tmp_path / "z.tif", HILL, crs="EPSG:32633+5715",
+                 transform=Affine(1, 0, 5e5, 0, -1, 5e6))  # fmt: skip
+    with pytest.raises(InputError, match="count downwards"):
+        load_dtm(path)
+
+
+def test_a_raster_of_the_whole_body_is_refused(tmp_path):
+    z = np.add.outer(np.arange(90.0), np.zeros(180))
+    path = write(tmp_path / "z.tif", z, crs=f"+proj=longlat {SPHERE}",
+                 transform=Affine(2, 0, -180, 0, -2, 90))  # fmt: skip
+    with pytest.raises(InputError, match=r"over the edge.*terrain\.dtm_window"):
+        load_dtm(path)
+    assert load_dtm(path, window=(40, 50, 80, 100)).grid.posting > 5e4
 
 
 def test_heights_that_look_like_no_data_can_be_kept(tmp_path):
