@@ -73,3 +73,33 @@ def test_axes_place_the_posts(tmp_path, change):
 def test_other_axes_are_refused(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         load_dtm(write(tmp_path / "z.nc", **change))
+
+
+def test_longitudes_that_start_again_within_the_raster(tmp_path):
+    crs = f"+proj=longlat {SPHERE}"
+    for x in (STEPS * 1e-3 % 360.0, (STEPS * 1e-3 + 360.0) % 360.0 - 180.0):
+        path = write(tmp_path / "z.nc", x, 1e-3 * STEPS[::-1], crs=crs, unit="degrees_east")
+        assert peak(path) == pytest.approx(np.radians([8.5e-3, 6.5e-3]) * RADIUS, abs=20.0)
+
+
+def test_longitudes_that_count_west_are_refused(tmp_path):
+    path = write(tmp_path / "z.nc", 1e-3 * STEPS, 1e-3 * STEPS[::-1], crs="IAU_2015:49901",
+                 unit="degrees")  # fmt: skip
+    with pytest.raises(InputError, match="count west or south"):
+        load_dtm(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "attributes"),
+    [("xy", {}), ("ab", {"axis": "XY"}),
+     ("ab", {"standard_name": ("projection_x_coordinate", "projection_y_coordinate")})],
+)  # fmt: skip
+def test_the_direction_of_an_axis_is_its_name_or_attribute(tmp_path, names, attributes):
+    axes = {
+        name: (name, places, {key: value[number] for key, value in attributes.items()})
+        for number, (name, places) in enumerate(zip(names, (STEPS, STEPS[::-1]), strict=True))
+    }
+    path = tmp_path / "z.nc"
+    xr.Dataset({"z": (tuple(names), PEAK.T)}, coords=axes).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match="rows must be northings"):
+        load_dtm(path, posting=1.0)
