@@ -6,6 +6,7 @@ import http.server
 import shutil
 import threading
 
+import h5py
 import numpy as np
 import pytest
 import rasterio
@@ -161,6 +162,26 @@ def test_no_file_reads_another_folder(tmp_path):
             load_dtm(folder / f"{name}.lbl", posting=1.0)
     with pytest.raises(InputError, match="a VRT refers to other files"):
         load_dtm(folder / "z.vrt")
+
+
+@pytest.mark.parametrize("way", ["external samples", "virtual samples", "link"])
+def test_no_netcdf_file_reads_another_file(tmp_path, way):
+    """HDF5 can lay samples into any file; GDAL does not list it among its parts."""
+    outside, path = tmp_path / "outside", tmp_path / "z.nc"
+    with h5py.File(outside, "w") as file:
+        file["z"] = Z
+    with h5py.File(path, "w") as file:
+        group = file.create_group("deep")
+        if way == "external samples":
+            group.create_dataset("z", Z.shape, "<i2", external=[(str(outside), 0, Z.nbytes)])
+        elif way == "virtual samples":
+            layout = h5py.VirtualLayout(shape=Z.shape, dtype="<i2")
+            layout[:] = h5py.VirtualSource(str(outside), "z", shape=Z.shape)
+            group.create_virtual_dataset("z", layout)
+        else:
+            group["z"] = h5py.ExternalLink(str(outside), "z")
+    with pytest.raises(InputError, match="'deep/z' lies in another file"):
+        load_dtm(path, posting=1.0)
 
 
 def test_links_of_the_user_are_followed(tmp_path):

@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
-from lunarsim.world.terrain.raster_frame import Frame, frame_of
+from lunarsim.world.terrain.raster_frame import Frame, frame_of, is_placed
 from lunarsim.world.terrain.raster_heights import Extremes, Heights, HeightScale, check_count
 from lunarsim.world.terrain.spline import GappySpline
 
@@ -101,7 +101,7 @@ def read_info(
     with open_raster(path) as source:
         part = _window(window, source)
         heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
-        placed = source.crs is not None
+        placed = is_placed(source)
         frame = frame_of(source, part, None if placed else 1.0)
         square, steps = frame.square_posting(), np.hypot(*frame.steps)
         spacing = (float(steps[0]), float(steps[1]))

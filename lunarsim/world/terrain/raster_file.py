@@ -16,6 +16,7 @@ from rasterio.errors import CRSError, NotGeoreferencedWarning, RasterioError
 from rasterio.io import DatasetReader
 
 from lunarsim.errors import InputError
+from lunarsim.world.terrain.netcdf_file import check_axes, check_links
 
 # GDAL's names of the formats that are read. A format that refers to other files (VRT) or to the
 # network is not among them.
@@ -51,9 +52,11 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         _check_proj()
         try:
+            check_links(path)
             with _opened(path) as source:
                 _check_files(path, source)
                 _check_band(path, source)
+                check_axes(source)
                 yield source
         except InputError as error:
             if error.field == "terrain.path":  # the path as it was given

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
+from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 from rasterio.warp import transform as warp
@@ -161,8 +162,7 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
         If the file does not say where its posts lie, and `posting` does not help.
     """
     transform = source.transform @ Affine.translation(window.col_off, window.row_off)
-    plain = source.transform.is_identity
-    if plain and source.crs is None:
+    if source.transform.is_identity:  # GDAL's sign for: none
         _check_no_tie_points(source)
         transform = Affine.scale(1.0, -1.0)
     if not (np.isfinite(transform).all() and abs(transform.determinant) > 0.0):
@@ -170,11 +170,14 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
     cols, rows = int(window.width), int(window.height)
     metres: float | None
     centre = transform @ (0.5 * cols, 0.5 * rows)
-    if source.crs is None:
+    if not is_placed(source):
         if posting is None:
-            what = "no georeference" if plain else "a transform, but no coordinate reference"
+            found = [
+                "a coordinate reference, but no transform" if source.crs else "no georeference",
+                "a transform, but no coordinate reference",
+            ][not source.transform.is_identity]
             raise _refusal(
-                source, f"it has {what}. Set terrain.dtm_posting_m, the distance of its posts"
+                source, f"it has {found}. Set terrain.dtm_posting_m, the distance of its posts"
             )
         across, along = _step_lengths(transform)
         if abs(across - along) > 1e-6 * across:
@@ -193,8 +196,13 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
         raise _refusal(source, f"its coordinate reference {_name(source.crs)!r} is not horizontal")
     across, along = _step_lengths(transform)
     equal = metres is not None and abs(across - along) <= MAX_MISPLACEMENT * across
-    nominal = posting if source.crs is None else (metres * across if metres and equal else None)
+    nominal = posting if not is_placed(source) else (metres * across if metres and equal else None)
     return Frame(name, *mappings, transform, cols, rows, nominal, metres)
+
+
+def is_placed(source: DatasetReader) -> bool:
+    """Whether a file says where its posts lie; GDAL returns the identity for no transform."""
+    return source.crs is not None and not source.transform.is_identity
 
 
 def _refusal(source: DatasetReader, problem: str) -> InputError:
@@ -215,11 +223,6 @@ def _check_axes(source: DatasetReader) -> None:
     if (source.crs.is_geographic and counts_west) or axes != "enu":
         raise _refusal(
             source, "its coordinates count west or south. Resample it: `gdalwarp FILE out.tif`"
-        )
-    tags = {key.partition("#")[2]: value for key, value in source.tags().items() if "#" in key}
-    if source.crs.is_geographic and "projection" in tags.get("standard_name", ""):
-        raise _refusal(
-            source, "GDAL does not know the projection that its grid_mapping names. Give crs_wkt"
         )
 
 
@@ -257,14 +260,23 @@ def _globe(
     (lon,), (lat,) = warp(crs, globe, [cx], [cy])
     if not np.isfinite([lon, lat]).all():
         raise _refusal(source, "its centre lies outside the domain of its projection")
+    edge = _refusal(
+        source, "it reaches over the edge of its projection. Choose a part: terrain.dtm_window"
+    )
     target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | body)
 
+    def warped(start: CRS, end: CRS, x: Array, y: Array) -> tuple[Array, Array]:
+        try:
+            return _warped(start, end, x, y)
+        except CPLE_BaseError:
+            raise edge from None
+
     def to_local(x: Array, y: Array) -> tuple[Array, Array]:
-        return _warped(crs, target, x, y)
+        return warped(crs, target, x, y)
 
     def back(period: float) -> Mapping:
         def to_map(east: Array, north: Array) -> tuple[Array, Array]:
-            x, y = _warped(target, crs, east, north)
+            x, y = warped(target, crs, east, north)
             # Longitudes go on beyond 180 deg, and a cylindrical map with them.
             return (x + period * np.round((cx - x) / period) if period else x), y
 
@@ -279,9 +291,7 @@ def _globe(
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
         if np.all(off[np.isfinite(off)] < _MAX_ROUND_TRIP_POSTS):
             return to_local, to_map
-    raise _refusal(
-        source, "it reaches over the edge of its projection. Choose a part: terrain.dtm_window"
-    )
+    raise edge
 
 
 def _turn(crs: CRS, globe: CRS, lon: float, lat: float) -> float:

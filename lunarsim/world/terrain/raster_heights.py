@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from rasterio.windows import Window
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import bytes_in_words
 from lunarsim.world.terrain.raster_label import (
+    counts_down,
     declared_units,
     has_hexadecimal_no_data,
     special_values,
@@ -53,6 +55,9 @@ _MIN_MARKER_GAP_M = 50.0
 # ... for a number that is not a customary marker (0, for instance), within this distance, m, and
 # within the range of all other heights.
 _MIN_OUTLIER_GAP_M = 500.0
+
+# Undeclared no-data values of one file that are looked for at each end, plus one.
+_MOST_MARKERS = 8
 
 # Posts that are read at once, about 40 MB with their masks.
 _POSTS_PER_BLOCK = 2_000_000
@@ -102,6 +107,11 @@ class HeightScale:
             raise InputError(
                 "terrain.path", source.name, f"its scale {scale:g} or offset {offset:g} is unusable"
             )
+        if counts_down(source):
+            raise InputError(
+                "terrain.path", source.name, "its heights count downwards. Change their sign: "
+                "`gdal_calc.py -A FILE --calc=-A --outfile out.tif`",
+            )  # fmt: skip
         if unit is not None:
             metres = metres_in(unit)
             if metres is None:
@@ -138,7 +148,7 @@ class Extremes:
     posts, known
         Number of posts, and of those with a height.
     lowest, highest
-        The two extreme heights at each end, and how many posts have each; the extreme first.
+        The eight extreme heights at each end, and how many posts have each; the extreme first.
     """
 
     posts: int = 0
@@ -151,9 +161,9 @@ class Extremes:
         heights = z[np.isfinite(z)]
         self.posts += z.size
         self.known += heights.size
-        self.lowest = _two_lowest(heights, self.lowest)
+        self.lowest = _several_lowest(heights, self.lowest)
         negative = [(-value, count) for value, count in self.highest]
-        self.highest = [(-value, count) for value, count in _two_lowest(-heights, negative)]
+        self.highest = [(-value, count) for value, count in _several_lowest(-heights, negative)]
 
     @property
     def z_range(self) -> tuple[float, float]:
@@ -161,18 +171,20 @@ class Extremes:
         return (self.lowest[0][0], self.highest[0][0]) if self.known else (np.nan, np.nan)
 
 
-def _two_lowest(
+def _several_lowest(
     heights: NDArray[np.float64], before: list[tuple[float, int]]
 ) -> list[tuple[float, int]]:
     counts = dict(before)
-    for _ in range(2):
+    if len(before) == _MOST_MARKERS:
+        heights = heights[heights <= before[-1][0]]
+    for _ in range(_MOST_MARKERS):
         if heights.size == 0:
             break
         low = float(heights.min())
         above = heights[heights > low]
         counts[low] = counts.get(low, 0) + heights.size - above.size
         heights = above
-    return sorted(counts.items())[:2]
+    return sorted(counts.items())[:_MOST_MARKERS]
 
 
 @dataclass(frozen=True)
@@ -262,20 +274,30 @@ class Heights:
             )  # fmt: skip
 
     def _check_marker(self, extreme: list[tuple[float, int]], opposite: float, side: str) -> None:
-        """Refuse an extreme value that is far from all others; `opposite` is the other end."""
-        if len(extreme) < 2:
-            return
-        (value, count), (next_value, _) = extreme
-        gap, rest = abs(next_value - value), abs(opposite - next_value)
-        customary = value in self.scale.metres_of(np.array(_CUSTOMARY_MARKERS, dtype=np.float64))
-        if gap > _MIN_MARKER_GAP_M if customary else gap > max(rest, _MIN_OUTLIER_GAP_M):
-            number = (value / self.scale.metres - self.scale.offset) / self.scale.scale
-            shown = f"{number:.9g}"
-            raise InputError(
-                "terrain.path", self.source.name,
-                f"{count} posts of value {shown} lie {gap:.0f} m {side} all others. Set "
-                f"terrain.dtm_nodata = {shown}, or [] if these heights are real",
-            )  # fmt: skip
+        """Refuse extreme values that are far from all others; `opposite` is the other end."""
+        customary = self.scale.metres_of(np.array(_CUSTOMARY_MARKERS, dtype=np.float64))
+        zero = self.scale.metres_of(0.0)
+        for number, ((value, _), (following, _)) in enumerate(pairwise(extreme), start=1):
+            gap, rest = abs(following - value), abs(opposite - following)
+            limit = max(rest, _MIN_OUTLIER_GAP_M)
+            if value in customary:
+                limit = _MIN_MARKER_GAP_M
+            elif value == zero and rest > 0.0:
+                limit = max(rest, _MIN_MARKER_GAP_M)
+            if gap > limit:
+                self._refuse_markers(extreme[:number], gap, side)
+
+    def _refuse_markers(self, found: list[tuple[float, int]], gap: float, side: str) -> None:
+        numbers = [(z / self.scale.metres - self.scale.offset) / self.scale.scale for z, _ in found]
+        if np.dtype(self.source.dtypes[0]).kind in "iu":
+            numbers = [float(round(number)) for number in numbers]
+        shown = ", ".join(repr(float(number)).removesuffix(".0") for number in numbers)
+        declared = f"[{shown}]" if len(numbers) > 1 else shown
+        raise InputError(
+            "terrain.path", self.source.name,
+            f"{sum(count for _, count in found)} posts of value {shown} lie {gap:.0f} m {side} all "
+            f"others. Set terrain.dtm_nodata = {declared}, or [] if these heights are real",
+        )  # fmt: skip
 
 
 def _equal(numbers: NDArray[np.generic], value: float) -> NDArray[np.bool_]:

@@ -36,9 +36,17 @@ def declared_units(source: DatasetReader) -> list[str]:
     """Return all units of height that a file gives: band, label, vertical reference."""
     found = [source.units[0]] + [unit for _, unit in _label_units(source)]
     if source.crs is not None:
-        vertical = re.search(r'VERTCRS\[.*LENGTHUNIT\["([^"]*)"', wkt2(source.crs))
+        vertical = re.search(r'VERTCRS\[.*?LENGTHUNIT\["([^"]*)"', wkt2(source.crs))
         found.append(vertical.group(1) if vertical else None)
     return [unit.strip() for unit in found if unit and unit.strip()]
+
+
+def counts_down(source: DatasetReader) -> bool:
+    """Whether the heights are depths: vertical reference, or attribute `positive` of netCDF."""
+    if source.driver == "netCDF" and str(source.tags(1).get("positive", "")).lower() == "down":
+        return True
+    crs = source.crs
+    return crs is not None and bool(re.search(r'VERTCRS\[.*?AXIS\["[^"]*",down', wkt2(crs)))
 
 
 def special_values(source: DatasetReader) -> list[float]:

@@ -76,6 +76,7 @@ CASES = {
     "PDS in parsecs": Case("PDS", METRES, dtype="float32", unit="PARSEC", refused="dtm_unit"),
     "ISIS3 in km": Case("ISIS3", METRES, dtype="float32", unit="km", metres=1e3),
     "AAIGrid": Case("AAIGrid", METRES, no_data=-9999.0),
+    "AAIGrid from the centre": Case("AAIGrid", METRES, offset=-1_737_400.0),
     # No-data.
     "no-data": Case(map=METRES, no_data=-9999.0, dtype="float32"),
     "no-data nan": Case(map=METRES, no_data=np.nan, orientation="transposed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -22,8 +23,8 @@ from lunarsim.scenario import Scenario
 from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain.dtm import load_dtm, read_info
-from lunarsim.world.terrain.raster_heights import metres_in
-from tests.world.terrain.rasters import SPHERE, Case, equirectangular
+from lunarsim.world.terrain.raster_heights import Extremes, metres_in
+from tests.world.terrain.rasters import COLS, ROWS, SPHERE, Case, equirectangular
 from tests.worlds import SCENARIOS
 
 pytestmark = [
@@ -112,8 +113,13 @@ def test_an_unknown_unit_is_refused_and_can_be_replaced(tmp_path):
     assert metres_in("US_Survey_Foot") == metres_in("us-ft") != metres_in("ft")
 
 
-def test_the_unit_of_a_vertical_reference_counts(tmp_path):
-    path = write(tmp_path / "z.tif", HILL / 0.3048006096, crs="EPSG:32633+6360",
+@pytest.mark.parametrize(
+    "crs",
+    ["EPSG:32633+6360",
+     "+proj=utm +zone=33 +datum=WGS84 +geoidgrids=egm96_15.gtx +vunits=us-ft"],
+)  # fmt: skip
+def test_the_unit_of_a_vertical_reference_counts(tmp_path, crs):
+    path = write(tmp_path / "z.tif", HILL / 0.3048006096, crs=crs,
                  transform=Affine(1, 0, 5e5, 0, -1, 5e6))  # fmt: skip
     assert relief(load_dtm(path)) == pytest.approx(np.ptp(HILL), abs=1e-3)
 
@@ -173,12 +179,18 @@ def test_hexadecimal_no_data_of_a_label(tmp_path):
     assert np.argwhere(~np.isfinite(loaded.z[::-1])).tolist() == [[3, 3]]
 
 
-def test_special_pixels_of_a_cube(tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "dtype", "special"),
+    [("SignedWord", "<i2", [-32768, -32767, -32766, -32765, -32764]),
+     ("UnsignedWord", "<u2", [0, 1, 2, 65534, 65535]), ("UnsignedByte", "u1", [0, 255])],
+)  # fmt: skip
+def test_special_pixels_of_a_cube(tmp_path, kind, dtype, special):
     path = Case("ISIS3", equirectangular(0.0), dtype="int16", scale=0.01).write(tmp_path)
-    raw = bytearray(path.read_bytes())
-    raw[4096 : 4096 + 4] = np.array([-32767, -32764], "<i2").tobytes()
-    path.write_bytes(raw)
-    assert np.isnan(load_dtm(path).z).sum() == 2
+    z = np.full((ROWS, COLS), 100, dtype)
+    z[0, : len(special)] = special
+    label = path.read_bytes()[:4096].replace(b"SignedWord", kind.encode()).ljust(4096, b"\0")
+    path.write_bytes(label[:4096] + z.tobytes())
+    assert np.isnan(load_dtm(path).z).sum() == len(special)
 
 
 def test_heights_from_the_centre_of_the_moon_keep_their_millimetres(tmp_path):
@@ -217,7 +229,8 @@ def test_a_wrong_folder_of_proj_is_named(tmp_path, variable, command):
 @pytest.mark.parametrize(
     ("value", "dtype"),
     [(-9999.0, "float32"), (-32768, "int16"), (32767, "int16"), (3.4028234663852886e38, "float32"),
-     (-99999.0, "float64"), (1e10, "float32"), (0.0, "float32"), (-999.0, "float32")],
+     (-99999.0, "float64"), (1e10, "float32"), (-(2**31), "int32"), (-1234.5678, "float64"),
+     (0.0, "float32"), (-999.0, "float32")],
 )  # fmt: skip
 def test_undeclared_no_data_is_refused_and_can_be_declared(tmp_path, value, dtype):
     z = 10.0 * HILL + 900.0
@@ -225,10 +238,128 @@ def test_undeclared_no_data_is_refused_and_can_be_declared(tmp_path, value, dtyp
     path = write(tmp_path / "z.tif", z, dtype=dtype)
     with pytest.raises(InputError, match=r"dtm_nodata") as caught:
         load_dtm(path)
-    assert f"{value:.9g}"[:6] in str(caught.value) or value > 1e30
+    declared = re.search(r"terrain\.dtm_nodata = (\S+),", str(caught.value))
+    if declared:  # as it is proposed
+        assert np.isnan(load_dtm(path, nodata=float(declared.group(1))).z).sum() == 4
     assert np.isnan(load_dtm(path, nodata=value).z).sum() == 4
     with pytest.raises(InputError, match="dtm_nodata"):
         read_info(path)
+
+
+@pytest.mark.parametrize("markers", [(-32768, -32767), (-9999, -9998), (32766, 32767)])
+def test_several_undeclared_no_data_values_are_refused_together(tmp_path, markers):
+    z = 10.0 * HILL + 900.0
+    z[10, 20:22] = markers
+    path = write(tmp_path / "z.tif", z, dtype="int16")
+    with pytest.raises(InputError, match=r"2 posts.*dtm_nodata = \[.*,.*\]"):
+        load_dtm(path)
+    assert np.isnan(load_dtm(path, nodata=markers).z).sum() == 2
+
+
+def test_a_margin_of_zeros_is_refused(tmp_path):
+    z = HILL + 300.0
+    z[:4] = 0.0
+    with pytest.raises(InputError, match=r"800 posts of value 0 lie .*dtm_nodata = 0,"):
+        load_dtm(write(tmp_path / "z.tif", z))
+
+
+def test_a_reference_without_a_transform_is_no_frame(tmp_path):
+    """GDAL returns the identity, by which row 0 would be the southern one at steps of 1 m."""
+    path = write(tmp_path / "z.tif", HILL, transform=Affine.identity())
+    with pytest.raises(InputError, match="a coordinate reference, but no transform"):
+        load_dtm(path)
+    assert read_info(path).posting is None
+    loaded = load_dtm(path, posting=2.0)
+    top = loaded.grid.centre_of(*np.unravel_index(loaded.z.argmax(), loaded.z.shape))
+    assert top == pytest.approx([80.0, 80.0], abs=1.01)
+
+
+def test_depths_are_refused(tmp_path):
+    path = write(tmp_path / "z.tif", HILL, crs="EPSG:32633+5715",
+                 transform=Affine(1, 0, 5e5, 0, -1, 5e6))  # fmt: skip
+    with pytest.raises(InputError, match="count downwards"):
+        load_dtm(path)
+
+
+def test_a_raster_of_the_whole_body_is_refused(tmp_path):
+    z = np.add.outer(np.arange(90.0), np.zeros(180))
+    path = write(tmp_path / "z.tif", z, crs=f"+proj=longlat {SPHERE}",
+                 transform=Affine(2, 0, -180, 0, -2, 90))  # fmt: skip
+    with pytest.raises(InputError, match=r"over the edge.*terrain\.dtm_window"):
+        load_dtm(path)
+    assert load_dtm(path, window=(40, 50, 80, 100)).grid.posting > 5e4
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_infinite_heights_are_none(tmp_path, value):
+    z = HILL.copy()
+    z[7, 7] = value
+    assert np.isnan(load_dtm(write(tmp_path / "z.tif", z)).z).sum() == 1
+
+
+def test_a_no_data_value_is_rounded_to_the_type_of_the_file(tmp_path):
+    z = HILL.copy()
+    z[7, 7] = -9999.1
+    assert np.isnan(load_dtm(write(tmp_path / "z.tif", z), nodata=-9999.1).z).sum() == 1
+
+
+def test_a_relief_that_no_body_has_is_refused(tmp_path):
+    path = write(tmp_path / "z.tif", 2000.0 * EAST)
+    with pytest.raises(InputError, match=r"reach from -199000 to 199000 m"):
+        load_dtm(path)
+
+
+def test_extremes_are_counted_across_blocks():
+    found = Extremes()
+    found.add(np.arange(20.0))
+    found.add(np.array([7.0, 12.0, np.nan, -1.0]))
+    assert found.lowest == [(-1.0, 1), *((float(v), 1) for v in range(7))]
+    found.add(np.array([6.0, 12.0, 19.0]))
+    assert found.lowest[-1] == (6.0, 2)
+    assert found.highest[:2] == [(19.0, 2), (18.0, 1)]
+    assert (found.posts, found.known) == (27, 26)
+
+
+def test_the_scale_of_a_projection_is_found_to_a_tenth_of_a_percent(tmp_path):
+    crs = f"+proj=tmerc +lon_0=0 +k=0.998 +units=m {SPHERE}"
+    path = write(tmp_path / "z.tif", HILL, crs=crs)
+    assert load_dtm(path).grid.posting == pytest.approx(1.0 / 0.998, rel=1e-5)
+    with pytest.raises(InputError, match="left out"):
+        load_dtm(write(tmp_path / "z.tif", HILL), posting=1.005)
+
+
+def test_unequal_steps_need_a_reference(tmp_path):
+    path = write(tmp_path / "z.tif", HILL, crs=None, transform=Affine(1, 0, 5, 0, -1.05, 5))
+    with pytest.raises(InputError, match="unequal steps"):
+        load_dtm(path, posting=1.0)
+
+
+def test_coordinates_that_count_south_are_refused(tmp_path):
+    path = write(tmp_path / "z.tif", HILL, crs="EPSG:2053",
+                 transform=Affine(1, 0, 1e3, 0, -1, 2.9e6))  # fmt: skip
+    with pytest.raises(InputError, match="count west or south"):
+        load_dtm(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["US survey foot", "us-ft", "Foot_US", "US feet", "ftUS", "foot (US survey)"]
+)
+def test_names_of_the_survey_foot(name):
+    assert metres_in(name) == 1200 / 3937
+
+
+@pytest.mark.parametrize("keyword", ["UNIT", "UNITS"])
+def test_keywords_of_the_unit_in_a_label(tmp_path, keyword):
+    case = Case("PDS", equirectangular(0.0), dtype="float32", unit="KILOMETER", metres=1e3)
+    label = case.write(tmp_path).with_suffix(".lbl")
+    label.write_text(label.read_text().replace("  UNIT =", f"  {keyword} ="))
+    assert read_info(label).height_scale.metres == 1e3
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("FEET", 0.3048), ("METERS", 1.0), ("NO", 1.0)])
+def test_the_unit_beside_an_ascii_grid(tmp_path, unit, metres):
+    path = Case("AAIGrid", equirectangular(0.0), unit=unit).write(tmp_path)
+    assert read_info(path).height_scale.metres == metres
 
 
 def test_heights_that_look_like_no_data_can_be_kept(tmp_path):
