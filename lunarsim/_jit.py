@@ -97,25 +97,22 @@ def kernel(
         Spread `numba.prange` loops over threads. Kernels write each output element from one
         iteration alone, so the bits do not depend on the number of threads.
     shared
-        The same for a kernel with one such loop, and four times sooner compiled: its first
-        parameter is a share (first turn, step) of that loop, which callers from Python leave out.
-        It writes into arrays that it is given.
+        The same for a kernel with one such loop, compiled four times faster. Its first parameter is
+        a share (first turn, step) of that loop, which callers omit. It writes into given arrays.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
     finite
-        As `fast`, and promise that no NaN or infinity occurs, which it needs to vectorise a
-        running minimum or maximum.
+        As `fast`, for kernels that meet no NaN or infinity: vectorises running extremes too.
     inline
-        For scalar helpers in the innermost loops, which allocate nothing: compile them into
-        their callers, fuse multiply-adds.
+        For scalar helpers that allocate nothing: compile into callers, fuse multiply-adds.
     exact
         As `inline`, without fusing: the bits are those of the caller with the helper written out.
     inner
-        For kernels that only kernels call: without the wrapper that takes arguments from Python,
-        they are sooner compiled. Left out, those are it whose names begin with an underscore.
+        For kernels that only kernels call: they compile faster without a wrapper for Python.
+        Default: kernels whose names begin with an underscore.
     allocates
-        Without it references to arrays are not counted: each view of a row counts by an atomic
-        operation, for which threads wait on each other. `inline` and `exact` imply it.
+        False omits reference counts of arrays, for which threads wait on each other. `inline` and
+        `exact` imply False.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 

@@ -104,7 +104,7 @@ def test_compare_prints_a_row_a_policy(small, tmp_path):
         ("[lidar]\nrows = 64", ["lidar", "[sensors.NAME]", "flash-lidar"]),
         ("[tasking.camera]\nkind = 'periodic'", ["tasking.camera", "the name of a sensor"]),
         ('[terrain]\nkind = "dtm"\npath = "gone.tif"', ["terrain.path", "gone.tif", "existing"]),
-        ('[terrain]\nkind = "dtm"\npath = "bad.toml"', ["terrain.path", "GDAL"]),
+        ('[terrain]\nkind = "dtm"\npath = "bad.toml"', ["terrain.path", "GTiff"]),
         ("[start]\nposition_m = [0, 0, -10]", ["start.position_m", "above the ground"]),
         ("[target]\nposition_m = [900, 0]", ["target.position_m", "within the map"]),
     ],

@@ -112,16 +112,9 @@ def run(
     InputError
         If the folder is another's; nothing has been written then.
     OSError
-        If the folder cannot be written to; finished flights are kept, without any a new folder is
-        removed.
+        If the folder cannot be written to. Finished flights are kept.
     """
-    remove = None if out.is_dir() and any(out.iterdir()) else remover_of_new(out)
-    try:
-        store = Store.open(out, plan, retry=retry)
-    except OSError:
-        if remove is not None:
-            remove()
-        raise
+    store, remove = _opened(out, plan, retry)
     halt = Halt()
     before = store.count
     try:
@@ -139,18 +132,31 @@ def run(
         state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
-        if remove is not None and not store.count:
+        if not store.count:
             remove()
             raise
-        said = (
-            f"{error.strerror}; what is finished is kept: make room, and the same command goes on"
-        )
+        said = f"{error.strerror}; finished flights are kept: make room and repeat the command"
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
         store.abandon()
         raise
     flights = int(store.manifest["flights"])
     return Ran(state, flown, before, failed, flights, tuple(store.notes))
+
+
+def _keep() -> None:
+    """Remove nothing."""
+
+
+def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
+    """Return the store of a folder, and a function that removes what this run has created."""
+    is_used = out.is_dir() and any(out.iterdir())
+    remove = _keep if is_used else remover_of_new(out)
+    try:
+        return Store.open(out, plan, retry=retry), remove
+    except OSError:
+        remove()
+        raise
 
 
 def _fly(

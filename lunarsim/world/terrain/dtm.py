@@ -165,30 +165,41 @@ def load_dtm(
         `posting` is given, or if the window lies outside.
     """
     with open_raster(Path(path)) as source:
-        part = _window(window, source)
-        if min(part.width, part.height) < 2:
-            shape = (int(part.height), int(part.width))
-            raise InputError("terrain.path", str(path), f"at least 2 x 2 posts, not {shape}")
-        frame = frame_of(source, part, posting)
-        square = frame.square_posting()
-        heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
-        if square is not None and _fits(posting, square):
-            z = frame.orientation().apply(heights.read(part))
-            step = square
-        elif square is not None and square == frame.nominal_posting:
-            raise InputError(
-                "terrain.dtm_posting_m", posting, f"left out: the file says {square:.4g} m"
-            )
-        else:
-            step = posting or frame.mean_posting
-            z = _resampled(frame, heights.read(part), step, posting)
+        z, step = _heights(source, posting, window, unit, nodata)
     rows, cols = z.shape
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
-    if not np.isfinite(z).any():
-        raise InputError("terrain.path", str(path), "no post has an elevation")
     # Heights may be counted from the centre of the body: centred first, rounded then.
     mean = float(np.float32(np.nanmean(z)))
     return Heightfield(grid, (z - mean).astype(np.float32))
+
+
+def _heights(
+    source: DatasetReader,
+    posting: float | None,
+    window: tuple[int, int, int, int] | None,
+    unit: str | None,
+    nodata: float | Sequence[float] | None,
+) -> tuple[NDArray[np.float64], float]:
+    """Return heights on a square grid, row 0 in the south, and its posting, m."""
+    part = _window(window, source)
+    if min(part.width, part.height) < 2:
+        shape = (int(part.height), int(part.width))
+        raise InputError("terrain.path", source.name, f"at least 2 x 2 posts, not {shape}")
+    frame = frame_of(source, part, posting)
+    square = frame.square_posting()
+    heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
+    if square is not None and _fits(posting, square):
+        z, step = frame.orientation().apply(heights.read(part)), square
+    elif square is not None and square == frame.nominal_posting:
+        raise InputError(
+            "terrain.dtm_posting_m", posting, f"left out: the file says {square:.4g} m"
+        )
+    else:
+        step = posting or frame.mean_posting
+        z = _resampled(frame, heights.read(part), step, posting)
+    if not np.isfinite(z).any():
+        raise InputError("terrain.path", source.name, "no post has an elevation")
+    return z, step
 
 
 def _fits(posting: float | None, found: float) -> bool:

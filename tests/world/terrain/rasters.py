@@ -340,7 +340,7 @@ def _netcdf(case, folder):
         if case.unit:
             z.units = case.unit
         if case.no_data is not None:
-            z._FillValue = np.dtype(case.dtype).type(case.no_data)
+            setattr(z, "_FillValue", np.dtype(case.dtype).type(case.no_data))  # noqa: B010
         crs = file.createVariable("crs", "i", ())
         crs.grid_mapping_name = "unknown"
         crs.crs_wkt = rasterio.crs.CRS.from_string(case.map.crs).to_wkt()
