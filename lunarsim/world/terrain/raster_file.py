@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import rasterio
 from affine import TransformNotInvertibleError
 from rasterio._err import CPLE_BaseError
@@ -24,7 +25,7 @@ DRIVERS = ("GTiff", "PDS", "PDS4", "ISIS3", "ENVI", "AAIGrid", "netCDF")
 # What GDAL, PROJ and the reading of their texts raise.
 _ERRORS = (
     RasterioError, CRSError, CPLE_BaseError, TransformNotInvertibleError, OSError,
-    UnicodeError,
+    UnicodeError, np.linalg.LinAlgError,
 )  # fmt: skip
 # Label files that describe a raster of the same name.
 _LABEL_SUFFIXES = (".lbl", ".LBL", ".xml", ".XML")

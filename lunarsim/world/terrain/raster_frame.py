@@ -25,6 +25,8 @@ Mapping = Callable[[Array, Array], tuple[Array, Array]]
 # Posts are re-indexed without interpolation if none is farther from its place in a square,
 # north-up grid than this share of its distance from the centre. Otherwise they are resampled.
 MAX_MISPLACEMENT = 1e-3
+# Half the distance, m, over which the steps of a raster are measured at its centre.
+_DIFFERENCE_M = 1.0
 # Window corners must map to the local frame and back within this many posts.
 _MAX_ROUND_TRIP_POSTS = 0.01
 
@@ -70,10 +72,15 @@ class Frame:
 
     @property
     def steps(self) -> Array:
-        """East and north component (2, 2), m, of a step of one column and of one row."""
-        c, r = 0.5 * self.cols, 0.5 * self.rows
-        east, north = self.local([c - 0.5, c + 0.5, c, c], [r, r, r - 0.5, r + 0.5])
-        return np.array([[np.diff(v[:2])[0], np.diff(v[2:])[0]] for v in (east, north)])
+        """East and north component (2, 2), m, of a step of one column and of one row.
+
+        Found from the local frame to the raster: the other way, PROJ rounds places near a
+        centre on the equator to about 1 mm.
+        """
+        h = _DIFFERENCE_M
+        at = self.pixels(np.array([-h, h, 0.0, 0.0]), np.array([0.0, 0.0, -h, h]))
+        per_metre = [[np.diff(v[:2])[0], np.diff(v[2:])[0]] for v in at]
+        return np.asarray(np.linalg.inv(np.array(per_metre) / (2.0 * h)), dtype=np.float64)
 
     def orientation(self) -> Orientation:
         """Return how rows and columns are exchanged and reversed so that the raster is north-up."""

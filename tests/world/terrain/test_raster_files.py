@@ -24,7 +24,7 @@ from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain.dtm import load_dtm, read_info
 from lunarsim.world.terrain.raster_heights import Extremes, metres_in
-from tests.world.terrain.rasters import COLS, ROWS, SPHERE, Case, equirectangular
+from tests.world.terrain.rasters import COLS, ROWS, SPHERE, Case, degrees, equirectangular
 from tests.worlds import SCENARIOS
 
 pytestmark = [
@@ -328,6 +328,17 @@ def test_the_scale_of_a_projection_is_found_to_a_tenth_of_a_percent(tmp_path):
         load_dtm(write(tmp_path / "z.tif", HILL), posting=1.005)
 
 
+@pytest.mark.parametrize("step", [0.05, 0.25, 1.0, 1000.0])
+def test_steps_are_measured_whatever_their_length(tmp_path, step):
+    """PROJ's azimuthal equidistant projection rounds places near a centre on the equator to 1 mm."""
+    transform = Affine(step, 0, 1e5, 0, -1.2 * step, 1.2 * step * N / 2)
+    crs = f"+proj=tmerc +lon_0=0 +k=0.998 +units=m {SPHERE}"
+    along, across = read_info(write(tmp_path / "z.tif", HILL, crs=crs, transform=transform)).spacing
+    scale = 0.998 * (1.0 + 0.5 * (1e5 + 100 * step) ** 2 / 1_737_400.0**2)
+    assert along == pytest.approx(step / scale, rel=1e-4)
+    assert across == pytest.approx(1.2 * step / scale, rel=1e-4)
+
+
 def test_unequal_steps_need_a_reference(tmp_path):
     path = write(tmp_path / "z.tif", HILL, crs=None, transform=Affine(1, 0, 5, 0, -1.05, 5))
     with pytest.raises(InputError, match="unequal steps"):
@@ -358,7 +369,7 @@ def test_keywords_of_the_unit_in_a_label(tmp_path, keyword):
 
 @pytest.mark.parametrize(("unit", "metres"), [("FEET", 0.3048), ("METERS", 1.0), ("NO", 1.0)])
 def test_the_unit_beside_an_ascii_grid(tmp_path, unit, metres):
-    path = Case("AAIGrid", equirectangular(0.0), unit=unit).write(tmp_path)
+    path = Case("AAIGrid", degrees(10.0, 20.0), unit=unit).write(tmp_path)
     assert read_info(path).height_scale.metres == metres
 
 
