@@ -28,7 +28,7 @@ MAX_MISPLACEMENT = 1e-3
 # Half the distance, m, over which the steps of a raster are measured at its centre.
 _DIFFERENCE_M = 1.0
 # Window corners must map to the local frame and back within this many posts.
-_MAX_ROUND_TRIP_POSTS = 0.01
+_MAX_ROUND_TRIP_POSTS = 0.1
 
 
 @dataclass(frozen=True)

@@ -330,7 +330,7 @@ def test_the_scale_of_a_projection_is_found_to_a_tenth_of_a_percent(tmp_path):
 
 @pytest.mark.parametrize("step", [0.05, 0.25, 1.0, 1000.0])
 def test_steps_are_measured_whatever_their_length(tmp_path, step):
-    """PROJ's azimuthal equidistant projection rounds places near a centre on the equator to 1 mm."""
+    """With a centre on the equator, PROJ rounds azimuthal equidistant places to centimetres."""
     transform = Affine(step, 0, 1e5, 0, -1.2 * step, 1.2 * step * N / 2)
     crs = f"+proj=tmerc +lon_0=0 +k=0.998 +units=m {SPHERE}"
     along, across = read_info(write(tmp_path / "z.tif", HILL, crs=crs, transform=transform)).spacing
