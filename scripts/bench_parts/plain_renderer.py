@@ -9,6 +9,8 @@ from __future__ import annotations
 import moderngl
 import numpy as np
 
+from lunarsim.sensors.rendering.context import gl_context, on_render_thread
+
 _PLACE = """
 uniform mat4 camera;
 uniform mat4 to_map;
@@ -53,14 +55,13 @@ class PlainRenderer:
 
     Parameters
     ----------
-    ctx
-        The context.
     terrain
         Relief and rocks; every rock is drawn as a cube.
     """
 
-    def __init__(self, ctx, terrain):
-        self._ctx = ctx
+    @on_render_thread
+    def __init__(self, terrain):
+        self._ctx = ctx = gl_context()
         g = terrain.relief.grid
         xx, yy = np.meshgrid(g.x, g.y)
         posts = np.stack((xx, yy, terrain.relief.z), -1).astype("f4")
@@ -92,6 +93,7 @@ class PlainRenderer:
         self._grey = ctx.texture((640, 480), 1, dtype="f4")
         self._picture = ctx.framebuffer([self._grey], ctx.depth_texture((640, 480)))
 
+    @on_render_thread
     def render(self, view, sun):
         """Return the picture of a view (480, 640)."""
         a = view.axes.T

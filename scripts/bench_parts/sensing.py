@@ -48,10 +48,11 @@ def render() -> None:
     from lunarsim.frames import sensor_axes
     from lunarsim.models.pinhole import View
     from lunarsim.sensors.rendering import renderer_of
-    from lunarsim.sensors.rendering.context import gl_context
+    from lunarsim.sensors.rendering.context import gl_context, on_render_thread
     from lunarsim.world.light import Light
 
-    print(f"  {gl_context().info['GL_RENDERER']}")
+    device = on_render_thread(lambda: gl_context().info["GL_RENDERER"])
+    print(f"  {device()}")
     light = Light(1.5708, np.radians(20.0))
     took = {}
     for count in (10_000, 50_000):
@@ -65,7 +66,7 @@ def render() -> None:
             view = View(position, axes, 554.3, 554.3, 319.5, 239.5, 640, 480)
             ms = median_ms(lambda r=renderer, v=view: r.render(v, light), 15)
             took[count, altitude] = ms
-            plain = PlainRenderer(gl_context(), terrain)
+            plain = PlainRenderer(terrain)
             peer = median_ms(lambda p=plain, v=view: p.render(v, light.direction), 7)
             truth = median_ms(lambda r=renderer, v=view: r.render(v, light, truth=True), 5)
             rays = view.rays().reshape(-1, 3)
@@ -85,7 +86,7 @@ def render() -> None:
     position = np.array([0.0, 0.0, float(terrain.elevation([0.0, 0.0])) + 100.0])
     view = View(position, sensor_axes([0.0, 0.0, -1.0]), 554.3, 554.3, 319.5, 239.5, 640, 480)
     ours = median_ms(lambda: renderer_of(terrain).render(view, light), 15)
-    plain = PlainRenderer(gl_context(), terrain)
+    plain = PlainRenderer(terrain)
     peer = median_ms(lambda: plain.render(view, light.direction), 9)
     print(
         f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; the plain "

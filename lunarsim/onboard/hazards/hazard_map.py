@@ -101,7 +101,11 @@ class HazardMap:
         for name in ("p_safe", "observed", "elevation", "variance"):
             layer = getattr(self, name)
             if layer is not None and layer.shape != self.grid.shape:
-                raise InputError(f"map.{name}", layer.shape, f"the grid's {self.grid.shape}")
+                raise InputError(
+                    f"map.{name}",
+                    layer.shape,
+                    f"must have the shape of the grid, {self.grid.shape}",
+                )
             if isinstance(layer, np.ma.MaskedArray):
                 raise InputError(f"map.{name}", type(layer), "a plain array")
         for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
