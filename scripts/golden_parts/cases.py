@@ -39,13 +39,20 @@ def _lunarsim(folder: Path, *arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "lunarsim", *arguments], check=True, cwd=folder)
 
 
+def _source() -> Path:
+    """Return the folder of the source that is imported."""
+    import lunarsim
+
+    return Path(lunarsim.__file__).parent.parent
+
+
 def fly(scenario: str, *arguments: str) -> Digests:
     """Fly a shipped scenario with the policy that moves to the safest site."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         policy = () if "--policy" in arguments else ("--policy", "safest")
         _lunarsim(folder, "fly", scenario, *policy, *arguments, "--out", "flight")
-        return digests_of_folder(folder / "flight")
+        return digests_of_folder(folder / "flight", _source())
 
 
 def true_maps(scenario: str) -> Digests:
@@ -53,7 +60,7 @@ def true_maps(scenario: str) -> Digests:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _lunarsim(folder, "terrain", "truth", scenario, "--size", "40", "--out", "truth.nc")
-        return digests_of_folder(folder)
+        return digests_of_folder(folder, _source())
 
 
 def campaign() -> Digests:
@@ -66,7 +73,7 @@ def campaign() -> Digests:
         (folder / "results").mkdir()
         _lunarsim(folder, "campaign", "export", "run", "--out", "results/rows.csv")
         _lunarsim(folder, "campaign", "report", "run", "--out", "results/report.md")
-        return digests_of_folder(folder / "results")
+        return digests_of_folder(folder / "results", _source())
 
 
 def steps(environment: str, count: int, lanes: int = 0) -> Digests:

@@ -32,12 +32,17 @@ def digest(value: Any) -> list[str]:
     return [hashlib.blake2b(data, digest_size=12).hexdigest(), summary]
 
 
-def digests_of_folder(folder: Path) -> dict[str, list[str]]:
-    """Return the digest of each quantity in a folder of results, figures and pages excluded."""
+def digests_of_folder(folder: Path, root: Path = Path("/")) -> dict[str, list[str]]:
+    """Return the digest of each quantity in a folder of results, figures and pages excluded.
+
+    Texts count without the folder `root` of the source, which they name in paths of terrain files.
+    """
     found: dict[str, list[str]] = {}
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         name = str(path.relative_to(folder))
         for quantity, value in _quantities(path):
+            if not isinstance(value, np.ndarray):
+                value = json.loads(json.dumps(value, default=str).replace(f"{root}/", ""))
             found[f"{name}:{quantity}"] = digest(value)
     return found
 
