@@ -32,7 +32,7 @@ def digest(value: Any) -> list[str]:
     return [hashlib.blake2b(data, digest_size=12).hexdigest(), summary]
 
 
-def digests_of_folder(folder: Path, root: Path = Path("/")) -> dict[str, list[str]]:
+def digests_of_folder(folder: Path, root: Path | None = None) -> dict[str, list[str]]:
     """Return the digest of each quantity in a folder of results, figures and pages excluded.
 
     Texts count without the folder `root` of the source, which they name in paths of terrain files.
@@ -41,10 +41,15 @@ def digests_of_folder(folder: Path, root: Path = Path("/")) -> dict[str, list[st
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         name = str(path.relative_to(folder))
         for quantity, value in _quantities(path):
-            if not isinstance(value, np.ndarray):
-                value = json.loads(json.dumps(value, default=str).replace(f"{root}/", ""))
-            found[f"{name}:{quantity}"] = digest(value)
+            found[f"{name}:{quantity}"] = digest(_without(root, value))
     return found
+
+
+def _without(root: Path | None, value: Any) -> Any:
+    """Return a value without the folder `root` in its texts."""
+    if root is None or isinstance(value, np.ndarray):
+        return value
+    return json.loads(json.dumps(value, default=str).replace(f"{root}/", ""))
 
 
 def _quantities(path: Path) -> Iterator[tuple[str, Any]]:
