@@ -109,8 +109,10 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        files = self._cache_file
-        self._cache_file = _Files(files._cache_path, self._impl.filename_base, files._source_stamp)
+        locator = self._impl.locator
+        self._cache_file: Any = _Files(
+            self.cache_path, self._impl.filename_base, locator.get_source_stamp()
+        )
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Save a compiled kernel; a disk that is full must not end a flight."""

@@ -101,7 +101,7 @@ def run(
     plan, engine, out
         What, by whom, and the folder: new, or of the same campaign.
     rule, time_budget
-        When to stop early; wall-clock time after which no flight starts, s (those in the air end).
+        When to stop early; wall-clock time after which no flight starts, s.
     retry
         Whether flights without a verdict are flown again.
     progress, files
@@ -112,16 +112,9 @@ def run(
     InputError
         If the folder is another's; nothing has been written then.
     OSError
-        If the folder cannot be written to; finished flights are kept, without any a new folder is
-        removed.
+        If the folder cannot be written to. It is removed if it is new and no flight is finished.
     """
-    remove = None if out.is_dir() and any(out.iterdir()) else remover_of_new(out)
-    try:
-        store = Store.open(out, plan, retry=retry)
-    except OSError:
-        if remove is not None:
-            remove()
-        raise
+    store, remove = _opened(out, plan, retry)
     halt = Halt()
     before = store.count
     try:
@@ -139,18 +132,27 @@ def run(
         state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
-        if remove is not None and not store.count:
+        if not store.count:
             remove()
             raise
-        said = (
-            f"{error.strerror}; what is finished is kept: make room, and the same command goes on"
-        )
+        said = f"{error.strerror}. Finished flights are kept: free space and repeat the command"
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
         store.abandon()
         raise
     flights = int(store.manifest["flights"])
     return Ran(state, flown, before, failed, flights, tuple(store.notes))
+
+
+def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
+    """Return the store of a folder, and what removes the folder if it is new."""
+    is_new = not out.is_dir() or not any(out.iterdir())
+    remove = remover_of_new(out) if is_new else lambda: None
+    try:
+        return Store.open(out, plan, retry=retry), remove
+    except OSError:
+        remove()
+        raise
 
 
 def _fly(

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from functools import lru_cache, wraps
+from functools import lru_cache, partial, wraps
 from importlib.resources import files
 from typing import ParamSpec, TypeVar
 
@@ -53,21 +53,23 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
         if getattr(_here, "is_render_thread", False):
             return function(*args, **kwargs)
         forks.check()
-        call = copy_context().run, run, numba.get_num_threads()
-        return _render_thread().submit(*call, *args, **kwargs).result()
+        call = partial(run, numba.get_num_threads(), *args, **kwargs)
+        return _render_thread().submit(copy_context().run, call).result()
 
     return submit
 
 
 @lru_cache(maxsize=1)
 def gl_context() -> moderngl.Context:
-    """Return the context of this process; only the render thread may use it.
+    """Return the context of this process, on the render thread only.
 
     Raises
     ------
     RenderingError
         Where EGL or OpenGL is missing; it says what to install.
     """
+    if not getattr(_here, "is_render_thread", False):
+        raise RuntimeError("OpenGL runs on one thread only: decorate its caller on_render_thread.")
     try:
         context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds

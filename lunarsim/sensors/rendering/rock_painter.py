@@ -82,7 +82,6 @@ class RockPainter:
         if not np.array_equal(albedo, self._albedo):
             self._albedo = albedo
             self._texels[: len(albedo), 9] = albedo
-            self._texture.release()
             lines = len(self._texels) // _TEXTURE
             self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 

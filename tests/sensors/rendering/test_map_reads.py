@@ -8,7 +8,7 @@ import pytest
 from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.rocks.field import RockField
-from lunarsim.sensors.rendering.context import gl_context
+from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.map_reads import MapReads
 from lunarsim.sensors.rendering.programs import geometry_programs
 from lunarsim.sensors.rendering.renderer import Renderer
@@ -91,6 +91,7 @@ def test_nothing_is_known_of_a_view_from_below_what_it_shows():
     assert MapReads.of(view, frame, 0.0, view.position[2] + 1.0).normal.size == 0
 
 
+@on_render_thread
 def test_elevations_of_what_is_seen_of_rocks():
     rng = np.random.default_rng(2)
     base = random_terrain(rng, rocks=40)
