@@ -107,7 +107,7 @@ def test_a_disk_that_takes_no_more_ends_the_run_and_the_next_goes_on(tmp_path, w
     driver = start(folder, most_bytes=6000, folder=str(tmp_path), jobs=0)
     _, said = driver.communicate(timeout=60)
     assert driver.returncode == 1
-    assert "journal.jsonl" in said and "the same command goes on" in said
+    assert "journal.jsonl" in said and "repeat the command" in said
     before = journalled(folder)
     assert 0 < before < 20
     assert len((tmp_path / "flown.txt").read_text().split()) - before <= 2
