@@ -97,22 +97,22 @@ def kernel(
         Spread `numba.prange` loops over threads. Kernels write each output element from one
         iteration alone, so the bits do not depend on the number of threads.
     shared
-        The same for a kernel with one such loop, compiled four times faster. Its first parameter is
-        a share (first turn, step) of that loop, which callers omit. It writes into given arrays.
+        The same for a kernel with one such loop, compiled four times faster: its first parameter is
+        a share (first turn, step) of that loop, which callers from Python omit. It returns nothing.
     fast
         Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
     finite
-        As `fast`, for kernels that meet no NaN or infinity: vectorises running extremes too.
+        As `fast`, and promise that no NaN or infinity occurs: vectorises a running minimum.
     inline
         For scalar helpers that allocate nothing: compile into callers, fuse multiply-adds.
     exact
-        As `inline`, without fusing: the bits are those of the caller with the helper written out.
+        As `inline`, without fusing: the bits are those of the helper's code in the caller.
     inner
-        For kernels that only kernels call: they compile faster without a wrapper for Python.
-        Default: kernels whose names begin with an underscore.
+        For kernels that only kernels call; they compile faster without a wrapper for Python. The
+        default is kernels whose names begin with an underscore.
     allocates
-        False omits reference counts of arrays, for which threads wait on each other. `inline` and
-        `exact` imply False.
+        Without it references to arrays are not counted: each view of a row counts by an atomic
+        operation, for which threads wait on each other. `inline` and `exact` imply it.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 

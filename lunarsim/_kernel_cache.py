@@ -109,9 +109,9 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        files: Any = self._cache_file
+        locator = self._impl.locator
         self._cache_file: Any = _Files(
-            files._cache_path, self._impl.filename_base, files._source_stamp
+            self.cache_path, self._impl.filename_base, locator.get_source_stamp()
         )
 
     def save_overload(self, signature: Any, result: Any) -> None:

@@ -101,7 +101,7 @@ def run(
     plan, engine, out
         What, by whom, and the folder: new, or of the same campaign.
     rule, time_budget
-        When to stop early; wall-clock time after which no flight starts, s (those in the air end).
+        When to stop early; wall-clock time after which no flight starts, s.
     retry
         Whether flights without a verdict are flown again.
     progress, files
@@ -112,7 +112,7 @@ def run(
     InputError
         If the folder is another's; nothing has been written then.
     OSError
-        If the folder cannot be written to. Finished flights are kept.
+        If the folder cannot be written to. It is removed if it is new and no flight is finished.
     """
     store, remove = _opened(out, plan, retry)
     halt = Halt()
@@ -135,7 +135,7 @@ def run(
         if not store.count:
             remove()
             raise
-        said = f"{error.strerror}; finished flights are kept: make room and repeat the command"
+        said = f"{error.strerror}. Finished flights are kept: free space and repeat the command"
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
         store.abandon()
@@ -144,14 +144,10 @@ def run(
     return Ran(state, flown, before, failed, flights, tuple(store.notes))
 
 
-def _keep() -> None:
-    """Remove nothing."""
-
-
 def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
-    """Return the store of a folder, and a function that removes what this run has created."""
-    is_used = out.is_dir() and any(out.iterdir())
-    remove = _keep if is_used else remover_of_new(out)
+    """Return the store of a folder, and what removes the folder if it is new."""
+    is_new = not out.is_dir() or not any(out.iterdir())
+    remove = remover_of_new(out) if is_new else lambda: None
     try:
         return Store.open(out, plan, retry=retry), remove
     except OSError:

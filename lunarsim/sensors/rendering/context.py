@@ -61,13 +61,15 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 @lru_cache(maxsize=1)
 def gl_context() -> moderngl.Context:
-    """Return the context of this process; only the render thread may use it.
+    """Return the context of this process, on the render thread only.
 
     Raises
     ------
     RenderingError
         Where EGL or OpenGL is missing; it says what to install.
     """
+    if not getattr(_here, "is_render_thread", False):
+        raise RuntimeError("OpenGL runs on one thread only: decorate its caller on_render_thread.")
     try:
         context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds

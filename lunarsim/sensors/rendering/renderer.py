@@ -226,7 +226,8 @@ class Renderer:
         lowest = min(self._lowest, self._rocks.lowest)
         frame = ShadowFrame.of(view, sun, choice, self._highest + rock, lowest, rock)
         if self._shadow is None or not self._shadow.suits(frame.size):
-            self._shadow = self._bounds = None  # free it first
+            self._shadow = self._bounds = None
+            self._ctx.gc()  # frees the memory before more is taken
             self._shadow = ShadowMap.of(self._ctx, frame.size)
         return frame
 

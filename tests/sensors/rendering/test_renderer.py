@@ -369,11 +369,11 @@ def test_nothing_is_kept_of_short_lived_threads_that_render():
 
 def test_without_opengl_there_is_one_clear_error():
     code = (
-        "import lunarsim.sensors, lunarsim.sensors.rendering.context as c\n"
+        "from tests.sensors.rendering.test_renderer import flat_terrain, renderer_of\n"
         "import moderngl\n"
         "def none(**kw): raise Exception('libEGL.so not loaded')\n"
         "moderngl.create_context = none\n"
-        "try: c.gl_context()\n"
+        "try: renderer_of(flat_terrain())\n"
         "except Exception as e: print(type(e).__name__, e)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -85,7 +85,6 @@ def test_a_full_disk_leaves_one_line_and_nothing(work):
 compare tiny.toml --policies no-divert --flights 1 --jobs 1 --out left/compared
 campaign report flown --out left/report.html
 campaign export flown --out left/rows.parquet
-campaign export flown --out left/rows.csv
 """
     with _disk(work / "left", "4k"):
         done = _run(work, COMMANDS + more)
