@@ -216,6 +216,9 @@ def _flown(
             sys.stderr.flush()
             leave_at_once(INTERRUPTED)
         sys.exit(INTERRUPTED if ran.state == "interrupted" else 0)
+    if ran.unrecorded:
+        click.echo(f"error: {ran.unrecorded}", err=True)
+        sys.exit(1)
 
 
 @campaign.command()

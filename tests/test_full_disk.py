@@ -91,6 +91,12 @@ campaign export flown --out left/rows.parquet
         left = list((work / "left").iterdir())
     _assert_one_line_each(done, COMMANDS + more, "No space left on device")
     assert left == []
+    with _disk(work / "left", "60k"):
+        done = _run(work, "campaign run spec.toml --out left/campaign --jobs 1")
+        flights = list((work / "left" / "campaign" / "flights" / "all").iterdir())
+    assert done.stdout.startswith('1 ["error: 2 flights have rows but no record: ')
+    assert "No space left on device" in done.stdout
+    assert flights == []
 
 
 @pytest.mark.slow

@@ -38,6 +38,8 @@ class Ran:
         Indices that the campaign has, or was stopped at.
     notes
         What was found wrong in the folder, in words.
+    unrecorded
+        Why flights of this run have no record or figures although they should; empty: all have.
     """
 
     state: str
@@ -46,6 +48,7 @@ class Ran:
     failed: int
     flights: int
     notes: tuple[str, ...] = ()
+    unrecorded: str = ""
 
     @property
     def complete(self) -> bool:
@@ -128,7 +131,7 @@ def run(
             _shown(rule, store, plan)
         if progress is not None and before:
             progress(before)
-        flown, failed, in_time = _fly(plan, engine, store, halt, rule, time_budget, progress)
+        flown, failed, in_time, lost = _fly(plan, engine, store, halt, rule, time_budget, progress)
         state = _closed(store, plan, rule, in_time)
     except OSError as error:
         store.abandon()
@@ -141,7 +144,7 @@ def run(
         store.abandon()
         raise
     flights = int(store.manifest["flights"])
-    return Ran(state, flown, before, failed, flights, tuple(store.notes))
+    return Ran(state, flown, before, failed, flights, tuple(store.notes), lost)
 
 
 def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
@@ -163,8 +166,8 @@ def _fly(
     rule: WidthRule | None,
     time_budget: float | None,
     progress: Callable[[int], None] | None,
-) -> tuple[int, int, bool]:
-    """Fly; return rows, rows without a verdict, and whether time sufficed."""
+) -> tuple[int, int, bool, str]:
+    """Fly; return rows, rows without a verdict, whether time sufficed, and why records are lost."""
     flown = failed = 0
     not_kept: list[str] = []
     began = time.monotonic()
@@ -196,9 +199,8 @@ def _fly(
                     progress(1)
                 if rule is not None and rule.stop is not None:
                     break
-    if not_kept:
-        store.notes.append(f"{len(not_kept)} flights have their rows alone: {not_kept[0]}")
-    return flown, failed, in_time
+    lost = f"{len(not_kept)} flights have rows but no record: {not_kept[0]}" if not_kept else ""
+    return flown, failed, in_time, lost
 
 
 def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:

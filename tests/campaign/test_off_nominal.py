@@ -106,7 +106,7 @@ def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, m
     monkeypatch.setattr(Flight, "save", full)
     ran = run(plan_of(whole, tmp_path / "full"), InlineEngine(), tmp_path / "full")
     assert (ran.flown, ran.failed) == (2, 0)
-    assert "No space left on device" in ran.notes[0]
+    assert "No space left on device" in ran.unrecorded
     kept, lost = (load_results(tmp_path / name).table for name in ("kept", "full"))
     told = ["id", "outcome", "safe", "propellant_kg", "divert_m"]
     assert lost.select(told).equals(kept.select(told))
