@@ -15,6 +15,10 @@ from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
+
+from lunarsim._shares import Shared
 
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 # Packages whose versions Numba compares itself, or that a kernel takes no constants from.
@@ -55,13 +59,18 @@ def _module_of(value: Any) -> str:
     """Return the name of the module that defines a function, kernel or class; a module's own."""
     if isinstance(value, ModuleType):
         return value.__name__
-    return str(getattr(_function_of(value) or value, "__module__", ""))
+    value = _function_of(value) or value
+    return str(value.__module__) if isinstance(value, (FunctionType, type)) else ""
 
 
 def _function_of(value: Any) -> Any:
     """Return the Python function of a kernel or an intrinsic, None for anything else."""
-    value = getattr(value, "compiled", value)
-    return getattr(value, "py_func", None) or getattr(value, "_defn", None)
+    # Other objects are not asked for attributes: some import modules or raise errors of their own.
+    if isinstance(value, Shared):
+        value = value.compiled
+    if isinstance(value, Dispatcher):
+        return value.py_func
+    return value._defn if isinstance(value, _Intrinsic) else None
 
 
 @cache
@@ -69,8 +78,8 @@ def _has_kernels(name: str) -> bool:
     """Return whether a module outside Numba itself defines a kernel or an intrinsic."""
     if name.partition(".")[0] in _FOREIGN:
         return False
-    functions = map(_function_of, vars(sys.modules[name]).values())
-    return any(isinstance(f, FunctionType) and f.__module__ == name for f in functions)
+    functions = filter(None, map(_function_of, vars(sys.modules[name]).values()))
+    return any(function.__module__ == name for function in functions)
 
 
 def _contents(name: str) -> bytes:
