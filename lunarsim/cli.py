@@ -18,6 +18,7 @@ from lunarsim.cli_common import (
     FloatRange,
     Group,
     IntRange,
+    allow_typed,
     cache_options,
     kept_if_interrupted,
     load_scenario,
@@ -124,6 +125,7 @@ def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
 
     if kind is None or kind == getattr(scenario, contract).kind:
         return scenario
+    allow_typed(kind)
     resolve(contract, kind, f"--{contract}")
     return scenario.changed(**{contract: {"kind": kind}})
 
@@ -219,6 +221,7 @@ def compare(
     loaded = load_scenario(scenario, changes)
     given = policies if policies is not None else loaded.policy.kind if laws else _POLICIES
     names = [name.strip() for name in given.split(",") if name.strip()]
+    allow_typed(*names, *laws)
     check_request(names, flights, jobs, laws)
     kept, console = opened_cache(cache, cache_size), wide_console(195 if laws else 170)
     with progress_bar(loaded.name, flights * len(names) * max(len(laws), 1)) as advance:

@@ -9,10 +9,12 @@ from typing import Any
 import click
 
 from lunarsim.cli_common import (
+    ALLOW_MODULE,
     PATH,
     SEED,
     FloatRange,
     IntRange,
+    allow_typed,
     kept_if_interrupted,
     progress_bar,
     wide_console,
@@ -34,6 +36,7 @@ from lunarsim.errors import InputError, check_folder
     "--set", "values", multiple=True, metavar="KEY=VALUE",
     help="Another value of a key of the scenario; may be repeated.",
 )  # fmt: skip
+@ALLOW_MODULE
 @click.option(
     "--perception", default=None, metavar="NAME", show_default="the environment's own",
     help="Of Retarget-v0: onboard, truth, surrogate, gaussian-dem, shadows, quadtree or fused.",
@@ -98,6 +101,7 @@ def evaluate(
     given: dict[str, Any] = {} if perception is None else {"perception": perception}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
+    allow_typed(*values)
     asked = study(env, scenario, values, seed, **given)
     check_agents(asked, agents)
     console = wide_console(170)

@@ -24,7 +24,7 @@ width = 0.1
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -47,7 +47,7 @@ from lunarsim.campaign.files import file_digests, module_digest, part_digests
 from lunarsim.campaign.subset_settings import Subset
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
-from lunarsim.parts import quantity, settings_of
+from lunarsim.parts import allowed, quantity, settings_of
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
@@ -155,14 +155,17 @@ class CampaignSpec:
     factors: Mapping[str, list[Any]] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, path: str | Path) -> CampaignSpec:
+    def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> CampaignSpec:
         """Read a TOML file; relative paths in it start from its folder.
+
+        `allow_modules` names the modules that a `kind` in it may name as "module:Class".
 
         Raises
         ------
         InputError
             If the file is missing, is no TOML, or a field is wrong.
         """
+        allowed.allow_modules(*allow_modules)
         path = Path(path)
         data = read_toml(path, "spec")
         return cls.from_dict({"name": path.stem} | data, path.parent.resolve())

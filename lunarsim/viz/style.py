@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.scenario import Scenario
+from lunarsim.scenario.files import parsed_toml
 from lunarsim.simulation.flight import Flight
 from lunarsim.whole_files import write_whole
 
@@ -46,7 +46,7 @@ def save(figure: Figure, path: Path) -> None:
 
 def end_of(flight: Flight) -> str:
     """Return scenario, policy and end of a flight as a title."""
-    name = Scenario.from_toml(flight.scenario).name
+    name = parsed_toml(flight.scenario).get("name", "unnamed")
     end = "landed safe" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
     return f"{name}, {flight.policy}: {end}"
 
