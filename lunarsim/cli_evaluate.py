@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,10 @@ from lunarsim.errors import InputError, check_folder
 @click.option(
     "--agent", "agents", multiple=True, required=True, metavar="NAME|FILE|module:Name",
     help="Who flies; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--trust-pickle", is_flag=True,
+    help="Read agents in .zip files, which can run any code.",
 )  # fmt: skip
 @click.option(
     "--scenario", type=PATH, default=None, show_default="the environment's own",
@@ -66,8 +71,9 @@ from lunarsim.errors import InputError, check_folder
     "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
 )  # fmt: skip
 def evaluate(
-    env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
-    perception: str | None, parts: tuple[str, ...], decided: tuple[str, ...], episodes: int,
+    env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,
+    values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
+    decided: tuple[str, ...], episodes: int,
     seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
@@ -80,10 +86,10 @@ def evaluate(
       apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
       safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
       FILE.npz                            a network, flown by NumPy alone
-      FILE.zip                            of Stable-Baselines3, which must be installed
+      FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    A file of Stable-Baselines3 may run code when it is loaded: give none that you do not trust.
+    A file of Stable-Baselines3 is a pickle: it can run any code when it is read.
     Episode i of every agent has the same world, start and noise. A score is a return less its
     shaping, which tells nothing of how well a flight went. The table gives shares with 95 %
     Wilson intervals, means with bootstrap intervals, and differences on the same episodes, tested
@@ -102,7 +108,7 @@ def evaluate(
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
     allow_typed(*values)
-    asked = study(env, scenario, values, seed, **given)
+    asked = replace(study(env, scenario, values, seed, **given), trust_pickle=trust_pickle)
     check_agents(asked, agents)
     console = wide_console(170)
     with (

@@ -33,14 +33,14 @@ def check_agents(study: Study, agents: Sequence[str]) -> None:
     if not agents:
         raise InputError("--agent", "", "at least one")
     for agent in agents:
-        check(agent)
+        check(agent, trust_pickle=study.trust_pickle)
     names = [label(agent) for agent in agents]
     if len(set(names)) < len(names):
         raise InputError("--agent", ", ".join(names), "each name once")
     env = study.make()
     try:
         for agent in agents:
-            agent_of(agent, env)
+            agent_of(agent, env, trust_pickle=study.trust_pickle)
     finally:
         env.close()
 
