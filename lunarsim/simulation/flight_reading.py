@@ -7,7 +7,6 @@ before anything is made of them, sizes before anything is expanded.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,14 +21,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
+from lunarsim.json_files import read_json
 from lunarsim.scenario.files import parsed_toml
 
 Array = NDArray[np.float64]
 
 # Bytes of a table or a layer when it is expanded. A flight of three hours has a table of 25 MB.
 MAX_EXPANDED_BYTES = 2**28
-# Bytes of flight.json.
-MAX_JSON_BYTES = 2**26
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
 _Whole = Annotated[int, Field(ge=0)]
@@ -144,9 +142,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError("flight", str(folder), "a folder that holds flight.json")
     with reading(file):
-        if file.stat().st_size > MAX_JSON_BYTES:
-            raise ValueError(f"more than {MAX_JSON_BYTES} bytes")
-        tables: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        tables: dict[str, Any] = read_json(file)
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)
     for name, digest in checked.digests.items():

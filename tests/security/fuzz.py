@@ -76,7 +76,7 @@ def damaged_tables(tables: dict[str, Any], rng: np.random.Generator) -> dict[str
                     holder["renamed"] = holder.pop(last)
                 case _:
                     holder[last] = ODD[int(rng.integers(len(ODD)))]
-        except (KeyError, IndexError, TypeError):
+        except (KeyError, IndexError, TypeError, AttributeError):
             continue  # an earlier damage has taken the place away
     return dict(out)
 

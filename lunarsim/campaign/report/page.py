@@ -74,6 +74,8 @@ def write_report(folder: str | Path, out: Path) -> Results:
     found = load_results(folder)
     if not len(found.table):
         raise InputError("folder", str(folder), "a campaign with at least one flight flown")
+    if found.manifest["columns"].get("safe") != "bool":
+        raise InputError("folder", str(folder), "a campaign whose rows tell whether it was safe")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
     # Nothing that a text of a flight says may end the script that it stands in.
     page = template.render(
