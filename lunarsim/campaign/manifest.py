@@ -15,14 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 import lunarsim
 from lunarsim.campaign.files import code_digest, differing, environment
-from lunarsim.campaign.plan import Plan
+from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
 
 FORMAT = 1
-# Flights of an arm. At 0.1 s each, a campaign of this size takes 12 days on one core.
-MAX_FLIGHTS = 10_000_000
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]
 
 

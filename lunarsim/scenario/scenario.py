@@ -20,6 +20,7 @@ from lunarsim.parts import PartSettings, allowed, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error
+from lunarsim.scenario.estimate import check_memory
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.whole_files import write_text_whole
 
@@ -113,6 +114,7 @@ class Scenario:
         allowed.allow_modules(*allow_modules)
         scenario = cls._unchecked(data, folder)
         check(scenario)
+        check_memory(scenario)
         return scenario
 
     @classmethod

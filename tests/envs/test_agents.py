@@ -271,6 +271,7 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
 
     def fly(mine, own):
         model = SimpleNamespace(observation_space=mine[0], action_space=mine[1])
+        _saved(tmp_path / "m.zip", "any")
         algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
         monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
         env = SimpleNamespace(observation_space=own[0], action_space=own[1])

@@ -62,13 +62,15 @@ def _sizes(space: gymnasium.Space[Any]) -> Any:
 
 
 def check_trust(given: str, trust_pickle: bool) -> None:
-    """Refuse a file of Stable-Baselines3 that the user does not trust.
+    """Refuse a file of Stable-Baselines3 that is no archive, or that the user does not trust.
 
     Raises
     ------
     InputError
         Naming ``--agent``.
     """
+    if not zipfile.is_zipfile(given):
+        raise InputError("--agent", given, "a file that Stable-Baselines3 has saved")
     if not trust_pickle:
         raise InputError(
             "--agent", given,
