@@ -27,8 +27,8 @@ FRAME = np.array([-6.0, -7.0, 0.1])
 
 def drawn(seed):
     rng = np.random.default_rng(seed)
-    dry = np.random.default_rng([seed, 1]).uniform(400.0, 2000.0, 3)  # either axis has the lesser
-    wet = dry * np.random.default_rng([seed, 2]).uniform(1.0, 2.0, 3)
+    dry = np.random.default_rng([seed, 1]).uniform(1000.0, 1500.0, 3)  # either axis has the lesser
+    wet = dry * np.random.default_rng([seed, 2]).uniform(1.0, 1.3, 3)
     lander = Lander(
         legs=int(rng.choice([3, 4])), leg_radius=float(rng.uniform(1.0, 3.0)),
         inertia_dry=tuple(dry), inertia_full=tuple(wet),
