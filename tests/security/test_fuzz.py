@@ -17,6 +17,7 @@ from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
+from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world.terrain.dtm import load_dtm, read_info
@@ -140,3 +141,10 @@ def test_some_damages_of_each_kind(place, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_twenty_thousand_damages(place, kind):
     check(kind, place, range(1000, 5000))
+
+
+@pytest.mark.parametrize("kind", [[], {}, None, 1, ["normal"], "x"])
+def test_a_distribution_of_no_kind_is_refused(kind):
+    dispersions = {"sun.elevation_deg": {"kind": kind, "low": 1.0, "high": 2.0}}
+    with pytest.raises(InputError, match=r"dispersions\.sun"):
+        CampaignSpec.from_dict(SPEC | {"dispersions": dispersions})
