@@ -95,14 +95,11 @@ def evaluate(
     Wilson intervals, means with bootstrap intervals, and differences on the same episodes, tested
     and corrected for their number.
     """  # noqa: D301
-    from lunarsim.campaign.plan import MAX_FLIGHTS
     from lunarsim_envs.evaluation.request import study
     from lunarsim_envs.evaluation.results import differences, figures, with_target, write
     from lunarsim_envs.evaluation.running import WorkersDieError, check_agents, fly
     from lunarsim_envs.evaluation.told import agents_table, differences_table
 
-    if episodes > MAX_FLIGHTS:
-        raise InputError("--episodes", episodes, f"at most {MAX_FLIGHTS}")
     if within == float("inf"):
         raise InputError("--within", within, "a finite number of metres")
     if out is not None:

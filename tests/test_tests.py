@@ -50,7 +50,7 @@ def test_no_test_imports_another():
 
 def test_tests_stand_where_their_rooms_do():
     """Every folder of tests is a room of the package, the environments', or says what it is for."""
-    others = {"reference", "outside", "envs", "scenarios", "scripts"}
+    others = {"reference", "outside", "envs", "scenarios", "scripts", "security"}
     rooms = {p.name for p in (ROOT / "lunarsim").iterdir() if p.is_dir()}
     folders = {p.name for p in TESTS.iterdir() if p.is_dir() and p.name != "__pycache__"}
     assert folders <= rooms | others

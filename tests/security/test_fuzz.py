@@ -134,7 +134,7 @@ def check(kind, place, seeds):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_some_damages_of_each_kind(place, kind):
-    check(kind, place, range(60))
+    check(kind, place, range(40))
 
 
 @pytest.mark.slow

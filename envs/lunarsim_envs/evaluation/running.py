@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of, check, label
 from lunarsim_envs.evaluation.episodes import Study, fly_episodes
@@ -68,7 +69,14 @@ def fly(
     -------
     list of dict
         By agent, then episode.
+
+    Raises
+    ------
+    InputError
+        If there are too many episodes.
     """
+    if episodes > MAX_FLIGHTS:
+        raise InputError("--episodes", episodes, f"at most {MAX_FLIGHTS}")
     tell = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))
