@@ -18,6 +18,7 @@ from lunarsim.cli_common import (
     FloatRange,
     Group,
     IntRange,
+    allow_typed,
     cache_options,
     kept_if_interrupted,
     load_scenario,
@@ -213,6 +214,7 @@ def compare(
 
     given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
+    allow_typed(*names, *laws)
     check_request(names, flights, jobs, laws)
     # Keys of a single part apply to it; if several are compared, they apply to the scenario's own.
     single = {

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lunarsim.cli_common import (
+    ALLOW_MODULE,
     PATH,
     FloatRange,
     IntRange,
+    allow_typed,
     cache_options,
     kept_if_interrupted,
     load_scenario,
@@ -60,6 +62,7 @@ def campaign() -> None:
 
 @campaign.command()
 @click.argument("spec", type=PATH)
+@ALLOW_MODULE
 @click.option(
     "--out", type=PATH, default=None, show_default="standard output",
     help="CSV or Parquet file to write.",
@@ -94,6 +97,7 @@ def plan(spec: Path, out: Path | None) -> None:
 
 @campaign.command("run")
 @click.argument("spec", type=PATH)
+@ALLOW_MODULE
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
@@ -144,6 +148,7 @@ def sweep(
     from lunarsim.campaign.factors import parse_over
     from lunarsim.campaign.spec import CampaignSpec
 
+    allow_typed(*over)
     levels = parse_over(over)
     for text in changes:
         if text.partition("=")[0].strip() in levels:
@@ -408,6 +413,7 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 
 @click.command()
 @_FOLDER
+@ALLOW_MODULE
 @click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
 @click.option("--out", type=PATH, default=None, help="New folder for its record and figures.")
 def replay(folder: Path, flight: str, out: Path | None) -> None:

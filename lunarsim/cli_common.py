@@ -92,9 +92,32 @@ FLIGHT = click.option(
 )  # fmt: skip
 
 
+def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> None:
+    """Allow modules as long as the command runs."""
+    from lunarsim.parts.allowed import allowing
+
+    try:
+        ctx.with_resource(allowing(names))
+    except InputError as error:
+        raise InputError("--allow-module", error.value, error.expected) from None
+
+
+ALLOW_MODULE = click.option(
+    "--allow-module", multiple=True, metavar="MODULE", expose_value=False, callback=_allow,
+    help="Run code of this module if a file names it; repeatable.",
+)  # fmt: skip
+
+
+def allow_typed(*texts: str | None) -> None:
+    """Allow the modules that the user named as "module:Class" on the command line."""
+    from lunarsim.parts.allowed import allowing, modules_in
+
+    click.get_current_context().with_resource(allowing(modules_in(texts)))
+
+
 def scenario_options(command: F) -> F:
-    """Give a command the argument SCENARIO and the option ``--set``."""
-    return _FILE(_SET(command))
+    """Give a command the argument SCENARIO, and the options ``--set`` and ``--allow-module``."""
+    return _FILE(_SET(ALLOW_MODULE(command)))
 
 
 _CACHE = click.option(
@@ -154,6 +177,7 @@ def load_scenario(
     from lunarsim.scenario.notes import notes_on
     from lunarsim.scenario.shipped import found
 
+    allow_typed(*changes, *filter(None, (parts or {}).values()))
     loaded = Scenario.load(found(given))
     for contract, kind in (parts or {}).items():
         loaded = _with_part(loaded, contract, kind)

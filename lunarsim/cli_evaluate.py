@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from lunarsim.cli_common import (
+    ALLOW_MODULE,
     PATH,
     SEED,
     FloatRange,
     IntRange,
+    allow_typed,
     kept_if_interrupted,
     progress_bar,
     wide_console,
@@ -27,6 +30,10 @@ from lunarsim.errors import InputError, check_folder
     help="Who flies; may be repeated.",
 )  # fmt: skip
 @click.option(
+    "--trust-pickle", is_flag=True,
+    help="Read agents in .zip files, which can run any code.",
+)  # fmt: skip
+@click.option(
     "--scenario", type=PATH, default=None, show_default="the environment's own",
     help="A TOML file, or a name of `scenario list`.",
 )  # fmt: skip
@@ -34,6 +41,7 @@ from lunarsim.errors import InputError, check_folder
     "--set", "values", multiple=True, metavar="KEY=VALUE",
     help="Another value of a key of the scenario; may be repeated.",
 )  # fmt: skip
+@ALLOW_MODULE
 @click.option(
     "--perception", default=None, metavar="NAME", show_default="the environment's own",
     help="Of Retarget-v0: onboard, truth, surrogate, gaussian-dem, shadows, quadtree or fused.",
@@ -48,7 +56,7 @@ from lunarsim.errors import InputError, check_folder
     "repeated.",
 )  # fmt: skip
 @click.option(
-    "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent."
+    "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent.",
 )  # fmt: skip
 @SEED
 @click.option(
@@ -63,8 +71,9 @@ from lunarsim.errors import InputError, check_folder
     "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
 )  # fmt: skip
 def evaluate(
-    env: str, agents: tuple[str, ...], scenario: Path | None, values: tuple[str, ...],
-    perception: str | None, parts: tuple[str, ...], decided: tuple[str, ...], episodes: int,
+    env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,
+    values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
+    decided: tuple[str, ...], episodes: int,
     seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
@@ -77,10 +86,10 @@ def evaluate(
       apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
       safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
       FILE.npz                            a network, flown by NumPy alone
-      FILE.zip                            of Stable-Baselines3, which must be installed
+      FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    A file of Stable-Baselines3 may run code when it is loaded: give none that you do not trust.
+    A file of Stable-Baselines3 is a pickle: it can run any code when it is read.
     Episode i of every agent has the same world, start and noise. A score is a return less its
     shaping, which tells nothing of how well a flight went. The table gives shares with 95 %
     Wilson intervals, means with bootstrap intervals, and differences on the same episodes, tested
@@ -98,7 +107,8 @@ def evaluate(
     given: dict[str, Any] = {} if perception is None else {"perception": perception}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
-    asked = study(env, scenario, values, seed, **given)
+    allow_typed(*values)
+    asked = replace(study(env, scenario, values, seed, **given), trust_pickle=trust_pickle)
     check_agents(asked, agents)
     console = wide_console(170)
     with (

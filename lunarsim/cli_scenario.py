@@ -39,13 +39,16 @@ def reference(markdown: bool) -> None:
 def check(scenario: Path, changes: tuple[str, ...]) -> None:
     """Check SCENARIO (a file or a name of `scenario list`) and print it whole.
 
-    Defaults are included, and files that it names are read. What is odd, though it can be flown,
-    is told on stderr.
+    Defaults are included, and files that it names are read. Warnings, and the memory and time
+    that a flight takes, go to stderr.
     """
+    from lunarsim.scenario.estimate import estimate
+
     loaded = load_scenario(scenario, changes)
     loaded.check_files()
     # As a flight does before it begins.
     loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
+    click.echo(f"estimate: {estimate(loaded)}", err=True)
     click.echo(loaded.to_toml(), nl=False)
 
 

@@ -37,6 +37,8 @@ def run(command: Callable[[], Any]) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _take)
         sys.unraisablehook = _quiet
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, _take)  # a polite kill is an interrupt, as in a campaign
     # What is registered first is called last: temporary folders are gone by then.
     atexit.register(_leave)
     try:
@@ -65,6 +67,8 @@ def run(command: Callable[[], Any]) -> None:
         if signal.getsignal(signal.SIGINT) is _take:
             # What is left is to leave: another one would make a done command a killed one.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if signal.getsignal(signal.SIGTERM) is _take:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _check_process() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lunarsim.errors import InputError
+from lunarsim.json_files import read_json
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -69,10 +69,10 @@ def read_tagged(path: Path, field: str, tag: str, hint: str = "") -> dict[str, A
     InputError
         If the file is missing, is no JSON, or is another one.
     """
+    if not path.is_file():
+        raise InputError(field, str(path), f"an existing file{hint}")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(field, str(path), f"an existing file ({error.strerror}){hint}") from None
+        data = read_json(path)
     except ValueError as error:
         raise InputError(field, str(path), f"JSON ({error}){hint}") from None
     if not isinstance(data, dict) or data.get("format") != tag:

@@ -93,7 +93,7 @@ episodes in [Minari](https://minari.farama.org)'s format (`pip install "lunarsim
 lunarsim evaluate Guidance-v0 --agent random --agent apollo --agent e-guidance --episodes 100
 lunarsim evaluate Retarget-v0 --scenario hirise --agent no-divert --agent safest --episodes 20
 lunarsim evaluate Retarget-v0 --perception quadtree --agent nearest-safe --episodes 5
-lunarsim evaluate Retarget-v0 --observation candidates --observation site --agent trained.zip
+lunarsim evaluate Retarget-v0 --observation candidates --observation site --agent trained.npz
 lunarsim evaluate Guidance-v0 --agent own_agents:Careful --set start.velocity_sigma_m_s=10
 ```
 

@@ -158,6 +158,15 @@ def test_errors_without_an_interrupt_are_what_they_were():
     assert "ZeroDivisionError" in done.stderr
 
 
+@pytest.mark.parametrize("command", [SWALLOWED, CLEANED, FOLDERS_GO])
+def test_a_polite_kill_is_heard_as_an_interrupt_is(command):
+    """Before a campaign opens its folder, too."""
+    done, seconds = _ended(command.replace("SIGINT", "SIGTERM"))
+    assert (done.returncode, done.stderr) == (130, "interrupted\n") and seconds < 8.0
+    if command is FOLDERS_GO:
+        assert not Path(done.stdout.strip()).exists()
+
+
 def test_temporary_folders_go():
     done, _ = _ended(FOLDERS_GO)
     assert done.returncode == 130

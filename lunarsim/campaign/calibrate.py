@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError
 from lunarsim.evaluation.site_calibration import (
@@ -95,6 +96,8 @@ def calibrate(
             raise InputError(f"--{name}", value, f"at least {least}")
     mapper = gaussian_mapper(scenario, mapper)
     plain = scenario.changed(mappers={mapper: {"calibration_path": None}})
+    if flights > MAX_FLIGHTS:
+        raise InputError("--flights", flights, f"at most {MAX_FLIGHTS}")
     tasks = [_Task(plain, mapper, seed, i, sites) for i in range(flights)]
     found: dict[int, list[Sites]] = {}
     for index, parts in outcomes(_fly, tasks, min(jobs, flights)):

@@ -29,6 +29,7 @@ from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.factors import Arm
 from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
+from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import Ran
 from lunarsim.campaign.spec import CampaignSpec, Head
@@ -105,6 +106,8 @@ def check_request(
             resolve("policy", policy, "--policies")
         elif not (hasattr(policy, "decide") and isinstance(getattr(policy, "name", None), str)):
             raise InputError("policies", policy, "an object with `name` and `decide(observation)`")
+    if flights > MAX_FLIGHTS:
+        raise InputError("--flights", flights, f"at most {MAX_FLIGHTS}")
     if not policies:
         raise InputError("--policies", "", "at least one; `lunarsim parts policy` lists them")
     names = [policy_name(policy) for policy in policies]

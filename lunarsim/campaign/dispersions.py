@@ -183,7 +183,7 @@ def distribution(key: str, table: Any) -> Distribution:
         raise InputError(path, table, "a table with a kind: " + ", ".join(KINDS))
     values = dict(table)
     kind = values.pop("kind", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}.kind", kind, suggestion(str(kind), KINDS))
     for name in _NEEDED[kind]:
         if name not in values:

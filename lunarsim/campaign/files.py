@@ -32,6 +32,11 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     write_text_whole(path, json.dumps(data, indent=1) + "\n")
 
 
+def bytes_digest(data: bytes) -> str:
+    """Return the digest by which a part of the results is recognised."""
+    return hashlib.sha256(data).hexdigest()
+
+
 @cache
 def code_digest() -> str:
     """Return a digest of the package's source files: two that differ may give other results."""

@@ -4,33 +4,93 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
 from lunarsim.campaign.files import code_digest, differing, environment
-from lunarsim.campaign.plan import Plan
-from lunarsim.campaign.rows import KINDS
+from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
+from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
+from lunarsim.json_files import read_json
 
 FORMAT = 1
-# Of a manifest, what readers need.
-_NEEDED = (
-    "format",
-    "name",
-    "seed",
-    "flights",
-    "arms",
-    "columns",
-    "inputs",
-    "state",
-    "rows",
-    "identity",
-)
+_Kind = Literal[*KINDS]  # type: ignore[valid-type]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="allow")
+
+
+class _Arm(_Strict):
+    name: str
+    values: dict[str, Any]
+
+
+class _Environment(_Strict):
+    __pydantic_extra__: dict[str, str] = Field(init=False)
+
+    python: str
+    platform: str
+
+
+class _Importance(_Strict):
+    nominal_share: float = Field(gt=0.0, le=1.0)
+
+
+class _Identity(_Strict):
+    method: str = ""
+    seed: int | None = Field(None, ge=0)
+    flights: int | None = Field(None, ge=1)
+    dispersions: dict[str, Any] = {}
+    importance: _Importance | None = None
+
+    @model_validator(mode="after")
+    def _has_what_its_method_needs(self) -> _Identity:
+        if self.method == "subset" and (self.seed is None or self.flights is None):
+            raise ValueError("seed and flights are missing")
+        if self.method == "importance" and self.importance is None:
+            raise ValueError("importance is missing")
+        return self
+
+
+class _Manifest(_Strict):
+    """What readers need of a manifest, in strict types."""
+
+    format: int
+    name: str
+    seed: int = Field(ge=0)
+    flights: int = Field(ge=0, le=MAX_FLIGHTS)
+    arms: list[_Arm]
+    columns: dict[str, _Kind]
+    inputs: dict[str, _Kind]
+    state: str
+    rows: int = Field(ge=0)
+    version: str
+    code: str
+    environment: _Environment
+    identity: _Identity
+    parts: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> _Manifest:
+        arms = [arm.name for arm in self.arms]
+        columns = schema_of(self.inputs, self.columns).names
+        for what, names in (("arm", arms), ("column", columns)):
+            twice = [name for name, count in Counter(names).items() if count > 1]
+            if twice:
+                raise ValueError(f"{what} {twice[0]!r} is there twice")
+        return self
+
+
+# Besides the identity, what stays the same as long as a campaign flies.
+_FIXED = ("name", "seed", "arms", "columns", "inputs")
 
 
 def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
@@ -61,7 +121,11 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
                 "flights", plan.flights,
                 f"at least {last + 1}, as {folder} has so many already, or a new folder",
             )  # fmt: skip
-    difference = first_difference(manifest["identity"], json.loads(json.dumps(plan.identity)))
+    planned = json.loads(json.dumps(new_manifest(plan)))
+    there, here = ({key: tables[key] for key in _FIXED} for tables in (manifest, planned))
+    difference = first_difference(manifest["identity"], planned["identity"]) or first_difference(
+        there, here
+    )
     if difference is not None:
         key, old, new = difference
         raise InputError(
@@ -111,15 +175,29 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(data, dict) or set(_NEEDED) - set(data):
-            raise ValueError("no campaign's")
-        unknown = {*data["inputs"].values(), *data["columns"].values()} - set(KINDS)
-        if unknown:
-            raise ValueError(f"columns of unknown kinds: {sorted(unknown)}")
+        data: dict[str, Any] = read_json(path)
+        _Manifest.model_validate(data)
+    except ValidationError as error:
+        raise _damaged(folder, _reason(error)) from None
     except ValueError as error:
-        raise InputError("folder", str(folder), f"a manifest.json in order ({error})") from None
+        raise _damaged(folder, str(error)) from None
     return data
+
+
+def _reason(error: ValidationError) -> str:
+    """Return the first fault of a manifest in words."""
+    first = error.errors()[0]
+    field = ".".join(map(str, first["loc"])) or "manifest"
+    if first["type"] == "literal_error":
+        return f"columns of unknown kinds: {field}"
+    return f"no campaign's: {field}: {first['msg']}"
+
+
+def _damaged(folder: Path, reason: str) -> InputError:
+    return InputError(
+        "folder", str(folder),
+        f"a manifest.json in order ({reason[:100]}). Restore it from a copy, or use a new folder",
+    )  # fmt: skip
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
@@ -147,6 +225,7 @@ def new_manifest(plan: Plan) -> dict[str, Any]:
         "inputs": dict(plan.inputs),
         "state": "running",
         "rows": 0,
+        "parts": {},
         "environment": environment(),
         "identity": json.loads(json.dumps(plan.identity)),
     }

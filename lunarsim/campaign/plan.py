@@ -8,6 +8,8 @@ from typing import Any, Protocol
 
 # What a flight counts where draws lean to failure (importance sampling): a column of its own.
 WEIGHT = "weight"
+# Flights of all arms of a campaign. At 0.1 s each, so many take 12 days on one core.
+MAX_FLIGHTS = 10_000_000
 # Kinds of columns that a results table may have.
 KINDS = ("bool", "int", "float", "text")
 

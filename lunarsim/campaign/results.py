@@ -18,6 +18,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
@@ -25,6 +26,10 @@ from lunarsim.campaign.rows import TIMING, schema_of
 from lunarsim.errors import InputError, check_output
 from lunarsim.whole_files import write_whole
 
+# Columns that every row has a value of.
+_ALWAYS = ("id", "flight", "arm")
+# Attempts to read a part that may change meanwhile.
+_TRIES = 3
 # Rows whose times the rate is taken from.
 _RECENT = 200
 
@@ -78,7 +83,7 @@ class Results:
         identity = self.manifest["identity"]
         if identity.get("method") != "saltelli":
             return np.ones(len(self.table), dtype=bool)
-        block = len(identity["dispersions"]) + 3
+        block = len(identity.get("dispersions", {})) + 3
         place = self.table["flight"].to_numpy() % block
         return np.asarray((place == 0) | (place == block - 1))
 
@@ -116,14 +121,17 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     # The journal first: a row that moves on meanwhile is then read twice rather than never.
     journal = _journal(folder)
     wanted = None if columns is None else list(dict.fromkeys(["id", "flight", "arm", *columns]))
-    table = _parts(folder / "results", schema, wanted)
-    timing = _parts(folder / "timing", TIMING, None)
+    table = _parts(folder, "results", schema, wanted)
+    timing = _parts(folder, "timing", TIMING, None)
     if journal:
         # Of a flight that was flown again the journal has the later row.
         table, timing = (_without(one, list(journal)) for one in (table, timing))
-        rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
+        try:
+            rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
+            times = pa.Table.from_pylist([t for _, t in journal.values()], TIMING)
+        except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
+            raise _damaged(folder / "journal.jsonl", error) from None
         table = pa.concat_tables([table, rows.select(table.column_names)])
-        times = pa.Table.from_pylist([t for _, t in journal.values()], TIMING)
         timing = pa.concat_tables([timing, times])
     place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
     unknown = set(table["arm"].unique().to_pylist()) - set(place)
@@ -156,24 +164,46 @@ def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
     return timing.take(places).set_column(0, "id", table["id"])
 
 
-def _parts(folder: Path, schema: pa.Schema, columns: list[str] | None) -> pa.Table:
-    """Return all parts of a dataset."""
+def _parts(folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None) -> pa.Table:
+    """Return all parts of a dataset, each as it was written."""
     tables = []
-    for path in sorted(folder.glob("part-*.parquet")):
+    for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
-            tables.append(pq.read_table(path, columns=columns, schema=schema))
+            data = _whole_bytes(folder, path)
+            table = pq.read_table(pa.BufferReader(data), columns=columns, schema=schema)
+            if any(table[name].null_count for name in _ALWAYS if name in table.column_names):
+                raise ValueError("a row without its place")
+            tables.append(table)
         except FileNotFoundError:
             continue
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise InputError(
-                "folder", str(path),
-                "a part that can be read; `lunarsim campaign run` with the same spec flies its "
-                f"flights again ({str(error).splitlines()[0]})",
-            ) from None  # fmt: skip
+        except (pa.ArrowException, OSError, ValueError, TypeError, KeyError) as error:
+            raise _damaged(path, error) from None
     if tables:
         return pa.concat_tables(tables)
     empty = schema.empty_table()
     return empty if columns is None else empty.select(columns)
+
+
+def _whole_bytes(folder: Path, path: Path) -> bytes:
+    """Return the bytes of a part whose digest is that of the manifest, if it has one.
+
+    Both are read again if they differ, because a campaign that is flying may just change them.
+    """
+    name = str(path.relative_to(folder))
+    for _ in range(_TRIES):
+        data = path.read_bytes()
+        digest = bytes_digest(data)
+        if read_manifest(folder).get("parts", {}).get(name, digest) == digest:
+            return data
+    raise ValueError("its digest differs from the one in manifest.json")
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    return InputError(
+        "folder", str(path),
+        "a part that can be read; `lunarsim campaign run` with the same spec flies its "
+        f"flights again ({(str(error).splitlines() or [type(error).__name__])[0][:100]})",
+    )  # fmt: skip
 
 
 def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
@@ -185,7 +215,7 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
         try:
             row, timing = json.loads(line)
             found[row["id"]] = row, timing
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             continue
     return found
 

@@ -109,7 +109,7 @@ def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) ->
     out = []
     for arm, rows in arm_rows(found).items():
         rng = np.random.default_rng(design_seed(seed))
-        if identity["method"] == "saltelli":
+        if identity.get("method") == "saltelli":
             flights = found.table["flight"].to_numpy()[rows]
             out.append(_sobol(arm, metric, keys, flights, values[rows], resamples, rng))
         else:

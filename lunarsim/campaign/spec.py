@@ -24,7 +24,7 @@ width = 0.1
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -44,10 +44,12 @@ from lunarsim.campaign.dispersions import (
 )
 from lunarsim.campaign.factors import Arm, arms_of, check_plain, flattened, listed, product
 from lunarsim.campaign.files import file_digests, module_digest, part_digests
+from lunarsim.campaign.plan import MAX_FLIGHTS
+from lunarsim.campaign.relative_paths import from_folder
 from lunarsim.campaign.subset_settings import Subset
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
-from lunarsim.parts import quantity, settings_of
+from lunarsim.parts import allowed, quantity, settings_of
 from lunarsim.scenario import Scenario, shipped
 from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.scenario.errors import input_error
@@ -85,7 +87,7 @@ class Head:
     """
 
     name: str = quantity("campaign", help="of the campaign")
-    flights: int = quantity(20, ge=1, help="of each arm")
+    flights: int = quantity(20, ge=1, le=MAX_FLIGHTS, help="of each arm")
     seed: int = quantity(1, ge=0, lt=2**63, help="root seed")
     method: str = quantity("monte-carlo", help="how the dispersions are drawn")
     time_limit: float | None = quantity(None, "s", gt=0, help="a flight that takes longer is ended")
@@ -155,14 +157,17 @@ class CampaignSpec:
     factors: Mapping[str, list[Any]] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, path: str | Path) -> CampaignSpec:
+    def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> CampaignSpec:
         """Read a TOML file; relative paths in it start from its folder.
+
+        `allow_modules` names the modules that a `kind` in it may name as "module:Class".
 
         Raises
         ------
         InputError
             If the file is missing, is no TOML, or a field is wrong.
         """
+        allowed.allow_modules(*allow_modules)
         path = Path(path)
         data = read_toml(path, "spec")
         return cls.from_dict({"name": path.stem} | data, path.parent.resolve())
@@ -179,7 +184,7 @@ class CampaignSpec:
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
         if folder is not None:
-            paths = {name: _from_folder(tables[name], folder) for name in _WITH_PATHS}
+            paths = {name: from_folder(tables[name], folder) for name in _WITH_PATHS}
             tables |= paths
         head = _made("", Head, rest)
         scenario = _scenario(tables["scenario"], folder)
@@ -196,6 +201,11 @@ class CampaignSpec:
                 "one arm with method subset, whose levels are of one arm: a spec for each",
             )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
+        if spec.most_flights * len(arms) > MAX_FLIGHTS:
+            most = (
+                f"at most {MAX_FLIGHTS // len(arms)} flights of {len(arms)} arms, levels included"
+            )
+            raise InputError("flights", head.flights, most)
         spec.check_draws()
         return spec
 
@@ -383,35 +393,6 @@ def _arms(
         return {}, arms_of(scenario, listed(arms), "arms")
     levels = flattened(factors or {}, "factors", list)
     return levels, arms_of(scenario, product(levels), "factors")
-
-
-def _from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
-    """Return tables whose relative paths start from a folder.
-
-    Parameters
-    ----------
-    given
-        A table, a list, or a value.
-    folder
-        Of the spec.
-    named
-        Whether it stands under a key that names a file.
-    """
-    if isinstance(given, Mapping):
-        return {
-            key: _from_folder(
-                value, folder, named=(named and key == "values") or _names_file(str(key))
-            )
-            for key, value in given.items()
-        }
-    if isinstance(given, list):
-        return [_from_folder(value, folder, named=named) for value in given]
-    return str((folder / given).resolve()) if named and isinstance(given, str) else given
-
-
-def _names_file(key: str) -> bool:
-    last = key.rpartition(".")[2]
-    return last == "path" or last.endswith("_path")
 
 
 def _scenario(given: Any, folder: Path | None) -> Scenario:

@@ -29,7 +29,7 @@ from typing import IO, Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lunarsim.campaign.files import write_json
+from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import manifest_of, new_manifest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
@@ -128,6 +128,7 @@ class Store:
             number = int(path.stem.removeprefix("part-"))
             part = self._read_part(path)
         except (pa.ArrowException, OSError, ValueError) as error:
+            self._parts().pop(f"results/{path.name}", None)
             path.replace(path.with_suffix(".broken"))
             said = str(error).split("\n")[0]
             self.notes.append(
@@ -147,11 +148,11 @@ class Store:
 
     def _read_part(self, path: Path) -> dict[tuple[int, int], Row]:
         """Return a part's rows of results and of times by flight and arm."""
-        table = pq.read_table(path, page_checksum_verification=True)
+        table = pq.read_table(self._read("results", path.name), page_checksum_verification=True)
         if table.schema != self._schema:
             raise pa.ArrowInvalid("other columns")
         try:
-            times = pq.read_table(self.folder / "timing" / path.name, schema=TIMING).to_pylist()
+            times = pq.read_table(self._read("timing", path.name), schema=TIMING).to_pylist()
         except (pa.ArrowException, OSError, ValueError):
             times = []
             self.notes.append(f"timing/{path.name} cannot be read: its times are lost")
@@ -170,6 +171,27 @@ class Store:
             raise ValueError("a flight is there twice")
         return part
 
+    def _parts(self) -> dict[str, str]:
+        """Return the digest of every part that is there whole, by its path in the folder."""
+        found: dict[str, str] = self.manifest.setdefault("parts", {})
+        return found
+
+    def _read(self, kind: str, name: str) -> pa.BufferReader:
+        """Return the bytes of a part; refuse others than those that were written."""
+        data = (self.folder / kind / name).read_bytes()
+        if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
+            raise ValueError("its digest differs from the one in manifest.json")
+        return pa.BufferReader(data)
+
+    def _forget_digests(self, part: int) -> None:
+        """Take a part that is about to change out of the manifest."""
+        known = [self._parts().pop(self._name(kind, part), None) for kind in ("results", "timing")]
+        if any(known):
+            self.save_manifest()
+
+    def _name(self, kind: str, part: int) -> str:
+        return str(self._path(kind, part).relative_to(self.folder))
+
     def _reopen(self, part: int) -> None:
         """Take the rows of a full part into memory again."""
         self._full.remove(part)
@@ -186,7 +208,8 @@ class Store:
                 flight, arm = (int(part) for part in row["id"].split("-"))
                 if (row["flight"], row["arm"]) != (flight, self.plan.arms[arm][0]):
                     raise ValueError("no row of this campaign")
-            except (ValueError, KeyError, TypeError, IndexError):
+                _check_types(row, timing, self._schema)
+            except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
                 last = i == len(lines) - 1
                 if not last:
                     self.notes.append(f"line {i + 1} of the journal cannot be read: flown again")
@@ -262,6 +285,7 @@ class Store:
     def _write_part(self, part: int) -> None:
         """Write a part, and take its rows out of the journal if it is full."""
         lines = [self._open[part][key] for key in sorted(self._open[part])]
+        self._forget_digests(part)
         if not lines:
             for kind in ("results", "timing"):
                 self._path(kind, part).unlink(missing_ok=True)
@@ -269,7 +293,10 @@ class Store:
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
             table = _table(lines, column, schema)
             write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
+            data = self._path(kind, part).read_bytes()
+            self._parts()[self._name(kind, part)] = bytes_digest(data)
         if self._is_full(part):
+            self.save_manifest()
             del self._open[part]
             self._full.add(part)
             self._write_journal()
@@ -339,6 +366,12 @@ class Store:
                 self._journal.close()
             self._journal = None
         self._lock.close()
+
+
+def _check_types(row: Any, timing: Any, schema: pa.Schema) -> None:
+    """Raise `ValueError` (of which Arrow's are) for values that their columns cannot hold."""
+    pa.Table.from_pylist([row], schema)
+    pa.Table.from_pylist([timing], TIMING)
 
 
 def _line(row: Row) -> str:

@@ -14,4 +14,4 @@ from lunarsim.world import World
 def world_of(flight: Flight) -> World:
     """Return the true world of a flight."""
     seed = np.random.SeedSequence(flight.seed["entropy"], spawn_key=tuple(flight.seed["spawn_key"]))
-    return build_world(Scenario.from_toml(flight.scenario), Streams(seed))
+    return build_world(Scenario.world_of(flight.scenario), Streams(seed))

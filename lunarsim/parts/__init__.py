@@ -5,11 +5,12 @@ unit, bounds, meaning) is all there is to its table in a scenario file: keys, ch
 are made from it.
 """
 
+from lunarsim.parts.allowed import allow_modules
 from lunarsim.parts.quantity import hidden, quantity
 from lunarsim.parts.registry import CONTRACTS, kinds, loadable, resolve
 from lunarsim.parts.settings import PartSettings, settings_of
 
 __all__ = [
-    "CONTRACTS", "PartSettings", "hidden", "kinds", "loadable", "quantity", "resolve",
-    "settings_of",
+    "CONTRACTS", "PartSettings", "allow_modules", "hidden", "kinds", "loadable", "quantity",
+    "resolve", "settings_of",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
 """One registry for every contract: what parts there are, and where their classes stand.
 
 A new part is its own file and one line here. From outside, an entry point of the group
-``lunarsim.CONTRACT`` adds a name, or a scenario gives ``kind = "module:Class"``.
+``lunarsim.CONTRACT`` adds a name, or a scenario gives ``kind = "module:Class"`` of a module that
+the user allows (`lunarsim.parts.allowed`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.parts.allowed import check_allowed
 
 
 @dataclass(frozen=True)
@@ -207,14 +209,19 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     Raises
     ------
     InputError
-        If there is no such part, or it cannot be imported.
+        If there is no such part, its module is not allowed, or it cannot be imported.
 
     Examples
     --------
     >>> resolve("policy", "safest").__name__
     'Safest'
     """
-    return _resolve(contract, kind, field or f"{contract}.kind")
+    field = field or f"{contract}.kind"
+    module, colon, _ = kind.partition(":")
+    known = kinds(contract)
+    if colon and kind not in known and kind not in known.values():
+        check_allowed(field, kind, module)
+    return _resolve(contract, kind, field)
 
 
 def imported(module: str) -> ModuleType:

@@ -27,13 +27,33 @@ def read_toml(path: Path, name: str) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(name, str(path), "an existing TOML file")
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             name, str(path), f"a TOML file, which is text in UTF-8 ({error})"
         ) from None
-    except (ValueError, RecursionError) as error:  # a number of 5,000 digits is no TOMLDecodeError
-        raise InputError(name, str(path), f"a TOML file ({error})") from None
+    tables = parsed_toml(text, name, str(path))
     if not tables:
         raise InputError(name, str(path), "a file with at least one key: this one holds none")
     return tables
+
+
+def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Parameters
+    ----------
+    text
+        What is parsed.
+    name, shown
+        Field and value of the error.
+
+    Raises
+    ------
+    InputError
+        If it is no TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of 5,000 digits is no TOMLDecodeError
+        raise InputError(name, shown, f"a TOML file ({error})") from None

@@ -74,6 +74,11 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "tasking": ("tasking", {"flash": {"kind": "at-altitudes"}}),
     "mappers": ("mapper", {"dem": {"kind": "gaussian-dem"}}),
 }
+# Keys of the world and of the vehicle in it.
+WORLD = (
+    "name", "description", "gravity_m_s2", "moon", "surroundings", "terrain", "rocks", "sun",
+    "vehicle", "legs", "target",
+)  # fmt: skip
 # Tables of earlier versions, and where their keys are now.
 MOVED: dict[str, str] = {
     "lander": "[vehicle]",

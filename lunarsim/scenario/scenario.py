@@ -6,8 +6,7 @@ wrong types and impossible values are refused with the field, the value and what
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,12 @@ from pydantic import ValidationError
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.messages.briefing import Software
-from lunarsim.parts import PartSettings, resolve, settings_of
+from lunarsim.parts import PartSettings, allowed, resolve, settings_of
 from lunarsim.scenario import layout
 from lunarsim.scenario.checks import check
 from lunarsim.scenario.errors import input_error
-from lunarsim.scenario.files import read_toml
+from lunarsim.scenario.estimate import check_memory
+from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.whole_files import write_text_whole
 
 
@@ -92,10 +92,14 @@ class Scenario:
     descent_reward: Any | None
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> Scenario:
+    def from_dict(
+        cls, data: Mapping[str, Any], folder: Path | None = None, *,
+        allow_modules: Collection[str] = (),
+    ) -> Scenario:  # fmt: skip
         """Build a scenario from plain tables; relative paths start from `folder`.
 
-        Without a folder they start from the working directory.
+        Without a folder they start from the working directory. `allow_modules` names the modules
+        that a `kind` may name as "module:Class", from then on in this process.
 
         Raises
         ------
@@ -107,6 +111,15 @@ class Scenario:
         >>> Scenario.from_dict({"rocks": {"cover": 0.1}}).rocks.cover
         0.1
         """
+        allowed.allow_modules(*allow_modules)
+        scenario = cls._unchecked(data, folder)
+        check(scenario)
+        check_memory(scenario)
+        return scenario
+
+    @classmethod
+    def _unchecked(cls, data: Mapping[str, Any], folder: Path | None) -> Scenario:
+        """Build a scenario whose tables are checked one by one, not against each other."""
         known = [f.name for f in fields(cls)]
         for key, value in data.items():
             if key not in known:
@@ -136,13 +149,13 @@ class Scenario:
                 name: _chosen(f"{key}.{name}", contract, table, None, folder)
                 for name, table in tables.items()
             }
-        scenario = cls(**values)
-        check(scenario)
-        return scenario
+        return cls(**values)
 
     @classmethod
-    def load(cls, path: str | Path) -> Scenario:
+    def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> Scenario:
         """Read a TOML file; relative paths in it start from its folder.
+
+        `allow_modules` has the meaning that it has in `from_dict`.
 
         Raises
         ------
@@ -150,12 +163,36 @@ class Scenario:
             If the file is missing, is no TOML, or a field is wrong.
         """
         path = Path(path)
-        return cls.from_dict(read_toml(path, "scenario"), path.parent.resolve())
+        tables = read_toml(path, "scenario")
+        return cls.from_dict(tables, path.parent.resolve(), allow_modules=allow_modules)
 
     @classmethod
-    def from_toml(cls, text: str) -> Scenario:
-        """Build a scenario from the text of a TOML file whose paths are absolute."""
-        return cls.from_dict(tomllib.loads(text))
+    def from_toml(cls, text: str, *, allow_modules: Collection[str] = ()) -> Scenario:
+        """Build a scenario from the text of a TOML file whose paths are absolute.
+
+        `allow_modules` has the meaning that it has in `from_dict`.
+
+        Raises
+        ------
+        InputError
+            If the text is no TOML, or naming the first field that is wrong.
+        """
+        return cls.from_dict(parsed_toml(text), allow_modules=allow_modules)
+
+    @classmethod
+    def world_of(cls, text: str, folder: Path | None = None) -> Scenario:
+        """Build a scenario that has world and vehicle of a TOML text, and defaults otherwise.
+
+        Records and reports are read with it: they need no other part, least of all one from
+        elsewhere, whose module may not be allowed here.
+
+        Raises
+        ------
+        InputError
+            Naming the first field that is wrong.
+        """
+        data = parsed_toml(text)
+        return cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
 
     def changed(self, /, **tables: Any) -> Scenario:
         """Return the scenario with other values, checked.
@@ -193,7 +230,7 @@ class Scenario:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Travel to another process as plain tables, and be checked there again."""
-        return Scenario.from_dict, (self.to_dict(),)
+        return _from_process, (self.to_dict(), allowed.allowed_modules())
 
     def software(self) -> Software:
         """Return the parts that run on the onboard computer."""
@@ -242,6 +279,11 @@ class Scenario:
     def save(self, path: str | Path) -> None:
         """Write the scenario as TOML, defaults included."""
         write_text_whole(Path(path), self.to_toml())
+
+
+def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
+    """Return the scenario of another process, which allowed these modules."""
+    return Scenario.from_dict(tables, allow_modules=modules)
 
 
 def _dump(value: Any) -> Any:

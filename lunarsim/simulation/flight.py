@@ -3,7 +3,7 @@
 A flight is saved as one folder:
 
 ``flight.json``
-    Scenario, seed, policy, target, verdict, decisions, events.
+    Scenario, seed, policy, target, verdict, decisions, events, digests of the other files.
 ``trajectory.parquet``
     One row a control cycle (pandas, polars, DuckDB).
 ``maps/NAME.nc``
@@ -31,10 +31,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lunarsim.errors import InputError
-from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.simulation.flight_reading import (
+    digest_of,
+    read_columns,
+    read_layers,
+    read_record,
+    read_rows,
+    read_trajectory,
+    reading,
+)
 from lunarsim.vehicle.touchdown import Touchdown, Verdict
 from lunarsim.whole_files import write_text_whole, write_whole
 from lunarsim.whole_netcdf import write_netcdf_whole
@@ -243,7 +250,9 @@ class Flight:
             old.unlink()  # of a flight that was saved here before
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
-        text = json.dumps(self._record(), indent=1)
+        written = sorted(folder.glob("*.parquet")) + sorted((folder / "maps").glob("*"))
+        digests = {str(path.relative_to(folder)): digest_of(path) for path in written}
+        text = json.dumps(self._record() | {"digests": digests}, indent=1)
         write_text_whole(folder / "flight.json", text)
         return folder
 
@@ -275,34 +284,27 @@ class Flight:
         Raises
         ------
         InputError
-            If the folder holds no flight.
+            If the folder holds no flight, or a file in it is damaged.
         """
         folder = Path(folder)
-        file = folder / "flight.json"
-        if not file.is_file():
-            raise InputError("flight", str(folder), "a folder that holds flight.json")
-        try:
-            record = json.loads(file.read_text(encoding="utf-8"))
-            first = record["first_map"]
+        record = read_record(folder)
+        first = record["first_map"]
+        with reading(folder / "flight.json"):
             return cls(
                 scenario=record["scenario"],
                 seed=record["seed"],
                 policy=record["policy"],
                 verdict=_verdict(record["verdict"]),
                 target=np.array(record["target"]),
-                trajectory=_columns(folder / "trajectory.parquet"),
+                trajectory=read_trajectory(folder, list(COLUMNS)),
                 decisions=record["decisions"],
                 events=record["events"],
-                maps={name: _load_map(name, folder / "maps") for name in record["maps"]},
+                maps={name: _load_map(name, folder) for name in record["maps"]},
                 decided_on=record["decided_on"],
                 first_map=None if first is None else _estimate(first),
-                scans=_rows(folder / "scans.parquet", _SCAN_COLUMNS),
-                candidates=_rows(folder / "candidates.parquet", _CANDIDATE_COLUMNS),
+                scans=read_rows(folder, "scans", _SCAN_COLUMNS),
+                candidates=read_rows(folder, "candidates", _CANDIDATE_COLUMNS),
             )
-        except (KeyError, json.JSONDecodeError, pa.ArrowInvalid, FileNotFoundError) as error:
-            raise InputError(
-                "flight", str(folder), f"a whole record of this version ({error!r})"
-            ) from None
 
 
 def _plain(value: Any) -> Any:
@@ -334,16 +336,6 @@ def _estimate(record: dict[str, Any]) -> Estimate:
     return Estimate(
         record["time"], position, velocity, attitude, rate, record["mass"], unknown, lost
     )
-
-
-def _columns(path: Path) -> dict[str, Array]:
-    table = pq.read_table(path)
-    return {name: np.array(table[name].to_numpy()) for name in table.column_names}
-
-
-def _rows(path: Path, columns: tuple[str, ...]) -> NDArray[np.float32]:
-    found = _columns(path)
-    return np.column_stack([found[c] for c in columns]).astype(np.float32)
 
 
 def _save_table(table: pa.Table, path: Path) -> None:
@@ -382,19 +374,11 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
 
 
 def _load_map(name: str, folder: Path) -> MapRecord:
-    import xarray as xr  # noqa: PLC0415  (loads slowly)
-
-    with xr.open_dataset(folder / f"{name}.nc", engine="h5netcdf") as data:
-        layers = {layer: data[layer].to_numpy() for layer in _LAYERS if layer in data}
-        rows, cols = layers["p_safe"].shape
-        a = data.attrs
-        grid = Grid(float(a["x0_m"]), float(a["y0_m"]), float(a["posting_m"]), rows, cols)
-        error = np.array(a["navigation_error_m"], dtype=np.float64)
-    for layer in _TRUE_OR_FALSE:
-        if layer in layers:
-            layers[layer] = layers[layer].astype(np.bool_)
+    path = folder / "maps" / f"{name}.nc"
+    grid, layers, error = read_layers(folder, path, list(_LAYERS), _TRUE_OR_FALSE)
     tables = {
-        path.name.removeprefix(f"{name}.").removesuffix(".parquet"): _columns(path)
-        for path in sorted(folder.glob(f"{name}.*.parquet"))
+        table.name.removeprefix(f"{name}.").removesuffix(".parquet"): read_columns(folder, table)
+        for table in sorted(path.parent.glob(f"{name}.*.parquet"))
     }
-    return MapRecord(HazardMap(grid, **layers), error, tables)
+    with reading(path):
+        return MapRecord(HazardMap(grid, **layers), error, tables)

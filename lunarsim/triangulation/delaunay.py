@@ -16,6 +16,8 @@ from lunarsim.triangulation._flip_kernels import flip_mesh
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
 _BITS = 25
+# Outside of these, steps of the grid of integers are no normal numbers.
+_MIN_EXTENT, _MAX_EXTENT = 1e-290, 1e290
 
 IntArray = NDArray[np.int64]
 
@@ -29,7 +31,12 @@ def _to_integers(xy: ArrayLike) -> IntArray:
     if len(points) == 0:
         return np.zeros((0, 2), np.int64)
     low, high = (np.array([f(column) for column in points.T.copy()]) for f in (np.min, np.max))
-    extent = float((high - low).max())
+    with np.errstate(over="ignore"):
+        extent = float((high - low).max())
+    if extent > 0.0 and not _MIN_EXTENT <= extent <= _MAX_EXTENT:
+        raise ValueError(
+            f"xy extends over {extent:g}: must be 0, or {_MIN_EXTENT:g} to {_MAX_EXTENT:g}"
+        )
     # A power of two keeps coordinates that are already multiples of one exact.
     scale = 2.0 ** (_BITS - 1 - np.frexp(extent)[1]) if extent > 0.0 else 1.0
     return np.asarray(np.rint((points - low) * scale), dtype=np.int64)
@@ -54,7 +61,7 @@ def delaunay(xy: ArrayLike) -> IntArray:
     Raises
     ------
     ValueError
-        If the array is not (n, 2) or holds NaN or infinity.
+        If the array is not (n, 2), holds NaN or infinity, or extends too far or too little.
 
     Examples
     --------

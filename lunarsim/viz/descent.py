@@ -37,7 +37,7 @@ def draw_descent(flight: Flight, path: Path) -> None:
         height_ratios=[0.45, 1.0, 1.0, 1.0, 1.0],
         width_ratios=[1.0, 1.15],
     )
-    lander = Scenario.from_toml(flight.scenario).vehicle.make()
+    lander = Scenario.world_of(flight.scenario).vehicle.make()
     marks = _marks(flight)
     _draw_profile(axes["profile"], flight, marks)
     _draw_events(axes["events"], marks)

@@ -41,7 +41,7 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     """
     touchdown = flight.verdict.touchdown
     assert touchdown is not None
-    lander = Scenario.from_toml(flight.scenario).vehicle.make()
+    lander = Scenario.world_of(flight.scenario).vehicle.make()
     middle = touchdown.position[:2]
     grid = Grid.centred(middle, 2.0 * _REACH * lander.leg_radius, _POSTING)
     ground = world.terrain.raster(grid).astype(np.float64)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.scenario import Scenario
+from lunarsim.scenario.files import parsed_toml
 from lunarsim.simulation.flight import Flight
 from lunarsim.whole_files import write_whole
 
@@ -51,7 +51,7 @@ def literal(text: str) -> str:
 
 def end_of(flight: Flight) -> str:
     """Return scenario, policy and end of a flight as a title."""
-    name = Scenario.from_toml(flight.scenario).name
+    name = parsed_toml(flight.scenario).get("name", "unnamed")
     end = "landed safe" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
     return literal(f"{name}, {flight.policy}: {end}")
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
 
     env = flown.make()
     try:
-        flies, safe = agent_of(agent, env), 0
+        flies, safe = agent_of(agent, env, trust_pickle=flown.trust_pickle), 0
         folder.parent.mkdir(parents=True, exist_ok=True)
         # Minari does not find its own files again by a relative path.
         storage = MinariStorage.new(
@@ -144,9 +145,10 @@ def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
     multiple=True,
     help="Part of what Retarget-v0 decides on, again for more; left out: the site.",
 )
+@click.option("--trust-pickle", is_flag=True, help="Read agents in .zip files; they can run code.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="A new folder.")
 def main(
-    env: str, agent: str, episodes: int, seed: int, scenario: Path | None,
+    env: str, agent: str, trust_pickle: bool, episodes: int, seed: int, scenario: Path | None,
     changes: tuple[str, ...], out: Path, **arguments: Any,
 ) -> None:  # fmt: skip
     """Record EPISODES of ENV, flown by AGENT."""
@@ -155,9 +157,9 @@ def main(
     try:
         if out.exists():
             raise InputError("--out", str(out), "a folder that is not there yet")
-        check(agent)
+        check(agent, trust_pickle=trust_pickle)
         given = {name: value for name, value in arguments.items() if value}
-        flown = study(env, scenario, changes, seed, **given)
+        flown = replace(study(env, scenario, changes, seed, **given), trust_pickle=trust_pickle)
         with filled_whole(out):
             safe = record(flown, agent, episodes, out)
     except InputError as error:

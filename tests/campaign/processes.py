@@ -8,6 +8,10 @@ import sys
 import time
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from lunarsim.campaign.files import bytes_digest
 from lunarsim.campaign.results import load_results
 from lunarsim.errors import InputError
 from tests.conftest import ROOT
@@ -56,3 +60,12 @@ def journalled(folder: Path) -> int:
         return len(load_results(folder, ["outcome"]).table)
     except (InputError, OSError):
         return 0
+
+
+def write_part(path: Path, table: pa.Table) -> None:
+    """Write another table in place of a part, and note its digest in the manifest."""
+    pq.write_table(table, path)
+    manifest = path.parent.parent / "manifest.json"
+    data = json.loads(manifest.read_text())
+    data["parts"][f"{path.parent.name}/{path.name}"] = bytes_digest(path.read_bytes())
+    manifest.write_text(json.dumps(data))

@@ -24,6 +24,7 @@ from lunarsim.campaign.stopping import WidthRule
 from lunarsim.cli import main
 from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.scenario import Scenario
+from tests.campaign.processes import write_part
 from tests.campaign.surrogate import plan
 from tests.worlds import TINY_FLIGHT
 
@@ -90,7 +91,7 @@ def test_a_replay_that_ends_otherwise_says_so(swept, tmp_path):
     table = pq.read_table(path)
     place = table.column_names.index("propellant_kg")
     column = table["propellant_kg"].to_pandas() + 1.0
-    pq.write_table(table.set_column(place, "propellant_kg", [column]), path)
+    write_part(path, table.set_column(place, "propellant_kg", [column]))
     done = run("replay", copy, "--flight", "0-0")
     assert done.exit_code == 1
     assert re.search(r"propellant_kg: recorded [\d.]+, now [\d.]+", done.output)
@@ -111,7 +112,7 @@ def test_the_gate_tells_worse_from_equal(swept, tmp_path):
     lost = table.index[(table["arm"] == "arm 1") & table["safe"].astype(bool)][:15]
     table.loc[lost, "safe"] = False
     schema = pq.read_schema(path)
-    pq.write_table(pq.ParquetFile(path).read().from_pandas(table, schema), path)
+    write_part(path, pq.ParquetFile(path).read().from_pandas(table, schema))
     assert run("campaign", "diff", other, other).exit_code == 0
     gate = run("campaign", "diff", other, worse)
     assert gate.exit_code == 1, gate.output
@@ -204,7 +205,7 @@ def test_texts_of_flights_do_not_become_part_of_the_page(tmp_path, monkeypatch):
     path = tmp_path / "c" / "results" / "part-00000.parquet"
     table = pq.read_table(path).to_pandas()
     table.loc[0, "error"] = "</script><b onclick='x'> *a* | [b](c) sun.elevation_deg <!--<script>"
-    pq.write_table(pq.read_table(path).from_pandas(table, pq.read_schema(path)), path)
+    write_part(path, pq.read_table(path).from_pandas(table, pq.read_schema(path)))
     out = tmp_path / "r.html"
     assert run("campaign", "report", tmp_path / "c", "--out", out).exit_code == 0
     assert "<b onclick" not in out.read_text() and "<!--" not in out.read_text()

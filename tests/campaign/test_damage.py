@@ -12,7 +12,7 @@ from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.results import load_results, status_of
 from lunarsim.campaign.run import run
 from lunarsim.errors import InputError
-from tests.campaign.processes import journalled, parts, start
+from tests.campaign.processes import journalled, parts, start, write_part
 from tests.campaign.surrogate import plan
 
 pytestmark = pytest.mark.usefixtures("short_parts")
@@ -65,7 +65,7 @@ def test_a_part_that_was_edited_by_hand_is_kept_apart(tmp_path, whole, edited):
         rows[3] = rows[2]
     else:
         rows[3] |= {"arm": "arm 7"}
-    pq.write_table(table.from_pylist(rows, table.schema), path)
+    write_part(path, table.from_pylist(rows, table.schema))
     ran = run(plan(), InlineEngine(), folder)
     assert (ran.before, ran.flown) == (60, 20) and "cannot be read" in ran.notes[0]
     assert parts(folder) == whole

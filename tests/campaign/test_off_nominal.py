@@ -132,6 +132,7 @@ def test_no_damage_of_a_cache_entry_is_taken_for_it(tmp_path):
 
 def test_other_code_of_a_part_from_elsewhere_is_another_campaign(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", "off_nominal_policy")
     source = "from lunarsim.parts import resolve\nclass Mine(resolve('policy', 'safest', '')):\n"
     module = tmp_path / "off_nominal_policy.py"
     seen = []

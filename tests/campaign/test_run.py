@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import time
 import tracemalloc
 from dataclasses import replace
 
@@ -123,6 +125,17 @@ def test_a_time_budget_starts_no_flight_later_and_the_next_run_goes_on(tmp_path,
     assert sorted(set(rows)) == list(range(len(rows) // 2))
     assert run(plan(), InlineEngine(), tmp_path / "c").complete
     assert parts(tmp_path / "c") == whole
+
+
+@pytest.mark.parametrize("jump", [-1e9, 1e9])
+def test_a_jump_of_the_clock_does_not_matter_to_a_time_budget(tmp_path, monkeypatch, jump):
+    """As when the clock is set by the network, or by a change of the battery."""
+    wall, calls = time.time, itertools.count()
+    monkeypatch.setattr(time, "time", lambda: wall() + jump * (next(calls) > 3))
+    ran = run(plan(flights=10), InlineEngine(), tmp_path / "c", time_budget=60.0)
+    assert (ran.state, ran.flown) == ("complete", 20) and next(calls) > 10
+    ran = run(plan(sleep=0.02), InlineEngine(), tmp_path / "d", time_budget=0.3)
+    assert ran.state == "out of time" and ran.flown <= 20
 
 
 @pytest.mark.parametrize("engine", [InlineEngine(), LocalEngine(2)], ids=["inline", "local"])

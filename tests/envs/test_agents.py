@@ -271,10 +271,11 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
 
     def fly(mine, own):
         model = SimpleNamespace(observation_space=mine[0], action_space=mine[1])
+        _saved(tmp_path / "m.zip", "any")
         algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
         monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
         env = SimpleNamespace(observation_space=own[0], action_space=own[1])
-        return stored.StoredAgent(env, tmp_path / "m.zip")
+        return stored.StoredAgent(env, tmp_path / "m.zip", trust_pickle=True)
 
     one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
     many = gymnasium.spaces.MultiDiscrete
@@ -313,12 +314,12 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
     ):  # fmt: skip
         _saved(tmp_path / "m.zip", module)
         with pytest.raises(InputError, match=f"{package}, which the extra `rl` installs"):
-            agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW))
+            agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
         assert asked[-1] == package
     _saved(tmp_path / "m.zip", "somebody.else")
     with pytest.raises(InputError, match=r"its policy is of somebody\.else"):
-        agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW))
+        agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
     with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
         file.writestr("data", io.BytesIO(b"[]").getvalue())
     with pytest.raises(InputError, match="Stable-Baselines3 has saved"):
-        registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW))
+        registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)

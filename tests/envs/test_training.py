@@ -101,7 +101,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
     seen, _ = env.reset(seed=1)
     wanted = second.model.predict(seen, deterministic=True)[0]
     for name in ("agent.npz", "checkpoint/model.zip"):
-        agent = agent_of(str(tmp_path / "parts" / name), env)
+        agent = agent_of(str(tmp_path / "parts" / name), env, trust_pickle=True)
         agent.begin(np.random.default_rng(0))
         assert agent.act(seen, {}) == pytest.approx(wanted, abs=1e-5)
 

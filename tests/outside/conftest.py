@@ -28,6 +28,8 @@ def outside(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         patch.setenv("PYTHONPATH", ":".join([str(folder), *filter(None, sys.path)]))
+        modules = (name.removesuffix(".py") for name in examples())
+        patch.setenv("LUNARSIM_ALLOW_MODULES", ",".join(modules))
         yield folder
 
 

@@ -225,7 +225,8 @@ class ArrivalOnly:
         """Return nothing: it is only checked."""
 
 
-def test_parts_of_other_packages_are_checked_by_what_they_say():
+def test_parts_of_other_packages_are_checked_by_what_they_say(monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     kind = f"{__name__}:ArrivalOnly"
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"navigation": {"kind": kind}, "sensors": FIXED})

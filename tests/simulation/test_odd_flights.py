@@ -115,7 +115,8 @@ def test_a_time_under_a_step_of_control_is_refused():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_ridge_in_the_way_is_met(law):
+def test_a_ridge_in_the_way_is_met(law, monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     ground = {"kind": f"{__name__}:Ridge"}
     flight = Simulation(blind(law, terrain=ground), 1, "no-divert").run()
     assert whole(flight)

@@ -131,7 +131,8 @@ class Plain(ApolloLaw):
         return divert_cost(estimate, end, lander, gravity, limits=limits, shape=self.shape)
 
 
-def test_a_law_that_knows_no_times_flies_without_stretches(small_scenario):
+def test_a_law_that_knows_no_times_flies_without_stretches(small_scenario, monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     own = small_scenario.changed(guidance={"kind": f"{__name__}:Plain"})
     flying = deciding(own)
     assert flying.apply(Decision(flying.site + AWAY, "go"))

@@ -194,6 +194,23 @@ def test_a_million_points():
     assert len(edges(triangles) ^ edges(Delaunay(xy).simplices)) < 20
 
 
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+
+
+@pytest.mark.parametrize("extent", [1e-250, 1e-30, 1.0, 1e30, 1e250])
+def test_any_ordinary_extent_is_triangulated(extent):
+    assert len(delaunay(extent * SQUARE)) == 2
+
+
+@pytest.mark.parametrize("xy", [5e-324 * SQUARE, 1e-310 * SQUARE, 1e-300 * SQUARE, 1e305 * SQUARE,
+                                1.7e308 * (2.0 * SQUARE - 1.0)])  # fmt: skip
+def test_an_extent_that_no_integers_can_show_is_refused(xy):
+    with pytest.raises(ValueError, match="extends over"):
+        delaunay(xy)
+    with pytest.raises(ValueError, match="extends over"):
+        delaunay_of_image(xy, (2, 2))
+
+
 def test_bad_input():
     with pytest.raises(ValueError, match="shape"):
         delaunay(np.zeros((3, 3)))

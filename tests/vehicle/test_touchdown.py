@@ -137,11 +137,18 @@ def test_tip_margin_of_a_point_mass_in_closed_form():
     assert margin == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_body_that_turns_more_easily_about_one_axis_tips_as_easily_as_about_that():
+@pytest.mark.parametrize("axes", [(0, 1), (1, 0)])
+def test_a_body_that_turns_more_easily_about_one_axis_tips_as_easily_as_about_that(axes):
     """The energy about an edge, L^2 / 2 (I + m L^2), is greatest with the lesser moment."""
+    standard = Lander()
+    full = (1300.0 - standard.dry_mass) / standard.propellant_mass
+    assert 0.1 < full < 0.9
+    # The lesser moment is 600 kg m^2 at this mass, and neither empty nor full.
+    dry, wet = np.array([500.0, 1900.0]), np.array([500.0 + 100.0 / full, 2300.0])
     lander = Lander(
-        com_height=2.0, inertia_dry=(600.0, 2000.0, 2100.0), inertia_full=(600.0, 2000.0, 2100.0)
-    )
+        com_height=2.0, inertia_dry=(*dry[list(axes)], 2100.0),
+        inertia_full=(*wet[list(axes)], 2400.0),
+    )  # fmt: skip
     arm = lander.leg_radius / np.sqrt(2.0)
     length = np.hypot(arm, 2.0)
     for sideways in (np.array([0.9, 0.0]), np.array([0.0, -0.9])):

@@ -27,7 +27,12 @@ FRAME = np.array([-6.0, -7.0, 0.1])
 
 def drawn(seed):
     rng = np.random.default_rng(seed)
-    lander = Lander(legs=int(rng.choice([3, 4])), leg_radius=float(rng.uniform(1.0, 3.0)))
+    dry = np.random.default_rng([seed, 1]).uniform(1000.0, 1500.0, 3)  # either axis has the lesser
+    wet = dry * np.random.default_rng([seed, 2]).uniform(1.0, 1.3, 3)
+    lander = Lander(
+        legs=int(rng.choice([3, 4])), leg_radius=float(rng.uniform(1.0, 3.0)),
+        inertia_dry=tuple(dry), inertia_full=tuple(wet),
+    )  # fmt: skip
     tilt = np.add.outer(*(np.arange(n) * rng.uniform(-0.02, 0.02) for n in (141, 121)))
     z = (tilt + rng.uniform(0.0, 0.15) * rng.standard_normal((141, 121))).astype(np.float32)
     if seed % 7 == 0:

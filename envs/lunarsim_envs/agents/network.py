@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
 from lunarsim_envs.agents.contract import refuse
@@ -74,8 +74,7 @@ class Network:
             If the file is something else, or its layers do not fit on each other.
         """
         try:
-            with np.load(path, allow_pickle=False) as found:
-                held = {name: found[name] for name in found.files}
+            held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
                 raise ValueError(f"its format is {held['format']}")
             layers = sum(name.startswith("weight_") for name in held)
@@ -86,7 +85,7 @@ class Network:
                 str(held["level"]), tuple(map(str, held["parts"])), float(held["rate"]),
             )  # fmt: skip
             network._check()
-        except (KeyError, ValueError, zipfile.BadZipFile, EOFError, AttributeError) as error:
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
                 "--agent", str(path), f"a network written by `lunarsim_envs` ({error})"
             ) from None

@@ -16,7 +16,7 @@ from lunarsim_envs.agents.own import own_agent
 from lunarsim_envs.agents.policies import PolicyAgent
 from lunarsim_envs.agents.simple import Hover, Random, Zero
 from lunarsim_envs.agents.site_network import SiteNetwork, SiteNetworkAgent, is_site_network
-from lunarsim_envs.agents.stored import StoredAgent
+from lunarsim_envs.agents.stored import StoredAgent, check_trust
 
 BUILT_IN: dict[str, Any] = {
     "zero": Zero, "random": Random, "hover": Hover, "polynomial": Polynomial
@@ -61,8 +61,8 @@ def _is_file(given: str) -> bool:
     return Path(given).suffix in (".npz", ".zip")
 
 
-def check(given: str) -> None:
-    """Refuse what names no agent, as far as that can be told without an environment.
+def check(given: str, *, trust_pickle: bool = False) -> None:
+    """Refuse what names no agent, and an untrusted pickle, before there is an environment.
 
     Raises
     ------
@@ -72,12 +72,14 @@ def check(given: str) -> None:
     if _is_file(given):
         if not Path(given).is_file():
             raise InputError("--agent", given, "an existing file")
+        if Path(given).suffix == ".zip":
+            check_trust(given, trust_pickle)
     elif ":" not in given and given not in known_agents():
         near = suggestion(given, known_agents())
         raise InputError("--agent", given, f"{near} Or a file (.npz, .zip), or module:Name")
 
 
-def agent_of(given: str, env: gymnasium.Env[Any, Any]) -> Agent:
+def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
     """Return the agent that a name, a file or ``module:Name`` stands for.
 
     Parameters
@@ -87,16 +89,20 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any]) -> Agent:
         a callable, see `own.own_agent`.
     env
         That it is to fly.
+    trust_pickle
+        Whether a file of Stable-Baselines3, which can run any code when it is read, is trusted.
 
     Raises
     ------
     InputError
         If there is none, or it cannot fly this environment.
     """
-    check(given)
+    check(given, trust_pickle=trust_pickle)
     if _is_file(given):
         path = Path(given)
-        return _network(env, path, given) if path.suffix == ".npz" else StoredAgent(env, path)
+        if path.suffix == ".npz":
+            return _network(env, path, given)
+        return StoredAgent(env, path, trust_pickle=trust_pickle)
     if ":" in given:
         made: Agent = own_agent(env, given)
         return made

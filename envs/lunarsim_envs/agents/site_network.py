@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
 from lunarsim_envs.agents.contract import check_sites, refuse
@@ -113,15 +113,15 @@ class SiteNetwork:
             If the file is something else, or its layers do not fit.
         """
         try:
-            with np.load(path, allow_pickle=False) as found:
-                if str(found["format"]) != FORMAT:
-                    raise ValueError(f"its format is {found['format']}")
-                made = cls(*(found[name] for name in ("linear", "inner", "bias", "outer")))
+            found = read_arrays(path)
+            if str(found["format"]) != FORMAT:
+                raise ValueError(f"its format is {found['format']}")
+            made = cls(*(found[name] for name in ("linear", "inner", "bias", "outer")))
             k, hidden = len(FEATURES), len(made.bias)
             shapes = made.linear.shape, made.inner.shape, made.outer.shape
             if shapes != ((k,), (hidden, k), (hidden,)) or not np.isfinite(made.flat).all():
                 raise ValueError("layers that do not fit, or are not finite")
-        except (KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
                 "--agent", str(path), f"a network of train_retarget.py ({error})"
             ) from None
@@ -131,9 +131,8 @@ class SiteNetwork:
 def is_site_network(path: Path) -> bool:
     """Tell whether a file says that it is one; what is no file of arrays is none."""
     try:
-        with np.load(path, allow_pickle=False) as found:
-            return "format" in found.files and str(found["format"]) == FORMAT
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError, AttributeError):
+        return str(read_arrays(path).get("format")) == FORMAT
+    except ValueError:
         return False
 
 

@@ -36,7 +36,7 @@ def _algorithm(path: Path) -> Any:
     try:
         with zipfile.ZipFile(path) as file:
             policy = str(json.loads(file.read("data"))["policy_class"]["__module__"])
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError):
+    except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RecursionError):
         raise InputError("--agent", str(path), "a file that Stable-Baselines3 has saved") from None
     for begins, package, name in _ALGORITHMS:
         if policy.startswith(begins):
@@ -61,10 +61,28 @@ def _sizes(space: gymnasium.Space[Any]) -> Any:
     return f"{type(space).__name__}{space.shape}"
 
 
+def check_trust(given: str, trust_pickle: bool) -> None:
+    """Refuse a file of Stable-Baselines3 that is no archive, or that the user does not trust.
+
+    Raises
+    ------
+    InputError
+        Naming ``--agent``.
+    """
+    if not zipfile.is_zipfile(given):
+        raise InputError("--agent", given, "a file that Stable-Baselines3 has saved")
+    if not trust_pickle:
+        raise InputError(
+            "--agent", given,
+            "a pickle, which can run any code when it is read. Trust its source? Then add "
+            "--trust-pickle (Python: trust_pickle=True); .npz files need no trust",
+        )  # fmt: skip
+
+
 class StoredAgent:
     """An agent that Stable-Baselines3 has saved, without exploration.
 
-    Such a file may run code when it is loaded: load none that you do not trust.
+    Such a file is a pickle, which can run any code when it is read.
 
     Parameters
     ----------
@@ -72,6 +90,8 @@ class StoredAgent:
         Whose observations and actions it must have been trained on.
     path
         Of the file, ``.zip``.
+    trust_pickle
+        Whether the user trusts the file. It is not read otherwise.
 
     Raises
     ------
@@ -79,7 +99,10 @@ class StoredAgent:
         If the file will not do, or is of other spaces.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
+    def __init__(
+        self, env: gymnasium.Env[Any, Any], path: Path, *, trust_pickle: bool = False
+    ) -> None:
+        check_trust(str(path), trust_pickle)
         algorithm = _algorithm(path)
         self._model = algorithm.load(path, device="cpu")
         for what in ("observation_space", "action_space"):

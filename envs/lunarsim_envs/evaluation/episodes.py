@@ -29,12 +29,15 @@ class Study:
         Other arguments of the environment.
     seed
         Root seed of the episodes.
+    trust_pickle
+        Whether files of Stable-Baselines3 are trusted; see `agent_of`.
     """
 
     env: str
     scenario: Scenario | None
     arguments: dict[str, Any]
     seed: int
+    trust_pickle: bool = False
 
     def make(self) -> gymnasium.Env[Any, Any]:
         """Return the environment."""
@@ -80,7 +83,7 @@ def fly_episodes(study: Study, agent: str, episodes: range) -> Iterator[dict[str
     """
     env = study.make()
     try:
-        flies = agent_of(agent, env)
+        flies = agent_of(agent, env, trust_pickle=study.trust_pickle)
         for episode in episodes:
             streams = Streams(flight_seed(study.seed, episode))
             flies.begin(streams.get("agent"))

@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from lunarsim.campaign.engines.picklable import check_picklable
+from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of, check, label
 from lunarsim_envs.evaluation.episodes import Study, fly_episodes
@@ -34,14 +35,14 @@ def check_agents(study: Study, agents: Sequence[str]) -> None:
     if not agents:
         raise InputError("--agent", "", "at least one")
     for agent in agents:
-        check(agent)
+        check(agent, trust_pickle=study.trust_pickle)
     names = [label(agent) for agent in agents]
     if len(set(names)) < len(names):
         raise InputError("--agent", ", ".join(names), "each name once")
     env = study.make()
     try:
         for agent in agents:
-            agent_of(agent, env)
+            agent_of(agent, env, trust_pickle=study.trust_pickle)
     finally:
         env.close()
 
@@ -69,7 +70,14 @@ def fly(
     -------
     list of dict
         By agent, then episode.
+
+    Raises
+    ------
+    InputError
+        If there are too many episodes.
     """
+    if episodes > MAX_FLIGHTS:
+        raise InputError("--episodes", episodes, f"at most {MAX_FLIGHTS}")
     tell = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))

@@ -10,7 +10,6 @@ tables, and errors come in patches as the mapper's do.
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.whole_arrays import write_arrays_whole
@@ -109,8 +109,7 @@ class Surrogate:
             If the file is something else.
         """
         try:
-            with np.load(path, allow_pickle=False) as found:
-                held = {name: found[name] for name in found.files}
+            held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
                 raise ValueError(f"its format is {held['format']}")
             made = cls(
@@ -119,7 +118,7 @@ class Surrogate:
                 float(held["claimed"]), held["altitudes"], str(held["made_for"]),
             )  # fmt: skip
             made._check()
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
                 "surrogate", str(path), f"a file of scenarios/learning/fit_surrogate.py ({error})"
             ) from None

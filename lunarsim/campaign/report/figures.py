@@ -79,13 +79,15 @@ def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, flo
 
 
 def landings_plot(
-    found: Results, figures: list[ArmFigures], ground: tuple[list[float], list[float], Any] | None
+    found: Results,
+    figures: list[ArmFigures],
+    ground: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Return where arms touched down, with the ellipse of 95 %, over the ground if it is known."""
     if "touchdown_x_m" not in found.manifest["columns"]:
         return None
     traces: list[Plot] = []
-    if ground is not None:
+    if isinstance(ground, tuple):
         x, y, shade = ground
         traces.append({
             "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
@@ -119,7 +121,10 @@ def landings_plot(
         "height": 620,
     }
     said = "Points by flight; crosses are landings that were not safe. "
-    said += "Shading: relief without rocks, as all flights share it." if ground else ""
+    if isinstance(ground, tuple):
+        said += "Shading: relief without rocks, as all flights share it."
+    elif ground is not None:
+        said += f"The relief is not shown: {ground}."
     return _plot("landings", "Where they touched down", said, traces, layout)
 
 

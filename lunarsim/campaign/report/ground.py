@@ -19,7 +19,7 @@ _POINTS = 160
 
 def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
     """Return east and north (m) of the points, and the shaded relief in [0, 1]; None: no ground."""
-    scenario = Scenario.load(path)
+    scenario = Scenario.world_of(path.read_text(encoding="utf-8"), path.parent.resolve())
     relief = Terrain(build_world(scenario, Streams(flight_seed(seed, 0))).terrain.relief)
     west, east, south, north = relief.bounds
     posting = max(east - west, north - south) / _POINTS

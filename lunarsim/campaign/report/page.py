@@ -76,6 +76,8 @@ def write_report(folder: str | Path, out: Path) -> Results:
     found = load_results(folder)
     if not len(found.table):
         raise InputError("folder", str(folder), "a campaign with at least one flight flown")
+    if found.manifest["columns"].get("safe") != "bool":
+        raise InputError("folder", str(folder), "a campaign whose rows tell whether it was safe")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
     page = template.render(
         **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
@@ -295,12 +297,15 @@ def _timing(found: Results) -> dict[str, Any]:
     }
 
 
-def _ground(found: Results) -> tuple[list[float], list[float], Any] | None:
-    """Return a coarse picture of the relief that all flights share, None where there is none."""
+def _ground(found: Results) -> tuple[list[float], list[float], Any] | str | None:
+    """Return a coarse image of the relief that all flights share; the reason if it is missing."""
     if not (found.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in found.manifest["inputs"]
     ):
         return None
     from lunarsim.campaign.report.ground import shaded  # noqa: PLC0415  (loads the simulation)
 
-    return shaded(found.folder / "scenario.toml", int(found.manifest["seed"]))
+    try:
+        return shaded(found.folder / "scenario.toml", int(found.manifest["seed"]))
+    except InputError as error:
+        return str(error)

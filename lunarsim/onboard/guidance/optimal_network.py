@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
 
@@ -120,10 +120,7 @@ class OptimalNetwork:
             If the file is missing, larger than 1 MB or something else, or its layers do not fit.
         """
         try:
-            if path.stat().st_size > _LARGEST:
-                raise ValueError("more than 1 MB")
-            with np.load(path, allow_pickle=False) as found:
-                held = {name: found[name] for name in found.files}
+            held = read_arrays(path, _LARGEST)
             if str(held.pop("format")) != _FORMAT:
                 raise ValueError("its format is another")
             layers = sum(name.startswith("weight_") for name in held)
@@ -134,9 +131,7 @@ class OptimalNetwork:
                 biases=tuple(wide[f"bias_{i}"] for i in range(layers)),
             )
             network._check()
-        except (
-            OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile, EOFError, AttributeError,
-        ) as error:  # fmt: skip
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
                 "guidance.weights", str(path),
                 f"a network written by scenarios/learning/train_optimal.py ({error})",

@@ -92,6 +92,34 @@ def test_noise_of_many_samples_is_that_of_a_random_walk():
     assert noise == pytest.approx(noise.T, rel=1e-12, abs=1e-18)
 
 
+def test_velocity_noise_reaches_the_position_as_the_integral_of_a_random_walk():
+    """Covariance of a random walk and its integral after T: T, T^2 / 2, T^3 / 3."""
+    state = start(np.random.default_rng(3))
+    for n in (1, 200):
+        still, seconds = np.zeros((n, 3)), n * STEP
+        noise = kernels.propagate(
+            state, np.zeros(6), still, still, STEP, GRAVITY, np.array([1e-3, 0.0, 0.0, 0.0]),
+            np.ones(2),
+        )[2]  # fmt: skip
+        for axis in range(3):
+            velocity = 3 + axis
+            assert noise[velocity, velocity] == pytest.approx(1e-6 * seconds)
+            assert noise[axis, velocity] == pytest.approx(1e-6 * seconds**2 / 2.0)
+            assert noise[axis, axis] == pytest.approx(1e-6 * seconds**3 / 3.0)
+
+
+@pytest.mark.parametrize("missing", ["angle", "velocity"])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_sample_of_which_one_number_is_missing_is_missing(missing, axis):
+    rng = np.random.default_rng(5)
+    state, (angle, velocity) = start(rng), samples(rng)
+    gone = angle.copy(), velocity.copy()
+    gone[0][7] = gone[1][7] = np.nan
+    (angle if missing == "angle" else velocity)[7, axis] = np.nan
+    for found, wanted in zip(carry(state, angle, velocity), carry(state, *gone), strict=True):
+        assert np.isfinite(found).all() and np.array_equal(found, wanted)
+
+
 def test_a_correction_keeps_the_quaternion_a_rotation():
     state = StrapdownState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     rng = np.random.default_rng(4)

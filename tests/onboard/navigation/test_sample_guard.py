@@ -155,6 +155,15 @@ def test_missing_samples_let_the_lander_have_moved_meanwhile():
     assert found.gone.sum() == 40
 
 
+@pytest.mark.parametrize("limits", [LIMITS, SampleLimits.unknown()])
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_sample_with_one_number_missing_counts_as_missing(limits, missing):
+    given = np.zeros((20, 3)), np.full((20, 3), 0.01)
+    given[missing][4, 1] = np.nan
+    judged = SampleGuard(limits, STEP).judge(*given)
+    assert list(np.flatnonzero(judged.gone)) == [4] and judged.refused == 0
+
+
 def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
     guard = SampleGuard(SampleLimits.unknown(), STEP)
     angle, velocity = np.zeros((4, 3)), np.zeros((4, 3))

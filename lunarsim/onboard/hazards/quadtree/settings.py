@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.parts.quantity import check_bounds, quantity
@@ -116,10 +117,10 @@ class InterestMap:
             If the file is missing or holds something else.
         """
         try:
-            with np.load(path) as file:
-                value = np.asarray(file["value"], dtype=np.float64)
-                x0, y0, posting = (float(file[name]) for name in ("x0", "y0", "posting"))
-        except (OSError, KeyError, ValueError, TypeError) as error:
+            file = read_arrays(path)
+            value = np.asarray(file["value"], dtype=np.float64)
+            x0, y0, posting = (float(file[name]) for name in ("x0", "y0", "posting"))
+        except (KeyError, ValueError, TypeError) as error:
             raise InputError(
                 "sites.interest_path",
                 str(path),

@@ -1,0 +1,36 @@
+"""Relative paths in the tables of a spec, which start from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+def from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
+    """Return tables whose relative paths start from a folder.
+
+    Parameters
+    ----------
+    given
+        A table, a list, or a value.
+    folder
+        Of the spec.
+    named
+        Whether it stands under a key that names a file.
+    """
+    if isinstance(given, Mapping):
+        return {
+            key: from_folder(
+                value, folder, named=(named and key == "values") or _names_file(str(key))
+            )
+            for key, value in given.items()
+        }
+    if isinstance(given, list):
+        return [from_folder(value, folder, named=named) for value in given]
+    return str((folder / given).resolve()) if named and isinstance(given, str) else given
+
+
+def _names_file(key: str) -> bool:
+    last = key.rpartition(".")[2]
+    return last == "path" or last.endswith("_path")

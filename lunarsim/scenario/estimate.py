@@ -1,0 +1,84 @@
+"""Memory and time that a flight of a scenario takes, before anything large is made."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lunarsim.errors import InputError
+from lunarsim.grid import bytes_in_words
+
+# Memory of one process at the peak. A scenario that needs more is refused.
+MAX_MEMORY_BYTES = 16 * 2**30
+# The process with its libraries and kernels, measured on a flight over 60 m of terrain.
+_PROCESS_BYTES = 4e8
+# Peak memory and time to make fractal relief with craters, measured with 2000 and 4000 posts along
+# a side on one core.
+_BYTES_PER_POST, _SECONDS_PER_POST = 144.0, 4.7e-7
+# Layers of a map with what its mapper keeps; an image with its intermediate results.
+_BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
+
+
+class Estimate(NamedTuple):
+    """Memory at the peak by the key that sets it (bytes), and time to make the terrain (s)."""
+
+    memory: dict[str, float]
+    terrain_time: float
+
+    @property
+    def total(self) -> float:
+        """Memory of a process at the peak, bytes."""
+        return _PROCESS_BYTES + sum(self.memory.values())
+
+    def __str__(self) -> str:
+        return (
+            f"about {self.total / 2**30:.1f} GiB of memory for each process, and "
+            f"{self.terrain_time:.1f} s to make the terrain"
+        )
+
+
+def estimate(scenario: Any) -> Estimate:
+    """Return what a flight of a scenario takes; a raster from a file is not counted."""
+    ground = scenario.terrain.make()
+    posts = 0.0
+    if hasattr(ground, "size") and hasattr(ground, "posting"):
+        finest = getattr(ground, "detail_posting", None) or ground.posting
+        posts = (ground.size / finest) ** 2
+    memory = {"terrain.size_m": _BYTES_PER_POST * posts}
+    for name, part in scenario.mappers.items():
+        table = part.table.model_dump()
+        if table.get("size_m") and table.get("posting_m"):
+            cells = (table["size_m"] / table["posting_m"]) ** 2
+            memory[f"mappers.{name}.size_m"] = _BYTES_PER_CELL * cells
+    for name, part in scenario.sensors.items():
+        table = part.table.model_dump()
+        if "width" in table and "height" in table:
+            pixels = table["width"] * table["height"]
+            memory[f"sensors.{name}.width"] = _BYTES_PER_PIXEL * pixels
+    return Estimate(memory, _SECONDS_PER_POST * posts)
+
+
+def check_memory(scenario: Any) -> None:
+    """Refuse a scenario that needs more memory than `MAX_MEMORY_BYTES`.
+
+    Raises
+    ------
+    InputError
+        Naming the key that takes the most.
+    """
+    found = estimate(scenario)
+    if found.total > MAX_MEMORY_BYTES:
+        key = max(found.memory, key=lambda one: found.memory[one])
+        table, _, last = key.rpartition(".")
+        value = getattr(scenario.terrain if table == "terrain" else _named(scenario, table), last)
+        finer = "a larger posting_m or detail_m" if last == "size_m" else "a smaller height"
+        raise InputError(
+            key, value,
+            f"too large: a flight takes {bytes_in_words(found.total)} of memory, and "
+            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. Use a smaller value, or {finer}",
+        )  # fmt: skip
+
+
+def _named(scenario: Any, table: str) -> Any:
+    """Return a part such as ``mappers.dem``."""
+    of, _, name = table.partition(".")
+    return getattr(scenario, of)[name]

@@ -1,0 +1,270 @@
+"""Reads the folder of a recorded flight, which may be damaged or come from somebody else.
+
+Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
+before anything is made of them, sizes before anything is expanded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from lunarsim.errors import InputError
+from lunarsim.grid import Grid
+from lunarsim.json_files import read_json
+from lunarsim.scenario.files import parsed_toml
+
+Array = NDArray[np.float64]
+
+# Bytes of a table or a layer when it is expanded. A flight of three hours has a table of 25 MB.
+MAX_EXPANDED_BYTES = 2**28
+
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
+_Whole = Annotated[int, Field(ge=0)]
+_Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+_Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="allow")
+
+
+class _Touchdown(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    position: _Vector
+    heading: float
+    vertical_speed: float
+    horizontal_speed: float
+    tilt: float
+    rate: float
+    slope: float
+    roughness: float
+    tip_margin: float
+
+
+class _Verdict(_Strict):
+    safe: bool
+    failed: list[str]
+    touchdown: _Touchdown | None
+
+
+class _Seed(_Strict):
+    entropy: _Whole | list[_Whole]
+    spawn_key: list[Annotated[int, Field(ge=0, lt=2**32)]]
+
+
+class _Event(_Strict):
+    time: float
+    name: str
+
+
+class _Decision(_Strict):
+    time: float
+    reason: str
+    come_from: Annotated[_Vector, Field(alias="from")]
+    to: _Vector
+
+
+class _Estimate(_Strict):
+    time: float
+    position: _Vector
+    velocity: _Vector
+    attitude: _Quaternion
+    rate: _Vector
+    mass: float
+    lost: bool = False
+
+
+class FlightRecord(_Strict):
+    """What ``flight.json`` must hold; keys are those of `lunarsim.simulation.flight.Flight`."""
+
+    scenario: str
+    seed: _Seed
+    policy: str
+    target: _Vector
+    verdict: _Verdict
+    decisions: list[_Decision]
+    events: list[_Event]
+    decided_on: str
+    maps: list[_Name]
+    first_map: _Estimate | None
+    digests: dict[str, str] = {}
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever fails while a file is read into one error that names it."""
+    try:
+        yield
+    except Exception as error:  # the libraries raise dozens of types on damaged files
+        if isinstance(error, InputError) and error.field == "flight":
+            raise
+        raise _damaged(path, _reason(error)) from None
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of what an error says, with the field that it is about."""
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
+
+
+def _damaged(path: Path, reason: str) -> InputError:
+    return InputError(
+        "flight", str(path),
+        f"a whole record of this version ({reason[:100]}). Restore it from a copy, or fly again",
+    )  # fmt: skip
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Return the checked tables of ``flight.json``; every file that it names is whole.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no flight, or a file is damaged.
+    """
+    file = folder / "flight.json"
+    if not file.is_file():
+        raise InputError("flight", str(folder), "a folder that holds flight.json")
+    with reading(file):
+        tables: dict[str, Any] = read_json(file)
+        checked = FlightRecord.model_validate(tables)
+        parsed_toml(checked.scenario)
+    for name, digest in checked.digests.items():
+        with reading(folder / name):
+            if digest_of(_inside(folder, folder / name)) != digest:
+                raise ValueError("its digest differs from the one in flight.json")
+    return tables
+
+
+def digest_of(path: Path) -> str:
+    """Return the digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _inside(folder: Path, path: Path) -> Path:
+    """Return a path; refuse one that leads out of the folder."""
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError("it leads out of the folder")
+    return path
+
+
+def read_columns(
+    folder: Path, path: Path, required: Sequence[str] | None = None, least: int = 0
+) -> dict[str, Array]:
+    """Return the numeric columns of a Parquet file (n,), as they are.
+
+    Parameters
+    ----------
+    folder
+        The flight's, which the file must lie in.
+    path
+        Of the file.
+    required
+        Columns of numbers that must be there, which are returned; None: all that there are.
+    least
+        Rows that there must be.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    with reading(path), pq.ParquetFile(_inside(folder, path), page_checksum_verification=True) as f:
+        names = list(f.schema_arrow.names) if required is None else list(required)
+        for name in names:
+            kind = f.schema_arrow.field(name).type
+            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
+                raise ValueError(f"column {name} is of type {kind}")
+        if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when expanded")
+        table = f.read(names)
+        if len(table) < least:
+            raise ValueError(f"{len(table)} rows")
+        if any(column.null_count for column in table.columns):
+            raise ValueError("values are missing")
+        return {name: np.array(table[name].to_numpy()) for name in names}
+
+
+def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
+    """Return the columns of the trajectory (n,), with at least one row and finite times."""
+    path = folder / "trajectory.parquet"
+    found = read_columns(folder, path, names, least=1)
+    with reading(path):
+        if not np.isfinite(found["time"]).all():
+            raise ValueError("times are not finite")
+    return {name: column.astype(np.float64, copy=False) for name, column in found.items()}
+
+
+def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:
+    """Return columns of a Parquet file side by side (n, columns)."""
+    found = read_columns(folder, folder / f"{name}.parquet", columns)
+    return np.column_stack([found[c] for c in columns]).astype(np.float32)
+
+
+def read_layers(
+    folder: Path, path: Path, names: Sequence[str], flags: Sequence[str]
+) -> tuple[Grid, dict[str, NDArray[Any]], Array]:
+    """Return grid, layers (rows, cols) and navigation error (3,) of a map.
+
+    Parameters
+    ----------
+    folder, path
+        Of the flight, and of the NetCDF file in it.
+    names, flags
+        Layers that there may be, and those of them that are true or false.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
+    import h5py  # noqa: PLC0415  (loads slowly)
+
+    with reading(path), h5py.File(_inside(folder, path)) as file:
+        found = {name: _own_dataset(file, name) for name in names if name in file}
+        shape = found["p_safe"].shape
+        for name, layer in found.items():
+            if layer.shape != shape or layer.dtype.kind not in "fi":
+                raise ValueError(f"layer {name} is {layer.dtype} of shape {layer.shape}")
+        if shape != tuple(_own_dataset(file, name).size for name in "yx"):
+            raise ValueError(f"layers of shape {shape} are no map over y and x")
+        if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when expanded")
+        layers = {
+            name: layer[()].astype(np.bool_ if name in flags else np.float32)
+            for name, layer in found.items()
+        }
+        a = file.attrs
+        x0, y0, posting = (np.asarray(a[key]).item() for key in ("x0_m", "y0_m", "posting_m"))
+        grid = Grid(float(x0), float(y0), float(posting), *shape)
+        error = np.array(a["navigation_error_m"], dtype=np.float64)
+        if error.shape != (3,) or not np.isfinite(error).all():
+            raise ValueError("navigation_error_m is not three finite numbers")
+        return grid, layers, error
+
+
+def _own_dataset(file: Any, name: str) -> Any:
+    """Return a dataset of an HDF5 file; refuse links, and data that lie in other files."""
+    import h5py  # noqa: PLC0415  (loads slowly)
+
+    link, dataset = file.get(name, getlink=True), file[name]
+    if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
+        raise ValueError(f"{name} leads out of the file")
+    return dataset

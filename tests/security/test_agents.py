@@ -1,0 +1,101 @@
+"""An agent from a stranger runs no code without trust, and cannot fill the memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import zipfile
+
+import gymnasium
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import lunarsim_envs  # noqa: F401  (registers the environments)
+from lunarsim.array_files import read_arrays
+from lunarsim.cli import main
+from lunarsim.errors import InputError
+from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
+from lunarsim.onboard.hazards.quadtree.settings import InterestMap
+from lunarsim_envs.agents.registry import agent_of
+from lunarsim_envs.agents.stored import StoredAgent
+from lunarsim_envs.sites.surrogate import Surrogate
+
+
+class Bomb:
+    """Writes a file as soon as it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+def members(path, **given):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in given.items():
+            file.writestr(name, data)
+    return path
+
+
+def npy(array, *, allow_pickle=False):
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=allow_pickle)
+    return file.getvalue()
+
+
+def huge_header():
+    """Return an array file that claims 8 TB and holds 8 bytes."""
+    file = io.BytesIO()
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (10**12,)}
+    np.lib.format.write_array_header_1_0(file, shape)
+    return file.getvalue() + bytes(8)
+
+
+def test_a_pickle_is_not_read_without_trust(tmp_path):
+    mark = tmp_path / "ran"
+    data = json.dumps({"policy_class": {"__module__": "stable_baselines3.common.policies"}})
+    path = members(tmp_path / "a.zip", data=data, bomb=pickle.dumps(Bomb(mark)))
+    done = CliRunner().invoke(main, ["evaluate", "Guidance-v0", "--agent", str(path)])
+    assert done.exit_code == 2 and "--trust-pickle" in done.stderr, done.output
+    env = gymnasium.make("lunarsim/Guidance-v0")
+    for fly in (agent_of, lambda given, env: StoredAgent(env, given)):
+        with pytest.raises(InputError, match="trust_pickle"):
+            fly(str(path), env)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    "load",
+    [
+        OptimalNetwork.load, InterestMap.load, Surrogate.load,
+        lambda path: agent_of(str(path), gymnasium.make("lunarsim/Guidance-v0")),
+    ],
+)  # fmt: skip
+def test_archives_hold_no_objects_and_no_bombs(tmp_path, load):
+    mark = tmp_path / "ran"
+    shared = {"format.npy": npy(np.array("x"))}
+    pickled = npy(np.array([Bomb(mark)], dtype=object), allow_pickle=True)
+    paths = [
+        members(tmp_path / "a.npz", **{"value.npy": pickled}),
+        members(tmp_path / "b.npz", **shared, **{"value.npy": bytes(200_000_000)}),
+        members(tmp_path / "c.npz", **shared, **{"value.npy": huge_header()}),
+        members(tmp_path / "d.npz", **shared, **{"value.npy": b"plain text"}),
+        members(tmp_path / "e.npz"),
+    ]
+    (tmp_path / "f.npz").write_bytes(pickle.dumps(Bomb(mark)))
+    (tmp_path / "g.npz").write_bytes(b"")
+    for path in (*paths, tmp_path / "f.npz", tmp_path / "g.npz"):
+        with pytest.raises(InputError, match=path.name):
+            load(path)
+    assert not mark.exists()
+
+
+def test_arrays_are_read(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", x=np.arange(5), name="abc")
+    found = read_arrays(tmp_path / "a.npz")
+    assert list(found["x"]) == [0, 1, 2, 3, 4] and str(found["name"]) == "abc"
+    with pytest.raises(ValueError, match="more than"):
+        read_arrays(tmp_path / "a.npz", most=100)

@@ -1,0 +1,160 @@
+"""A damaged folder of a campaign is one error that names the file; flipped bits are noticed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.results import load_results
+from lunarsim.campaign.run import run
+from lunarsim.cli import main
+from lunarsim.errors import InputError
+from tests.campaign.processes import parts
+from tests.campaign.surrogate import plan
+from tests.security import fuzz
+
+COMMANDS = (
+    ("campaign", "status"), ("campaign", "report"), ("campaign", "sensitivity"),
+    ("campaign", "rare"),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign") / "c"
+    run(plan(), InlineEngine(), folder)
+    return folder
+
+
+@pytest.fixture
+def folder(flown, tmp_path):
+    return shutil.copytree(flown, tmp_path / "c")
+
+
+def manifest(folder):
+    return json.loads((folder / "manifest.json").read_text())
+
+
+def ends_well(folder, *commands):
+    """Run commands on a folder; none may end in a traceback."""
+    for command in commands:
+        with fuzz.at_most(10.0):
+            done = CliRunner().invoke(main, [*command, str(folder)])
+        assert done.exception is None or isinstance(done.exception, SystemExit), (
+            command, done.exception
+        )  # fmt: skip
+        assert done.exit_code in (0, 2), (command, done.output)
+
+
+def test_every_flipped_bit_of_a_part_is_noticed(folder, flown):
+    assert set(manifest(folder)["parts"]) == {"results/part-00000.parquet",
+                                              "timing/part-00000.parquet"}  # fmt: skip
+    rng = np.random.default_rng(1)
+    for name in manifest(folder)["parts"]:
+        whole = (folder / name).read_bytes()
+        for place in rng.integers(len(whole), size=40):
+            data = bytearray(whole)
+            data[place] ^= 1 << int(rng.integers(8))
+            (folder / name).write_bytes(data)
+            with pytest.raises(InputError, match=r"part-00000.*digest"):
+                load_results(folder)
+        if name.startswith("results"):
+            ran = run(plan(), InlineEngine(), folder)
+            assert (ran.state, ran.flown) == ("complete", 80) and "digest" in ran.notes[0]
+            assert parts(folder) == parts(flown)
+        (folder / name).write_bytes((flown / name).read_bytes())
+
+
+def test_digests_follow_the_parts(tmp_path):
+    """Also where a campaign goes on, flies again what failed, or is cut down."""
+    folder = tmp_path / "c"
+    run(plan(flights=5), InlineEngine(), folder)
+    first = manifest(folder)["parts"]
+    run(plan(flights=8), InlineEngine(), folder)
+    second = manifest(folder)["parts"]
+    assert first != second and len(load_results(folder).table) == 16
+    run(plan(flights=8), InlineEngine(), folder, retry=True)
+    assert manifest(folder)["parts"] == second and len(load_results(folder).table) == 16
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("flights", "40"), ("flights", 1e300), ("flights", 10**12), ("flights", True), ("rows", -1),
+        ("seed", None), ("seed", 1.5), ("arms", {}), ("arms", [{"name": "a"}]), ("arms", ["a"]),
+        ("columns", []), ("columns", {"id": "text"}), ("inputs", {"x": "float"}), ("state", 3),
+        ("identity", []), ("identity", {"method": "subset"}), ("identity", {"method": 1}),
+        ("identity", {"method": "importance"}), ("environment", {"python": 3}), ("parts", [1]),
+    ],
+)  # fmt: skip
+def test_fields_of_a_manifest_have_types(folder, key, value):
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | {key: value}))
+    clash = ("inputs", *(["columns"] if value else []))
+    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
+        with pytest.raises(
+            InputError, match=f"manifest.json in order.*{'there twice' if key in clash else key}"
+        ):
+            read(folder)
+    ends_well(folder, *COMMANDS)
+
+
+@pytest.mark.parametrize("text", [b"[" * 100_000, b"\xff\xfe", b"", b"1" * 5000, b'{"a": NaN}'])
+def test_deep_or_odd_json_is_one_error(folder, text):
+    (folder / "manifest.json").write_bytes(text)
+    with pytest.raises(InputError, match=r"manifest\.json in order"):
+        load_results(folder)
+
+
+@pytest.mark.parametrize("key", ["name", "seed", "arms", "columns", "inputs"])
+def test_a_manifest_that_contradicts_the_spec_is_not_continued(folder, key):
+    tables = manifest(folder)
+    changed = {"name": "x", "seed": 7, "arms": tables["arms"][::-1], "inputs": {}, "columns": {}}
+    (folder / "manifest.json").write_text(json.dumps(tables | {key: changed[key]}))
+    with pytest.raises(InputError, match=key):
+        run(plan(), InlineEngine(), folder)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["[" * 100_000, '[{"id": "0-0", "flight": "x", "arm": 3}, {}]', '[{"id": []}, []]',
+     '[{"id": "0-0", "flight": 0, "arm": "a0", "safe": "x"}, {"id": 1}]'],
+)  # fmt: skip
+def test_a_damaged_line_of_the_journal_is_flown_again(folder, flown, line):
+    for name in manifest(folder)["parts"]:
+        (folder / name).unlink()
+    (folder / "journal.jsonl").write_text(line + "\n")
+    try:
+        load_results(folder)
+    except InputError as error:
+        assert "journal" in str(error) or "rows" in str(error)
+    assert run(plan(), InlineEngine(), folder).flown == 80
+    assert parts(folder) == parts(flown)
+
+
+def damaged(folder, flown, seed):
+    """Damage one file of a campaign."""
+    rng = np.random.default_rng(seed)
+    names = ["manifest.json", *manifest(flown)["parts"]]
+    for name in names:
+        (folder / name).write_bytes((flown / name).read_bytes())
+    if rng.random() < 0.7:
+        tables = manifest(flown)
+        (folder / "manifest.json").write_bytes(fuzz.damaged_json(tables, rng))
+    else:
+        name = names[int(rng.integers(1, 3))]
+        (folder / name).write_bytes(fuzz.damaged_bytes((flown / name).read_bytes(), rng))
+
+
+def test_damaged_folders_end_in_one_error(folder, flown):
+    for seed in range(100):
+        damaged(folder, flown, seed)
+        ends_well(folder, COMMANDS[seed % len(COMMANDS)])
+        fuzz.survives(lambda: load_results(folder), f"campaign {seed}")
+        fuzz.survives(lambda: run(plan(), InlineEngine(), folder), f"continued {seed}")
+        shutil.rmtree(folder)
+        shutil.copytree(flown, folder)

@@ -1,0 +1,62 @@
+"""What asks for too much memory or time is refused at once, with the key to change."""
+
+from __future__ import annotations
+
+import pytest
+import tomli_w
+from click.testing import CliRunner
+
+from lunarsim.cli import main
+from lunarsim.scenario import Scenario
+from lunarsim.scenario.estimate import estimate
+from tests.security import fuzz
+from tests.worlds import TINY_FLIGHT
+
+
+def call(*arguments):
+    with fuzz.at_most(10.0):
+        return CliRunner().invoke(main, [str(one) for one in arguments])
+
+
+def test_a_terrain_of_gigabytes_is_refused(tmp_path):
+    for terrain in ({"size_m": 4999.0, "posting_m": 0.25},
+                    {"size_m": 4999.0, "posting_m": 5.0, "detail_m": 0.25}):  # fmt: skip
+        path = tmp_path / "s.toml"
+        path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": terrain}))
+        done = call("scenario", "check", path)
+        assert done.exit_code == 2, done.output
+        for words in ("terrain.size_m", "54 GiB", "16 GiB is the limit", "larger posting_m"):
+            assert words in done.stderr
+    Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": 2600.0, "posting_m": 0.25}})
+
+
+def test_check_states_memory_and_time(tmp_path):
+    done = call("scenario", "check", "golombek")
+    assert done.exit_code == 0 and "estimate: about" in done.stderr, done.stderr
+    small, large = (
+        estimate(Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": side, "posting_m": 0.5}}))
+        for side in (500.0, 1000.0)
+    )
+    assert large.terrain_time == pytest.approx(4.0 * small.terrain_time)
+    assert large.total - small.total == pytest.approx(144.0 * 3.0 * 1000.0**2)
+
+
+@pytest.mark.parametrize("flights", [10_000_001, 10**13, 10**30])
+def test_flights_without_end_are_refused(tmp_path, flights):
+    arms = {"factors": {"rocks.cover": [0.0, 0.1]}}
+    spec = {"name": "c", "flights": min(flights, 2**63 - 1), "scenario": TINY_FLIGHT}
+    (tmp_path / "c.toml").write_text(tomli_w.dumps(spec))
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(TINY_FLIGHT))
+    (tmp_path / "d.toml").write_text(tomli_w.dumps(spec | {"flights": 6_000_000} | arms))
+    out = "--out", tmp_path / "o"
+    for command in (
+        ("campaign", "plan", tmp_path / "c.toml"), ("campaign", "plan", tmp_path / "d.toml"),
+        ("campaign", "run", tmp_path / "c.toml", *out),
+        ("sweep", tmp_path / "s.toml", "--over", "rocks.cover=0,0.1", "--flights", flights, *out),
+        ("compare", tmp_path / "s.toml", "--flights", flights, *out),
+        ("calibrate", tmp_path / "s.toml", "--flights", flights, "--out", tmp_path / "c.json"),
+        ("evaluate", "Retarget-v0", "--agent", "zero", "--episodes", flights),
+    ):  # fmt: skip
+        done = call(*command)
+        assert done.exit_code == 2, (command, done.output)
+        assert "flights" in done.stderr or "--episodes" in done.stderr
