@@ -83,7 +83,8 @@ def test_rows_and_records_are_those_of_flights_alone(tmp_path, cycles):
     assert parted, "no path has parted: nothing was tried"
 
 
-def test_settings_and_names_of_policies_share_a_path_and_nothing_else_does():
+def test_settings_and_names_of_policies_share_a_path_and_nothing_else_does(monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", __name__)
     arms = [
         {"name": "a", "set": {"policy": "safest"}},
         {"name": "b", "set": {"policy": {"kind": "nearest-safe", "enough": 0.5}}},

@@ -77,7 +77,7 @@ class Braking:
 
     def part(self) -> Any:
         """Return the law's part, with its defaults."""
-        return settings_of(resolve("guidance", self.law, "law"))().make()
+        return settings_of(resolve("guidance", self.law, "braking.law"))().make()
 
     def end(self, site: ArrayLike) -> PhaseEnd:
         """Return where it aims for a site (3,), local frame."""
