@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 OUT ?= out
 
-.PHONY: demo test slow lint bench docs clean
+.PHONY: demo test slow lint bench docs lock clean
 
 demo: $(STAMP)          ## closed-loop comparison of policies on measured terrain, with pictures
 	rm -rf $(OUT)/demo
@@ -15,7 +15,7 @@ test: $(STAMP)          ## the test suite
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 30
 
 slow: $(STAMP)          ## the tests and studies that take minutes; one of them needs chromium
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[ray]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock --editable ".[ray]"
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow
 
 lint: $(STAMP)          ## style, types, and the walls between rooms
@@ -28,11 +28,17 @@ bench: $(STAMP)         ## speed, as ratios to references in the same run
 	$(BIN)/python scripts/bench.py
 
 docs: $(STAMP)          ## the site, in out/docs/index.html
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
 	$(BIN)/python -m sphinx -W -n --keep-going -b html docs $(OUT)/docs
 	@echo "Site: $(OUT)/docs/index.html"
 
-$(STAMP): pyproject.toml scripts/setup.sh
+lock:                   ## the tested versions of dependencies (without PyTorch), and their licences
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv "pip>=26"
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --no-annotate \
+		$(foreach extra,ray report sensitivity data onnx bench docs dev,--extra $(extra)) \
+		--custom-compile-command "make lock" pyproject.toml -o requirements.lock
+	$(BIN)/python scripts/licences_page.py > docs/licences.md
+
+$(STAMP): pyproject.toml requirements.lock scripts/setup.sh
 	sh scripts/setup.sh $(VENV)
 	@touch $(STAMP)
 

@@ -86,6 +86,7 @@ def evaluate(
       apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
       safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
       FILE.npz                            a network, flown by NumPy alone
+      FILE.onnx                           an exported network, with the extra `onnx`
       FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 

@@ -125,7 +125,8 @@ proximal policy optimisation (`pip install "lunarsim[rl]"`; PyTorch without CUDA
 `--index-url https://download.pytorch.org/whl/cpu`): no law of guidance inside the action, starts at
 shares of the way for some lanes, a checkpoint and a look at unseen seeds every few updates. Broken
 off and called again it goes on, bit for bit. `agent.npz` in its folder is flown by NumPy alone,
-`checkpoint/model.zip` by Stable-Baselines3. RLlib pins an older Gymnasium and is left out;
+`checkpoint/model.zip` by Stable-Baselines3. Networks of any framework fly as
+[ONNX files](learning.md#networks-of-other-frameworks). RLlib pins an older Gymnasium and is left out;
 MaskablePPO of sb3-contrib takes `Retarget-v0` as it is, through `action_masks()`.
 """
 

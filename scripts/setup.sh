@@ -56,4 +56,7 @@ if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -m pip --version >/dev/nu
     "$python" -m venv "$venv"
 fi
 echo "Installing Python packages into $venv (a minute or two)"
+# The versions that were tested, for the build of the package too.
+PIP_CONSTRAINT=requirements.lock
+export PIP_CONSTRAINT
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev]"

@@ -12,6 +12,7 @@ from lunarsim.parts.registry import kinds
 from lunarsim_envs.agents.contract import Agent
 from lunarsim_envs.agents.laws import LawAgent, Polynomial
 from lunarsim_envs.agents.network import Network, NetworkAgent
+from lunarsim_envs.agents.onnx_network import OnnxAgent
 from lunarsim_envs.agents.own import own_agent
 from lunarsim_envs.agents.policies import PolicyAgent
 from lunarsim_envs.agents.simple import Hover, Random, Zero
@@ -58,7 +59,7 @@ def label(given: str) -> str:
 
 
 def _is_file(given: str) -> bool:
-    return Path(given).suffix in (".npz", ".zip")
+    return Path(given).suffix in (".npz", ".onnx", ".zip")
 
 
 def check(given: str, *, trust_pickle: bool = False) -> None:
@@ -76,7 +77,7 @@ def check(given: str, *, trust_pickle: bool = False) -> None:
             check_trust(given, trust_pickle)
     elif ":" not in given and given not in known_agents():
         near = suggestion(given, known_agents())
-        raise InputError("--agent", given, f"{near} Or a file (.npz, .zip), or module:Name")
+        raise InputError("--agent", given, f"{near} Or a file (.npz, .onnx, .zip), or module:Name")
 
 
 def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
@@ -85,8 +86,8 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     Parameters
     ----------
     given
-        A name of `known_agents`; a network (``.npz``) or a file of Stable-Baselines3 (``.zip``); or
-        a callable, see `own.own_agent`.
+        A name of `known_agents`; a network (``.npz``, ``.onnx``); a file of Stable-Baselines3
+        (``.zip``); or a callable, see `own.own_agent`.
     env
         That it is to fly.
     trust_pickle
@@ -102,6 +103,8 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
         path = Path(given)
         if path.suffix == ".npz":
             return _network(env, path, given)
+        if path.suffix == ".onnx":
+            return OnnxAgent(env, path)
         return StoredAgent(env, path, trust_pickle=trust_pickle)
     if ":" in given:
         made: Agent = own_agent(env, given)

@@ -79,6 +79,17 @@ def check_trust(given: str, trust_pickle: bool) -> None:
         )  # fmt: skip
 
 
+def load_model(path: Path) -> Any:
+    """Return the model of a file of Stable-Baselines3, which can run any code when it is read.
+
+    Raises
+    ------
+    InputError
+        See `_algorithm`.
+    """
+    return _algorithm(path).load(path, device="cpu")
+
+
 class StoredAgent:
     """An agent that Stable-Baselines3 has saved, without exploration.
 
@@ -103,13 +114,12 @@ class StoredAgent:
         self, env: gymnasium.Env[Any, Any], path: Path, *, trust_pickle: bool = False
     ) -> None:
         check_trust(str(path), trust_pickle)
-        algorithm = _algorithm(path)
-        self._model = algorithm.load(path, device="cpu")
+        self._model = load_model(path)
         for what in ("observation_space", "action_space"):
             own, others = (_sizes(getattr(one, what)) for one in (env, self._model))
             if own != others:
                 raise InputError("--agent", str(path), f"one trained on {what} {own}, not {others}")
-        self._masked = algorithm.__name__ == "MaskablePPO"
+        self._masked = type(self._model).__name__ == "MaskablePPO"
         self._memory: Any = None
         self._first = True
 

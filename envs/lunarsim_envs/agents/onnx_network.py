@@ -1,0 +1,179 @@
+"""Agents in ONNX files: networks that any framework can export and that run no code of their own.
+
+They need the extra ``onnx`` to fly.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.errors import InputError
+
+MAX_BYTES = 64_000_000
+# A network with a loop that never ends is stopped after this time.
+MAX_SECONDS = 5.0
+
+_MASK = "action_mask"
+
+
+def _session(path: Path) -> Any:
+    """Return the network of a file, on one thread so that its numbers repeat.
+
+    It is read from memory, and weights in other files are looked for where no file can be.
+    """
+    try:
+        import onnxruntime  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise InputError(
+            "--agent", str(path), "onnxruntime, which the extra `onnx` installs"
+        ) from None
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError("--agent", str(path), f"at most {MAX_BYTES / 1e6:g} MB")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    options.add_session_config_entry(
+        "session.model_external_initializers_file_folder_path", os.devnull
+    )
+    try:
+        return onnxruntime.InferenceSession(
+            path.read_bytes(), options, providers=["CPUExecutionProvider"]
+        )
+    except Exception as error:  # onnxruntime has an exception type of its own for each status
+        raise InputError("--agent", str(path), f"an ONNX network ({_first_line(error)})") from None
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0][:120]
+
+
+class OnnxAgent:
+    """A network in an ONNX file, without memory and without exploration.
+
+    Inputs have a batch axis of length 1 and type float32. If the observation is a Box, the network
+    has one input, of any name; if it is a Dict, its inputs have the names of observations. An
+    input ``action_mask`` gets ``info["action_mask"]`` (1: allowed). The first output is the action:
+
+    ================  ==================================================================
+    action space      first output
+    ================  ==================================================================
+    Box               the action; it is clipped to the space
+    Discrete(n)       an integer, or n scores, of which the greatest allowed one is flown
+    MultiDiscrete     an integer per choice, or the scores of all choices in one row
+    ================  ==================================================================
+
+    Parameters
+    ----------
+    env
+        Whose observations and actions the network must have.
+    path
+        Of the file, ``.onnx``.
+
+    Raises
+    ------
+    InputError
+        If the file holds no such network, or the extra is missing.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
+        self._path = path
+        self._space = env.action_space
+        self._session = _session(path)
+        self._inputs = {one.name: one.type for one in self._session.get_inputs()}
+        space = env.observation_space
+        names = list(space) if isinstance(space, gymnasium.spaces.Dict) else None
+        seen = [name for name in self._inputs if name != _MASK]
+        if names is None and len(seen) != 1:
+            raise self._error(f"one input beside {_MASK}, not {', '.join(seen) or 'none'}")
+        if names is not None and not set(seen) <= set(names):
+            raise self._error(f"inputs among {', '.join(names)}, not {', '.join(seen)}")
+        sizes = _choices(self._space)
+        mask = np.ones(sum(sizes)) if sizes else np.ones(1)
+        self.act(_zeros(space), {_MASK: mask})
+
+    def _error(self, wanted: str) -> InputError:
+        return InputError("--agent", str(self._path), f"a network with {wanted}")
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Do nothing: the network has no memory."""
+
+    def act(self, observation: Any, info: dict[str, Any]) -> Any:
+        """Return the action for an observation.
+
+        Raises
+        ------
+        InputError
+            If the network fails, takes too long, or returns no action of the space.
+        """
+        return self._action(self._run(observation, info), info)
+
+    def _run(self, observation: Any, info: dict[str, Any]) -> NDArray[Any]:
+        """Return the first output, flat."""
+        import onnxruntime  # noqa: PLC0415
+
+        fed: dict[str, NDArray[Any]] = {}
+        for name, kind in self._inputs.items():
+            if name == _MASK:
+                if _MASK not in info:
+                    raise self._error(f"no input {_MASK}: this environment has none")
+                value = info[_MASK]
+            else:
+                value = observation[name] if isinstance(observation, dict) else observation
+            dtype = np.bool_ if kind == "tensor(bool)" else np.float32
+            fed[name] = np.asarray(value, dtype=dtype)[None]
+        options = onnxruntime.RunOptions()
+        options.log_severity_level = 4
+        timer = threading.Timer(MAX_SECONDS, setattr, (options, "terminate", True))
+        timer.daemon = True
+        timer.start()
+        try:
+            return np.asarray(self._session.run(None, fed, options)[0]).ravel()
+        except Exception as error:  # onnxruntime has an exception type of its own for each status
+            if options.terminate:
+                raise self._error(f"an action within {MAX_SECONDS:g} s") from None
+            raise self._error(f"inputs of this environment ({_first_line(error)})") from None
+        finally:
+            timer.cancel()
+
+    def _action(self, output: NDArray[Any], info: dict[str, Any]) -> Any:
+        """Return the action that an output stands for."""
+        space, sizes = self._space, _choices(self._space)
+        if output.dtype.kind not in "iuf" or not np.isfinite(output).all():
+            raise self._error("a finite number for each part of the action")
+        if isinstance(space, gymnasium.spaces.Box) and output.size == np.prod(space.shape):
+            return np.clip(output.reshape(space.shape), space.low, space.high).astype(space.dtype)
+        if sizes and output.dtype.kind == "f" and output.size == sum(sizes):
+            allowed = np.asarray(info.get(_MASK, np.ones(sum(sizes))), dtype=bool).ravel()
+            scores = np.where(allowed, output, -np.inf) if allowed.size == output.size else output
+            ends = np.cumsum(sizes)[:-1]
+            output = np.array([one.argmax() for one in np.split(scores, ends)])
+            output = output + getattr(space, "start", 0)
+        if sizes and output.dtype.kind in "iu" and output.size == len(sizes):
+            action = output.astype(np.int64)
+            chosen = action[0] if isinstance(space, gymnasium.spaces.Discrete) else action
+            if space.contains(chosen):
+                return chosen
+        raise self._error(f"an action of {space}, not {output.size} numbers {output.dtype}")
+
+
+def _zeros(space: gymnasium.Space[Any]) -> Any:
+    """Return an observation of zeros, to try a network before the first flight."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {name: np.zeros(part.shape or (), part.dtype) for name, part in space.items()}
+    return np.zeros(space.shape or (), space.dtype)
+
+
+def _choices(space: gymnasium.Space[Any]) -> list[int]:
+    """Return how many options each choice of an action has; empty if it is no choice."""
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return [int(space.n)]
+    if isinstance(space, gymnasium.spaces.MultiDiscrete):
+        return [int(n) for n in space.nvec.ravel()]
+    return []
