@@ -126,8 +126,8 @@ proximal policy optimisation (`pip install "lunarsim[rl]"`; PyTorch without CUDA
 shares of the way for some lanes, a checkpoint and a look at unseen seeds every few updates. Broken
 off and called again it goes on, bit for bit. `agent.npz` in its folder is flown by NumPy alone,
 `checkpoint/model.zip` by Stable-Baselines3. Networks of any framework fly as
-[ONNX files](learning.md#networks-of-other-frameworks). RLlib pins an older Gymnasium and is left out;
-MaskablePPO of sb3-contrib takes `Retarget-v0` as it is, through `action_masks()`.
+[ONNX files](learning.md#networks-of-other-frameworks). RLlib pins an older Gymnasium and is left
+out; MaskablePPO of sb3-contrib takes `Retarget-v0` as it is, through `action_masks()`.
 """
 
 

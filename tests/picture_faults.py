@@ -83,7 +83,7 @@ def all_faults(counts, rng):
         "overexposed": np.clip(350.0 / np.median(counts) * floats, 0, 255).astype(np.uint8),
         "defocus": defocused(counts, rng),
         "strong defocus": defocused(counts, rng, 4.0),
-        "smear": smeared(counts, rng),
+        "smear": smeared(counts, rng, 20.0),  # of 12 pixels, one in about a hundred passes
         "half black": halved(counts, rng, 0),
         "half black with read noise": halved(counts, rng, 0, 0.05),
         "half white": halved(counts, rng, 255),

@@ -88,7 +88,8 @@ def test_a_high_sun_that_is_elsewhere_is_not_believed(scene, off):
     assert fault in {Fault.SUN_ELSEWHERE, Fault.SUN_UNPROVEN}
     if np.isfinite(turn.angle):
         beside = np.angle(np.exp(1j * (turn.angle - np.radians(off))))
-        assert abs(np.degrees(beside)) < 12.0
+        # 11.3 +- 0.5 deg at most over 20 draws of the noise.
+        assert abs(np.degrees(beside)) < 15.0
 
 
 def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wrong_by():
