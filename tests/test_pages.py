@@ -155,6 +155,7 @@ def _site(folder, *options):
     )
 
 
+@pytest.mark.slow
 def test_the_site_without_its_notebooks_is_built_without_a_warning(tmp_path):
     quiet = "suppress_warnings=myst-nb.lexer"  # known once a kernel has run
     done = _site(tmp_path, "-D", "nb_execution_mode=off", "-D", quiet)

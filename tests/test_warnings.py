@@ -8,9 +8,8 @@ import sys
 import pytest
 
 
-@pytest.mark.parametrize("words", [["fly", "hirise"], ["scenario", "check", "apollo15"]])
-def test_a_command_raises_no_warning(words):
-    command = [sys.executable, "-W", "error", "-m", "lunarsim", *words]
+def test_a_check_of_a_scenario_raises_no_warning():
+    command = [sys.executable, "-W", "error", "-m", "lunarsim", "scenario", "check", "apollo15"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
