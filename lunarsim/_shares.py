@@ -7,26 +7,16 @@ it holds no lock while it runs.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import wait
 from typing import Any
 
 import numba
 
-_pools: list[ThreadPoolExecutor] = []
+from lunarsim._daemon_threads import DaemonThreads
 
-
-def _pool() -> ThreadPoolExecutor:
-    """Return the threads beside the caller's own, started when first needed."""
-    if not _pools:
-        most = max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1)
-        _pools.append(ThreadPoolExecutor(most, thread_name_prefix="lunarsim-share"))
-    return _pools[0]
-
-
-# A forked child inherits the pool but none of its threads.
-os.register_at_fork(after_in_child=_pools.clear)
+# The caller's own thread does a share too.
+_threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
 
 
 class Shared:
@@ -54,7 +44,7 @@ class Shared:
             self.compiled((0, 1), *args)
             self._called = True
             return
-        others = [_pool().submit(self.compiled, (n, shares), *args) for n in range(1, shares)]
+        others = [_threads.submit(self.compiled, (n, shares), *args) for n in range(1, shares)]
         try:
             self.compiled((0, shares), *args)
         finally:

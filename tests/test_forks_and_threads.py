@@ -63,7 +63,9 @@ os.waitpid(child, 0)
 _WORKQUEUE = (
     _FLIGHT
     + """
+import threading
 from threading import Barrier
+from lunarsim._shares import Shared
 from lunarsim.onboard.navigation._rock_filter_kernels import subtract_few
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.models.pinhole import View
@@ -98,6 +100,15 @@ if child == 0:
         print(error, flush=True)
     os._exit(0)
 os.waitpid(child, 0)
+
+def outlive():
+    threading.main_thread().join()
+    twice = Shared(lambda share, out: out.append(share))
+    twice(shares := [])
+    twice(shares)
+    print(draw(), sorted(shares), flush=True)
+
+threading.Thread(target=outlive).start()
 """
 )
 
@@ -127,10 +138,14 @@ def test_forked_processes_are_refused_with_the_line_to_type(forked):
 
 
 def test_workqueue_runs_kernels_in_turn_and_its_children_may_not_render():
-    sums, drawn, refused = _lines(_WORKQUEUE, NUMBA_THREADING_LAYER="workqueue")
+    sums, drawn, refused, outlived = _lines(
+        _WORKQUEUE, NUMBA_THREADING_LAYER="workqueue", NUMBA_NUM_THREADS="2"
+    )
     assert sums == "[-80.0, -80.0, -80.0] workqueue"
     assert drawn == "True"
     assert 'multiprocessing.get_context("spawn")' in refused
+    # A thread draws and shares its work after the main thread has ended.
+    assert outlived == "True [(0, 1), (0, 2), (1, 2)]"
 
 
 def test_a_flight_without_compilation_is_the_compiled_one(forked):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from functools import lru_cache, partial, wraps
 from importlib.resources import files
@@ -19,6 +18,7 @@ import moderngl
 import numba
 
 from lunarsim import forks
+from lunarsim._daemon_threads import DaemonThreads
 from lunarsim.errors import RenderingError
 
 P = ParamSpec("P")
@@ -29,13 +29,7 @@ _INSTALL = (
     "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
 )
 _here = threading.local()
-
-
-@lru_cache(maxsize=1)
-def _render_thread() -> ThreadPoolExecutor:
-    """Return the executor whose only thread owns the context."""
-    os.register_at_fork(after_in_child=forks.mark_unsafe)
-    return ThreadPoolExecutor(1, thread_name_prefix="lunarsim-render")
+_render_thread = DaemonThreads(1, "lunarsim-render")
 
 
 def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
@@ -54,7 +48,7 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
         forks.check()
         call = partial(run, numba.get_num_threads(), *args, **kwargs)
-        return _render_thread().submit(copy_context().run, call).result()
+        return _render_thread.submit(copy_context().run, call).result()
 
     return submit
 
@@ -75,6 +69,7 @@ def gl_context() -> moderngl.Context:
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
         raise RenderingError(f"{_INSTALL} ({error})") from error
     context.gc_mode = "context_gc"
+    os.register_at_fork(after_in_child=forks.mark_unsafe)
     return context
 
 
