@@ -90,11 +90,13 @@ _KINDS = (
 
 
 def _shown(value: object) -> str:
-    """Return a value as it is written; in short where it is nested too deep for that."""
+    """Return a value as it is written; in short if it is nested too deep or has too many digits."""
     try:
         return repr(value)
     except RecursionError:
         return reprlib.repr(value)
+    except ValueError:  # an integer of more than 4,300 digits
+        return f"a value of type {type(value).__name__} that is too long to show"
 
 
 class RenderingError(RuntimeError):

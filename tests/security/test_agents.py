@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import pickle
+import struct
+import tracemalloc
 import zipfile
 
 import gymnasium
@@ -91,6 +93,23 @@ def test_archives_hold_no_objects_and_no_bombs(tmp_path, load):
         with pytest.raises(InputError, match=path.name):
             load(path)
     assert not mark.exists()
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_an_archive_that_understates_its_size_is_not_expanded(tmp_path, method):
+    path, size = tmp_path / "a.npz", 100_000_000
+    with zipfile.ZipFile(path, "w", method) as file:
+        file.writestr("x.npy", bytes(size))
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"PK\x01\x02") + 24  # uncompressed size in the directory
+    data[at : at + 4] = struct.pack("<I", 8)
+    path.write_bytes(data)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"CRC|compressed"):
+        read_arrays(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < size / 10
 
 
 def test_arrays_are_read(tmp_path):
