@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -393,3 +394,22 @@ def test_processes_render_side_by_side_and_alike():
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         there = list(pool.map(_picture, (1, 2, 1, 2)))
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
+
+
+def test_vectors_that_end_the_process_are_refused(tmp_path):
+    """Processors without AVX have them too. Other drivers than llvmpipe ignore the variable."""
+    env = os.environ | {"LP_NATIVE_VECTOR_WIDTH": "128", "LIBGL_ALWAYS_SOFTWARE": "1"}
+    words = [
+        "-m",
+        "lunarsim",
+        "render",
+        "hirise",
+        "--altitude",
+        "60",
+        "--out",
+        str(tmp_path / "a.png"),
+    ]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, env=env)
+    assert done.returncode == 1
+    assert "LP_NATIVE_VECTOR_WIDTH=256" in done.stderr
+    assert "Traceback" not in done.stderr
