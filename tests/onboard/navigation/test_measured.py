@@ -31,7 +31,7 @@ class Truth:
 
     def __init__(self, seed: int) -> None:
         self.rng = rng = np.random.default_rng(seed)
-        self.attitude = quat_from_rotation_vector(0.3 * rng.normal(size=3))
+        self.attitude = quat_from_rotation_vector(0.15 * rng.normal(size=3))
         self.position = np.array([5.0, -3.0, 120.0]) + rng.normal(size=3)
         self.velocity = np.array([6.0, 1.0, -8.0]) + rng.normal(size=3)
         self.ground, self.mounted = rng.normal(), 1e-3 * rng.normal(size=3)
