@@ -8,7 +8,7 @@ import types
 
 import pytest
 
-from lunarsim.campaign.engines.picklable import check_picklable
+from lunarsim.campaign.engines.picklable import check_importable, check_picklable
 from lunarsim.errors import InputError
 
 # As a cell of a notebook: the classes are in `__main__`, which has no file.
@@ -67,6 +67,7 @@ def test_a_script_can_be_imported_by_workers(main, tmp_path):
     script.write_text("")
     main.__file__ = str(script)
     check_picklable("policies", [Inner()])
+    check_importable("--agent", "__main__:Inner")
     main.__file__ = "<stdin>"
     with pytest.raises(InputError, match="notebook"):
         check_picklable("policies", [Inner()])

@@ -37,10 +37,29 @@ def check_picklable(field: str, value: object) -> None:
         raise InputError(
             field, kind, f"must be an object that can be pickled ({said}). Use jobs = 1"
         ) from None
-    if found.of_main and not _main_can_be_loaded():
+    if found.of_main:
+        _check_main(field, kind, found.of_main[0])
+
+
+def check_importable(field: str, name: str) -> None:
+    """Refuse a ``module:Name`` that only this process knows; other texts pass.
+
+    Raises
+    ------
+    InputError
+        If the module is ``__main__`` and worker processes cannot load it.
+    """
+    module, _, inner = name.partition(":")
+    if inner and module == "__main__":
+        _check_main(field, name, inner)
+
+
+def _check_main(field: str, value: str, name: str) -> None:
+    """Refuse a name of the module ``__main__`` that worker processes cannot load."""
+    if not _main_can_be_loaded():
         raise InputError(
-            field, kind,
-            f"{found.of_main[0]} is defined in a notebook or in an interactive session, which "
+            field, value,
+            f"{name} is defined in a notebook or in an interactive session, which "
             "worker processes cannot import. Move it into a module file, or use jobs = 1",
         )  # fmt: skip
 
