@@ -10,7 +10,7 @@ from typing import Any
 
 import gymnasium
 
-from lunarsim.campaign.engines.picklable import check_importable, check_picklable
+from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of, check, label
@@ -108,9 +108,9 @@ def _spread(
     entry = gymnasium.spec(study.env.rpartition(":")[2]).entry_point
     if callable(entry):
         name = getattr(entry, "__qualname__", type(entry).__qualname__)
-        check_importable("env", f"{entry.__module__}:{name}")
+        check_picklable("env", f"{entry.__module__}:{name}")
     for agent, _ in work:
-        check_importable("--agent", agent)
+        check_picklable("--agent", agent)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(work)), mp_context=context) as pool:
         futures: list[Future[Rows]] = [pool.submit(_chunk, study, *chunk) for chunk in work]
