@@ -145,25 +145,24 @@ def sweep(
 
     Every combination meets the same draws. The short form of `lunarsim campaign run`.
     """
-    from lunarsim.campaign.factors import parse_over
+    from lunarsim.campaign.factors import parse_over, split_changes
     from lunarsim.campaign.spec import CampaignSpec
 
-    allow_typed(*over)
+    allow_typed(*over, *changes)
     levels = parse_over(over)
-    for text in changes:
-        if text.partition("=")[0].strip() in levels:
-            raise InputError("--set", text, "no key that --over sets too")
+    base, of_swept_parts = split_changes(changes, levels)
     data = {
         "name": f"{scenario.stem}-sweep",
-        "scenario": load_scenario(scenario, changes, flown=False).to_dict(),
+        "scenario": load_scenario(scenario, base, flown=False).to_dict(),
         "flights": flights,
         "seed": seed,
-        "factors": levels,
+        "factors": levels | {key: [value] for key, value in of_swept_parts.items()},
     }
     try:
         spec = CampaignSpec.from_dict(data)
     except InputError as error:
-        field = error.field.replace("factors.", "--over ", 1)
+        is_set = error.field.removeprefix("factors.") in of_swept_parts
+        field = error.field.replace("factors.", "--set " if is_set else "--over ", 1)
         raise InputError(field, error.value, error.expected) from None
     _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 

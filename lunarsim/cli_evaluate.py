@@ -21,6 +21,7 @@ from lunarsim.cli_common import (
     wide_console,
 )
 from lunarsim.errors import InputError, check_folder
+from lunarsim.whole_files import filled_whole
 
 
 @click.command()
@@ -123,9 +124,10 @@ def evaluate(
     found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
         told = given | {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
-        write(out, rows, told, found, between)
-        if asked.scenario is not None:
-            asked.scenario.save(out / "scenario.toml")
+        with filled_whole(out):
+            write(out, rows, told, found, between)
+            if asked.scenario is not None:
+                asked.scenario.save(out / "scenario.toml")
     console.print(agents_table(found, within))
     if between:
         console.print(differences_table(between))

@@ -29,6 +29,7 @@ COMMANDS = """terrain truth tiny.toml --size 40 --posting 0.2 --out left/truth.n
 terrain preview tiny.toml --out left/preview.png
 render tiny.toml --altitude 60 --out left/image.png --truth left/truth.npz
 fly tiny.toml --policy safest --out left/flight
+scenario new hirise --out left/new.toml
 """
 
 
@@ -81,7 +82,8 @@ def test_a_full_disk_leaves_one_line_and_nothing(work):
     spec = work / "spec.toml"
     spec.write_text('scenario = "tiny.toml"\nflights = 2\nrecords = "all"\n')
     assert _run(work, "campaign run spec.toml --out flown --jobs 1").stdout.startswith("0 ")
-    more = """campaign run spec.toml --out left/campaign --jobs 1
+    more = """evaluate Guidance-v0 --agent zero --episodes 1 --jobs 1 --out left/evaluated
+campaign run spec.toml --out left/campaign --jobs 1
 compare tiny.toml --policies no-divert --flights 1 --jobs 1 --out left/compared
 campaign report flown --out left/report.html
 campaign export flown --out left/rows.parquet

@@ -16,7 +16,7 @@ from lunarsim.campaign.keys import GROUND_TABLES, tables_of
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.changes import with_values
+from lunarsim.scenario.changes import path_of, typed_values, with_values
 
 # More are a mistake in a spec rather than a study.
 MOST_ARMS = 1000
@@ -229,6 +229,44 @@ def parse_over(texts: Sequence[str]) -> dict[str, list[Any]]:
             raise InputError("--over", text, "each key once")
         factors[key] = _range(text, values) if values.count(":") == 2 else _list(text, values)
     return factors
+
+
+def split_changes(
+    texts: Sequence[str], factors: Mapping[str, Sequence[Any]]
+) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Separate changes of the scenario from keys of parts whose kinds are factors.
+
+    A key of such a part holds for the kinds that the factor chooses, not for the scenario's own.
+
+    Parameters
+    ----------
+    texts
+        ``KEY=VALUE`` each.
+    factors
+        Values by key.
+
+    Returns
+    -------
+    tuple
+        The texts that apply to the scenario; value by key of the others.
+
+    Raises
+    ------
+    InputError
+        If a text is no change, or sets a key that is a factor.
+    """
+    swept = [path_of(key, levels[0]) for key, levels in factors.items()]
+    parts = [steps[:-1] for steps in swept if steps[-1] == "kind"]
+    kept, of_parts = [], {}
+    for text, (key, value) in zip(texts, typed_values(texts).items(), strict=True):
+        steps = path_of(key, value)
+        if any(steps[: len(one)] == one for one in swept):
+            raise InputError("--set", text, "no key that --over sets too")
+        if any(steps[: len(part)] == part for part in parts):
+            of_parts[key] = value
+        else:
+            kept.append(text)
+    return tuple(kept), of_parts
 
 
 def _range(text: str, values: str) -> list[Any]:

@@ -84,6 +84,22 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
     >>> study.rocks.cover, study.policy.kind
     (0.08, 'safest')
     """
+    values = typed_values(texts)
+    try:
+        return with_values(scenario, values, _OPTION)
+    except InputError as error:
+        field = error.field.replace(f"{_OPTION}.", f"{_OPTION} ", 1)
+        raise InputError(field, error.value, error.expected) from None
+
+
+def typed_values(texts: Sequence[str]) -> dict[str, Any]:
+    """Return the value by key of texts ``KEY=VALUE``.
+
+    Raises
+    ------
+    InputError
+        If a text is no change, or a key is given twice.
+    """
     values: dict[str, Any] = {}
     for text in texts:
         key, sign, value = (part.strip() for part in text.partition("="))
@@ -92,11 +108,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
         if key in values:
             raise InputError(_OPTION, text, "each key once")
         values[key] = _parsed(text, value)
-    try:
-        return with_values(scenario, values, _OPTION)
-    except InputError as error:
-        field = error.field.replace(f"{_OPTION}.", f"{_OPTION} ", 1)
-        raise InputError(field, error.value, error.expected) from None
+    return values
 
 
 def _parsed(text: str, value: str) -> Any:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import shutil
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lunarsim.errors import InputError, suggestion
+from lunarsim.whole_files import write_whole
 
 _PACKAGE = Path(__file__).parent.parent
 
@@ -85,6 +88,8 @@ def copy_to(name: str, target: Path) -> list[Path]:
     ------
     InputError
         If there is no such scenario, or a file is there already and is another.
+    OSError
+        If a file cannot be written; nothing is left then.
     """
     source = path_of(name)
     tables = tomllib.loads(source.read_text(encoding="utf-8"))
@@ -93,9 +98,17 @@ def copy_to(name: str, target: Path) -> list[Path]:
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
             raise InputError("--out", str(new), "a new file: this one is there already")
-    for old, new in pairs:
-        new.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(old, new)
+    with ExitStack() as undo:
+        for old, new in pairs:
+            if new.exists():
+                continue
+            missing = [folder for folder in new.parents if not folder.exists()]
+            for folder in reversed(missing):
+                folder.mkdir()
+                undo.callback(folder.rmdir)
+            write_whole(new, partial(shutil.copyfile, old))
+            undo.callback(new.unlink)
+        undo.pop_all()
     return [new for _, new in pairs]
 
 

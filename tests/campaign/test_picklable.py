@@ -5,11 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 import types
+from dataclasses import dataclass
 
 import pytest
 
 from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.errors import InputError
+from lunarsim.onboard.policies.library import NoDivert
+from lunarsim.scenario import Scenario
+from tests.worlds import TINY_FLIGHT
 
 # As a cell of a notebook: the classes are in `__main__`, which has no file.
 CELL = """
@@ -57,7 +61,7 @@ def main(monkeypatch):
 
 
 def test_objects_within_others_and_functions_are_found(main):
-    for value in ([Inner()], {"a": (Inner,)}):
+    for value in ([Inner()], {"a": (Inner,)}, "__main__:Inner", [{"kind": "__main__:Inner"}]):
         with pytest.raises(InputError, match="Inner is defined in a notebook"):
             check_picklable("policies", value)
 
@@ -75,3 +79,11 @@ def test_a_script_can_be_imported_by_workers(main, tmp_path):
 def test_what_cannot_be_pickled_is_refused_in_one_sentence():
     with pytest.raises(InputError, match=r"can be pickled \(.+\)\. Use jobs = 1"):
         check_picklable("policies", lambda: None)
+
+
+def test_scenarios_that_name_a_class_of_a_notebook_are_refused(main, monkeypatch):
+    monkeypatch.setenv("LUNARSIM_ALLOW_MODULES", "__main__")
+    main.Own = dataclass(frozen=True)(type("Own", (NoDivert,), {"__module__": "__main__"}))
+    scenario = Scenario.from_dict(TINY_FLIGHT | {"policy": {"kind": "__main__:Own"}})
+    with pytest.raises(InputError, match="Own is defined in a notebook"):
+        check_picklable("arm 'all'", scenario)

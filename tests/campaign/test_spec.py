@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from scipy.stats import kstest, kstwo, norm, truncnorm, uniform
 
 from lunarsim.campaign.dispersions import Dispersions, distribution
-from lunarsim.campaign.factors import parse_over
+from lunarsim.campaign.factors import parse_over, split_changes
 from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
@@ -242,6 +242,19 @@ def test_what_the_command_line_sweeps_over():
             parse_over([text])
     with pytest.raises(InputError, match="each key once"):
         parse_over(["a=1", "a=2"])
+
+
+def test_keys_of_a_swept_part_hold_for_the_kinds_that_are_swept():
+    swept = {"guidance": ["fractional-polynomial"], "mappers.dem.kind": ["gaussian-dem"]}
+    texts = ("rocks.cover=0.1", "guidance.gamma=1.5", "mappers.dem.cell_m=[1]", "policy=safest")
+    assert split_changes(texts, swept) == (
+        ("rocks.cover=0.1", "policy=safest"), {"guidance.gamma": 1.5, "mappers.dem.cell_m": [1]}
+    )  # fmt: skip
+    for text in ("guidance=apollo", "guidance.kind=apollo", "mappers.dem.kind=quadtree"):
+        with pytest.raises(InputError, match=f"--set = '{text}': no key that --over sets"):
+            split_changes([text], swept)
+    with pytest.raises(InputError, match="--set = 'a'"):
+        split_changes(["a"], swept)
 
 
 def run(*words: object):

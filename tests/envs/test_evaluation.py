@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import types
 from dataclasses import replace
 
 import gymnasium
@@ -192,3 +194,13 @@ def test_any_number_of_processes_gives_the_same_rows():
     given = study("lunarsim_envs:Guidance-v0", None, SETS, 3)
     agents = ["random", "polynomial"]
     assert fly(given, agents, 15, jobs=2) == fly(given, agents, 15, jobs=1)
+
+
+def test_names_of_a_notebook_are_refused_before_processes_start(monkeypatch):
+    monkeypatch.setitem(sys.modules, "__main__", types.ModuleType("__main__"))
+    with pytest.raises(InputError, match=r"^--agent = '__main__:Mine': Mine is defined in a noteb"):
+        fly(asked(), ["__main__:Mine"], 11, jobs=2)
+    monkeypatch.setattr(Wanted, "__module__", "__main__")
+    with pytest.raises(InputError, match=r"^env = '__main__:Wanted': .* or use jobs = 1"):
+        fly(asked(), ["zero"], 11, jobs=2)
+    assert len(fly(asked(), ["zero"], 11, jobs=1)) == 11

@@ -8,6 +8,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
+import gymnasium
+
 from lunarsim.campaign.engines.picklable import check_picklable
 from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.errors import InputError
@@ -74,7 +76,7 @@ def fly(
     Raises
     ------
     InputError
-        If there are too many episodes.
+        If there are too many episodes, or worker processes cannot load the environment or an agent.
     """
     if episodes > MAX_FLIGHTS:
         raise InputError("--episodes", episodes, f"at most {MAX_FLIGHTS}")
@@ -102,6 +104,13 @@ def _spread(
     They are spawned: a fork of a process that has flown or rendered may hang.
     """
     check_picklable("study", study)
+    # Agents and environments are sent by name: classes of a notebook show only here.
+    entry = gymnasium.spec(study.env.rpartition(":")[2]).entry_point
+    if callable(entry):
+        name = getattr(entry, "__qualname__", type(entry).__qualname__)
+        check_picklable("env", f"{entry.__module__}:{name}")
+    for agent, _ in work:
+        check_picklable("--agent", agent)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(work)), mp_context=context) as pool:
         futures: list[Future[Rows]] = [pool.submit(_chunk, study, *chunk) for chunk in work]

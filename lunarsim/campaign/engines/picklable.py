@@ -24,25 +24,41 @@ def check_picklable(field: str, value: object) -> None:
     Raises
     ------
     InputError
-        If it cannot be pickled, or is of a class or function that exists only in this process, as
-        those of a notebook do.
+        If it cannot be pickled, or needs a class or function that exists only in this process, as
+        those of a notebook do. A text ``module:Name`` counts as such a need.
     """
-    kind = type(value).__qualname__
+    kind = value if isinstance(value, str) else type(value).__qualname__
+    sent = io.BytesIO()
+    sender = _Sender(sent)
     try:
-        sent = pickle.dumps(value)
-        found = _Recorder(io.BytesIO(sent))
+        sender.dump(value)
+        found = _Recorder(io.BytesIO(sent.getvalue()))
         found.load()
     except Exception as error:  # objects raise whatever they like
         said = str(error).split("\n")[0]
         raise InputError(
             field, kind, f"must be an object that can be pickled ({said}). Use jobs = 1"
         ) from None
-    if found.of_main and not _main_can_be_loaded():
+    of_main = found.of_main + sender.of_main
+    if of_main and not _main_can_be_loaded():
         raise InputError(
             field, kind,
-            f"{found.of_main[0]} is defined in a notebook or in an interactive session, which "
+            f"{of_main[0]} is defined in a notebook or in an interactive session, which "
             "worker processes cannot import. Move it into a module file, or use jobs = 1",
         )  # fmt: skip
+
+
+class _Sender(pickle.Pickler):
+    """Pickles and notes the names in texts such as ``__main__:Mine``, as scenarios hold them."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self.of_main: list[str] = []
+
+    def persistent_id(self, value: Any) -> None:
+        """Look at a value; it is pickled as usual."""
+        if isinstance(value, str) and value.startswith("__main__:"):
+            self.of_main.append(value.partition(":")[2])
 
 
 class _Recorder(pickle.Unpickler):
