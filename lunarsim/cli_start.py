@@ -34,6 +34,9 @@ def heard() -> None:
 def run(command: Callable[[], Any]) -> None:
     """Run a command to its end or to the first interrupt."""
     _check_process()
+    # Workers start as `python -c`, which would import modules from the working folder: it may hold
+    # a multiprocessing.py from somebody else. They take over the search path of this process.
+    os.environ["PYTHONSAFEPATH"] = "1"
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _take)
         sys.unraisablehook = _quiet

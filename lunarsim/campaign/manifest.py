@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
-from lunarsim.campaign.files import code_digest, differing, environment
+from lunarsim.campaign.files import bytes_digest, code_digest, differing, environment
 from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
@@ -77,6 +77,7 @@ class _Manifest(_Strict):
     environment: _Environment
     identity: _Identity
     parts: dict[str, str] = {}
+    digest: str = ""
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> _Manifest:
@@ -163,13 +164,23 @@ def _last_flight(folder: Path) -> int:
     return last
 
 
+def with_digest(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest with the digest of all its other values.
+
+    It finds damage, not forgery: whoever changes a value can compute the digest again.
+    """
+    values = {key: value for key, value in manifest.items() if key != "digest"}
+    text = json.dumps(json.loads(json.dumps(values)), sort_keys=True)
+    return values | {"digest": bytes_digest(text.encode())}
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of a campaign's folder.
+    """Return the manifest of a campaign's folder, without its digest.
 
     Raises
     ------
     InputError
-        If there is none, or it cannot be read.
+        If there is none, it cannot be read, or its values do not have the digest that it states.
     """
     path = folder / "manifest.json"
     if not path.is_file():
@@ -177,6 +188,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         data: dict[str, Any] = read_json(path)
         _Manifest.model_validate(data)
+        # Versions before the digest wrote none.
+        if data.pop("digest", None) not in (None, with_digest(data)["digest"]):
+            raise ValueError("its values do not have the digest that it states")
     except ValidationError as error:
         raise _damaged(folder, _reason(error)) from None
     except ValueError as error:

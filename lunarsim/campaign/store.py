@@ -30,7 +30,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.files import bytes_digest, write_json
-from lunarsim.campaign.manifest import manifest_of, new_manifest
+from lunarsim.campaign.manifest import manifest_of, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
@@ -337,7 +337,7 @@ class Store:
     def save_manifest(self, **values: Any) -> None:
         """Write the manifest with other values."""
         self.manifest |= values
-        write_json(self.folder / "manifest.json", self.manifest)
+        write_json(self.folder / "manifest.json", with_digest(self.manifest))
 
     def close(self, state: str) -> None:
         """Write all rows into parts, empty the journal, note the state, let the folder go."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, NamedTuple
 
 from lunarsim.errors import InputError
@@ -14,8 +15,19 @@ _PROCESS_BYTES = 4e8
 # Peak memory and time to make fractal relief with craters, measured with 2000 and 4000 posts along
 # a side on one core.
 _BYTES_PER_POST, _SECONDS_PER_POST = 144.0, 4.7e-7
+# Peak memory of a spline through a raster without that.
+_BYTES_PER_SPLINE_POST = 48.0
+# Memory and time to read a post of a file, measured with 2000 posts along a side in degrees.
+_BYTES_PER_POST_READ, _SECONDS_PER_POST_READ = 32.0, 2e-7
 # Layers of a map with what its mapper keeps; an image with its intermediate results.
 _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
+
+_REMEDIES = {
+    "size_m": "Use a smaller value, or a larger posting_m or detail_m",
+    "posting_m": "Use a larger value, or a part of the raster: terrain.dtm_window",
+    "path": "Use a part of the raster: terrain.dtm_window",
+    "width": "Use a smaller value, or a smaller height",
+}
 
 
 class Estimate(NamedTuple):
@@ -37,13 +49,24 @@ class Estimate(NamedTuple):
 
 
 def estimate(scenario: Any) -> Estimate:
-    """Return what a flight of a scenario takes; a raster from a file is not counted."""
+    """Return what a flight of a scenario takes; of a raster, its header is read.
+
+    A raster that cannot be opened is not counted: it is refused where it is loaded.
+    """
     ground = scenario.terrain.make()
-    posts = 0.0
-    if hasattr(ground, "size") and hasattr(ground, "posting"):
+    posts, read = 0.0, 0.0
+    memory: dict[str, float] = {}
+    if hasattr(ground, "posts"):
+        with contextlib.suppress(InputError):
+            read, posts = ground.posts()
+        memory["terrain.path"] = _BYTES_PER_POST_READ * read
+        detailed = getattr(ground, "detail", True)
+        per_post = _BYTES_PER_POST if detailed else _BYTES_PER_SPLINE_POST
+        memory["terrain.posting_m"] = per_post * posts
+    elif hasattr(ground, "size") and hasattr(ground, "posting"):
         finest = getattr(ground, "detail_posting", None) or ground.posting
         posts = (ground.size / finest) ** 2
-    memory = {"terrain.size_m": _BYTES_PER_POST * posts}
+        memory["terrain.size_m"] = _BYTES_PER_POST * posts
     for name, part in scenario.mappers.items():
         table = part.table.model_dump()
         if table.get("size_m") and table.get("posting_m"):
@@ -54,7 +77,7 @@ def estimate(scenario: Any) -> Estimate:
         if "width" in table and "height" in table:
             pixels = table["width"] * table["height"]
             memory[f"sensors.{name}.width"] = _BYTES_PER_PIXEL * pixels
-    return Estimate(memory, _SECONDS_PER_POST * posts)
+    return Estimate(memory, _SECONDS_PER_POST * posts + _SECONDS_PER_POST_READ * read)
 
 
 def check_memory(scenario: Any) -> None:
@@ -70,11 +93,10 @@ def check_memory(scenario: Any) -> None:
         key = max(found.memory, key=lambda one: found.memory[one])
         table, _, last = key.rpartition(".")
         value = getattr(scenario.terrain if table == "terrain" else _named(scenario, table), last)
-        finer = "a larger posting_m or detail_m" if last == "size_m" else "a smaller height"
         raise InputError(
             key, value,
             f"too large: a flight takes {bytes_in_words(found.total)} of memory, and "
-            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. Use a smaller value, or {finer}",
+            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. {_REMEDIES[last]}",
         )  # fmt: skip
 
 

@@ -222,6 +222,7 @@ def _filled(out: Path, rows: int) -> None:
     import pyarrow.parquet as pq
 
     from lunarsim.campaign.flying import SHARES
+    from lunarsim.campaign.manifest import with_digest
     from lunarsim.campaign.rows import TIMING, schema_of
     from lunarsim.campaign.store import PART_ROWS
     from lunarsim.evaluation.outcome import COLUMNS
@@ -233,7 +234,7 @@ def _filled(out: Path, rows: int) -> None:
         "arms": [{"name": name, "values": {"level": i}} for i, name in enumerate(arms)],
         "flights": rows // 4, "columns": columns, "inputs": {"level": "int"}, "rows": rows,
     }  # fmt: skip
-    (out / "manifest.json").write_text(json.dumps(manifest))
+    (out / "manifest.json").write_text(json.dumps(with_digest(manifest)))
     rng = np.random.default_rng(1)
     schema = schema_of(manifest["inputs"], columns)
     for part in range(rows // PART_ROWS):

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.files import bytes_digest
+from lunarsim.campaign.manifest import with_digest
 from lunarsim.campaign.results import load_results
 from lunarsim.errors import InputError
 from tests.conftest import ROOT
@@ -68,4 +69,9 @@ def write_part(path: Path, table: pa.Table) -> None:
     manifest = path.parent.parent / "manifest.json"
     data = json.loads(manifest.read_text())
     data["parts"][f"{path.parent.name}/{path.name}"] = bytes_digest(path.read_bytes())
-    manifest.write_text(json.dumps(data))
+    write_manifest(path.parent.parent, data)
+
+
+def write_manifest(folder: Path, data: dict) -> None:
+    """Write another manifest with the digest of its values."""
+    (folder / "manifest.json").write_text(json.dumps(with_digest(data)))

@@ -27,6 +27,7 @@ from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.simulation import Flight
+from tests.campaign.processes import write_manifest
 from tests.campaign.surrogate import COLUMNS, fly, plan
 from tests.worlds import TINY_FLIGHT
 
@@ -71,7 +72,7 @@ def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, says):
     data = json.loads(path.read_text()) | {key: value}
     if value is None:
         del data[key]
-    path.write_text(json.dumps(data))
+    write_manifest(tmp_path / "c", data)
     with pytest.raises(InputError, match=says):
         load_results(tmp_path / "c")
 

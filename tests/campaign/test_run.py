@@ -23,7 +23,7 @@ from lunarsim.campaign.stopping import WidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
 from lunarsim.evaluation.sequences import share_sequence
-from tests.campaign.processes import parts
+from tests.campaign.processes import parts, write_manifest
 from tests.campaign.surrogate import plan
 
 pytestmark = pytest.mark.usefixtures("short_parts")
@@ -179,7 +179,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
         run(plan(flights=2, seed=2), InlineEngine(), tmp_path / "c")
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
-        (tmp_path / "c" / "manifest.json").write_text(json.dumps(manifest | {key: value}))
+        write_manifest(tmp_path / "c", manifest | {key: value})
         with pytest.raises(InputError, match=rf"flown with {key} {value}"):
             run(plan(flights=2), InlineEngine(), tmp_path / "c")
         (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
@@ -191,14 +191,14 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     ):
         manifest = json.loads(kept[tmp_path / "c" / "manifest.json"])
         manifest["environment"][name] = value
-        (tmp_path / "c" / "manifest.json").write_text(json.dumps(manifest))
+        write_manifest(tmp_path / "c", manifest)
         with pytest.raises(InputError, match=says) as refused:
             run(plan(flights=2), InlineEngine(), tmp_path / "c")
         assert refused.value.field == "--out"
     manifest["environment"] = json.loads(kept[tmp_path / "c" / "manifest.json"])["environment"] | {
         "cores": "64", "python": "3.99",
     }  # fmt: skip
-    (tmp_path / "c" / "manifest.json").write_text(json.dumps(manifest))
+    write_manifest(tmp_path / "c", manifest)
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
     (tmp_path / "c" / "manifest.json").write_text("{")

@@ -10,11 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from lunarsim.campaign.engines.inline import InlineEngine
+from lunarsim.campaign.manifest import read_manifest
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.cli import main
 from lunarsim.errors import InputError
-from tests.campaign.processes import parts
+from tests.campaign.processes import parts, write_manifest
 from tests.campaign.surrogate import plan
 from tests.security import fuzz
 
@@ -70,6 +71,36 @@ def test_every_flipped_bit_of_a_part_is_noticed(folder, flown):
         (folder / name).write_bytes((flown / name).read_bytes())
 
 
+def test_no_flipped_bit_of_a_manifest_changes_a_value(folder):
+    path, values = folder / "manifest.json", read_manifest(folder)
+    whole, noticed = path.read_bytes(), 0
+    rng = np.random.default_rng(1)
+    for place in rng.choice(len(whole), size=400, replace=False):
+        data = bytearray(whole)
+        data[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(data)
+        try:
+            # The name of the digest may be damaged, or the space between values.
+            assert {key: read_manifest(folder)[key] for key in values} == values
+        except InputError as error:
+            assert "manifest.json in order" in str(error)
+            noticed += 1
+    assert noticed > 300
+
+
+def test_a_changed_value_of_a_manifest_is_noticed(folder):
+    path = folder / "manifest.json"
+    tables = manifest(folder)
+    for key, value in (("seed", 3), ("rows", 79), ("state", "running"), ("engine", "other")):
+        path.write_text(json.dumps(tables | {key: value}))
+        for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
+            with pytest.raises(InputError, match=r"manifest\.json in order \(.*digest"):
+                read(folder)
+    # Folders of versions that wrote no digest are read.
+    path.write_text(json.dumps({key: tables[key] for key in tables if key != "digest"}))
+    assert len(load_results(folder).table) == 80
+
+
 def test_digests_follow_the_parts(tmp_path):
     """Also where a campaign goes on, flies again what failed, or is cut down."""
     folder = tmp_path / "c"
@@ -93,7 +124,7 @@ def test_digests_follow_the_parts(tmp_path):
     ],
 )  # fmt: skip
 def test_fields_of_a_manifest_have_types(folder, key, value):
-    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | {key: value}))
+    write_manifest(folder, manifest(folder) | {key: value})
     clash = ("inputs", *(["columns"] if value else []))
     for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
         with pytest.raises(
@@ -114,7 +145,7 @@ def test_deep_or_odd_json_is_one_error(folder, text):
 def test_a_manifest_that_contradicts_the_spec_is_not_continued(folder, key):
     tables = manifest(folder)
     changed = {"name": "x", "seed": 7, "arms": tables["arms"][::-1], "inputs": {}, "columns": {}}
-    (folder / "manifest.json").write_text(json.dumps(tables | {key: changed[key]}))
+    write_manifest(folder, tables | {key: changed[key]})
     with pytest.raises(InputError, match=key):
         run(plan(), InlineEngine(), folder)
 
@@ -144,6 +175,8 @@ def damaged(folder, flown, seed):
         (folder / name).write_bytes((flown / name).read_bytes())
     if rng.random() < 0.7:
         tables = manifest(flown)
+        if rng.random() < 0.5:
+            del tables["digest"]  # so that damage reaches the code behind it
         (folder / "manifest.json").write_bytes(fuzz.damaged_json(tables, rng))
     else:
         name = names[int(rng.integers(1, 3))]

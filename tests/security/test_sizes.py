@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import rasterio
 import tomli_w
 from click.testing import CliRunner
 
@@ -28,6 +29,51 @@ def test_a_terrain_of_gigabytes_is_refused(tmp_path):
         for words in ("terrain.size_m", "54 GiB", "16 GiB is the limit", "larger posting_m"):
             assert words in done.stderr
     Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": 2600.0, "posting_m": 0.25}})
+
+
+@pytest.fixture(scope="module")
+def rasters(tmp_path_factory):
+    """Return a folder with two rasters of few bytes: many posts, and posts far apart."""
+    folder = tmp_path_factory.mktemp("rasters")
+    for name, side, step in (("large", 30_000, 1.0), ("coarse", 400, 10.0)):
+        with rasterio.open(
+            folder / f"{name}.tif", "w", driver="GTiff", width=side, height=side, count=1,
+            dtype="float32", crs="+proj=eqc +R=1737400 +units=m", sparse_ok=True, tiled=True,
+            transform=rasterio.transform.from_origin(0.0, side * step, step, step),
+        ):  # fmt: skip
+            pass
+    assert (folder / "large.tif").stat().st_size < 1_000_000
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("terrain", "words"),
+    [
+        ({"path": "large.tif", "posting_m": 10.0}, ["terrain.path", "large.tif", "dtm_window"]),
+        ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m = 0.25", "larger value"]),
+        ({"path": "coarse.tif", "posting_m": 5.0, "mirrored_to_m": 90_000.0},
+         ["terrain.posting_m = 5.0", "larger value"]),
+    ],
+)  # fmt: skip
+def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words):
+    path = rasters / "s.toml"
+    path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": {"kind": "dtm"} | terrain}))
+    for command in (("scenario", "check"), ("fly",)):
+        done = call(*command, path)
+        assert done.exit_code == 2, done.output
+        for word in (*words, "16 GiB is the limit"):
+            assert word in done.stderr
+
+
+def test_the_estimate_counts_a_raster(rasters):
+    terrain = {"kind": "dtm", "path": "large.tif", "posting_m": 1.0}
+    few, many = (
+        estimate(Scenario.from_dict({"terrain": terrain | {"dtm_window": [0, n, 0, n]}}, rasters))
+        for n in (1000, 2000)
+    )
+    # Memory for each post of the file and of the terrain, which are as many here.
+    assert many.total - few.total == pytest.approx((32.0 + 144.0) * 3.0 * 1000.0**2, rel=0.01)
+    assert many.terrain_time > 3.9 * few.terrain_time
 
 
 def test_check_states_memory_and_time(tmp_path):

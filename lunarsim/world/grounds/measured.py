@@ -79,6 +79,16 @@ class MeasuredGround(Roughness):
         """Refuse a raster that cannot be read, or that these settings do not fit."""
         _measured(self)
 
+    def posts(self) -> tuple[int, float]:
+        """Return the numbers of posts that are read and of the relief, from the file's header."""
+        from lunarsim.world.terrain.dtm import read_size  # noqa: PLC0415  (rasterio loads slowly)
+
+        assert self.path is not None
+        size = read_size(self.path, posting=self.dtm_posting, window=self.dtm_window)
+        least = self.mirrored_to or 0.0
+        cols, rows = (max(side, least) / self.posting for side in size[1:])
+        return size.posts, cols * rows
+
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""
         return strewn(self.relief(), rocks, streams)

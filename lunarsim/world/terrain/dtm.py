@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +126,35 @@ def read_info(
             heights.scale,
             heights.extremes(part) if few or window is not None else None,
         )
+
+
+class DtmSize(NamedTuple):
+    """Number of posts that are read from a raster, and sides of the terrain, m."""
+
+    posts: int
+    width: float
+    height: float
+
+
+def read_size(
+    path: str | Path,
+    *,
+    posting: float | None = None,
+    window: tuple[int, int, int, int] | None = None,
+) -> DtmSize:
+    """Return the size of a terrain from the header of its file.
+
+    For the parameters see `load_dtm`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, or its header is refused.
+    """
+    with open_raster(Path(path)) as source:
+        part = _window(window, source)
+        width, height = frame_of(source, part, posting).extent()
+        return DtmSize(int(part.width) * int(part.height), width, height)
 
 
 def load_dtm(
