@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import ClassVar
+
 import numpy as np
 
 from lunarsim.evaluation.consistency import normalised_square
@@ -28,8 +31,22 @@ UPRIGHT = attitude_from_thrust([0.0, 0.0, 1.0], np.pi / 2)
 KEEP = np.r_[0:3, 6:9]
 
 
+class Surveyed:
+    """The terrain of a world as `survey` reads it; all maps of one world share one raster."""
+
+    known: ClassVar[dict[int, Surveyed]] = {}
+
+    def __init__(self, world):
+        self.world = world  # kept, so that no other world gets its identity
+        self.raster = cache(world.terrain.raster)
+
+    @classmethod
+    def of(cls, world):
+        return cls.known.setdefault(id(world), cls(world))
+
+
 def mapped(world, rng, **options):
-    return survey(world.terrain, Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
+    return survey(Surveyed.of(world), Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
 
 
 class Descent:

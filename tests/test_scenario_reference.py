@@ -40,11 +40,11 @@ def test_the_page_is_what_the_command_prints():
 
 
 def test_a_part_that_cannot_be_loaded_is_named_and_the_rest_is_printed(monkeypatch):
-    def points(group):
+    def points(group, search_path):
         own = {"lunarsim.policy": [EntryPoint("lost", "no_such_module:Policy", group)]}
         return own.get(group, [])
 
-    monkeypatch.setattr(registry, "entry_points", points)
+    monkeypatch.setattr(registry, "installed_parts", points)
     assert [line for line in parts_list("policy") if "lost" in line and "cannot be loaded" in line]
     whole = reference_text(markdown=True)
     assert "cannot be loaded: " in whole

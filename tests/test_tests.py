@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 from tests.conftest import ROOT
@@ -10,10 +11,15 @@ from tests.conftest import ROOT
 TESTS = ROOT / "tests"
 
 
+@cache
+def _nodes(path: Path) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def _private(path: Path) -> list[str]:
     """Return private attributes that a file reads of anything but itself, and private imports."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _nodes(path):
         if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
             own = isinstance(node.value, ast.Name) and node.value.id in {"self", "cls"}
             if not own and not node.attr.startswith("__"):
@@ -31,9 +37,8 @@ def _private(path: Path) -> list[str]:
 
 def _other_tests(path: Path) -> list[str]:
     """Return the test modules that a file imports."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    modules = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
-    modules += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+    modules = [n.module or "" for n in _nodes(path) if isinstance(n, ast.ImportFrom)]
+    modules += [a.name for n in _nodes(path) if isinstance(n, ast.Import) for a in n.names]
     return [m for m in modules if m.split(".")[-1].startswith("test_")]
 
 

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -174,7 +174,7 @@ def kinds(contract: str) -> dict[str, str]:
     True
     """
     found = dict(CONTRACTS[contract].kinds)
-    for point in entry_points(group=f"lunarsim.{contract}"):
+    for point in installed_parts(f"lunarsim.{contract}", tuple(sys.path)):
         if point.name in found and found[point.name] != point.value:
             raise InputError(
                 f"entry point lunarsim.{contract}",
@@ -183,6 +183,21 @@ def kinds(contract: str) -> dict[str, str]:
             )
         found[point.name] = point.value
     return found
+
+
+@cache
+def installed_parts(group: str, search_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group that installed packages declare.
+
+    The metadata of all packages are read once per search path and process, because a scan takes
+    10 ms and each part of a scenario asks for its kinds.
+    """
+    return tuple(_entry_points(search_path).select(group=group))
+
+
+@cache
+def _entry_points(search_path: tuple[str, ...]) -> Any:
+    return entry_points()
 
 
 def loadable(contract: str) -> Iterator[tuple[str, Any]]:

@@ -84,12 +84,12 @@ def test_a_scenario_takes_a_class_of_ones_own():
 
 
 def test_entry_points_add_names_but_take_none(monkeypatch):
-    def points(group):
+    def points(group, search_path):
         own = {"lunarsim.policy": [EntryPoint("mine", f"{__name__}:MyPolicy", group)]}
         return own.get(group, []) + extra
 
     extra: list[EntryPoint] = []
-    monkeypatch.setattr(registry, "entry_points", points)
+    monkeypatch.setattr(registry, "installed_parts", points)
     assert kinds("policy")["mine"] == f"{__name__}:MyPolicy"
     assert "mine" not in kinds("mapper")
     assert resolve("policy", "mine", "entry-point") is MyPolicy
@@ -153,3 +153,16 @@ def test_a_part_of_ones_own_is_found_in_the_working_directory(tmp_path, monkeypa
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p not in ("", str(tmp_path))])
     assert resolve("policy", "a_part_of_ones_own:Mine").__name__ == "Mine"
     assert sys.path[-1] == str(tmp_path)
+
+
+def test_entry_points_follow_the_search_path(tmp_path, monkeypatch):
+    """The metadata of packages are read once, and again if the search path has changed."""
+    assert "from_elsewhere" not in kinds("policy")
+    metadata = tmp_path / "elsewhere-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[lunarsim.policy]\nfrom_elsewhere = elsewhere:P\n")
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(tmp_path)
+        assert kinds("policy")["from_elsewhere"] == "elsewhere:P"
+    assert "from_elsewhere" not in kinds("policy")

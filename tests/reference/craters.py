@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import RectBivariateSpline
 
 
 def worn(x: np.ndarray, y: np.ndarray, radius: float, depth: float, age: float) -> np.ndarray:
@@ -30,6 +30,6 @@ def worn(x: np.ndarray, y: np.ndarray, radius: float, depth: float, age: float) 
     k = 2.0 * np.pi * np.fft.fftfreq(axis.size, step)
     decay = np.exp(-age * (k[:, None] ** 2 + k[None, :] ** 2))
     z = np.fft.ifft2(np.fft.fft2(z) * decay).real
-    at = RegularGridInterpolator((axis, axis), depth * z, method="cubic", bounds_error=False,
-                                 fill_value=0.0)  # fmt: skip
-    return np.asarray(at(np.column_stack((y / radius, x / radius))))
+    u, v = x / radius, y / radius
+    within = (np.maximum(np.abs(u), np.abs(v)) <= axis[-1]) & (np.minimum(u, v) >= axis[0])
+    return np.where(within, RectBivariateSpline(axis, axis, depth * z).ev(v, u), 0.0)

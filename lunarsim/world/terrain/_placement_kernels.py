@@ -12,12 +12,12 @@ from lunarsim.world.terrain._surface_kernels import relief_at
 def _size_classes(radius, area):
     """Return the class (n,) of each falling radius and the bucket side of each class.
 
-    Radii halve from class to class; the last class takes all that would need buckets smaller
-    than the space a rock has on average.
+    Radii halve from class to class. No bucket is smaller than the space that a rock has on
+    average: the last class takes all rocks that would need smaller buckets.
     """
     count = radius.size
     least = np.sqrt(area / count)
-    sides = [2.0 * radius[0]]
+    sides = [max(2.0 * radius[0], least)]
     of = np.zeros(count, np.int64)
     for n in range(count):
         while 4.0 * radius[n] <= sides[-1] and 0.5 * sides[-1] >= least:
