@@ -91,11 +91,9 @@ def evaluate(
       FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    A file of Stable-Baselines3 is a pickle: it can run any code when it is read.
-    Episode i of every agent has the same world, start and noise. A score is a return less its
-    shaping, which tells nothing of how well a flight went. The table gives shares with 95 %
-    Wilson intervals, means with bootstrap intervals, and differences on the same episodes, tested
-    and corrected for their number.
+    Episode i of every agent has the same world, start and noise. A score is a return without its
+    shaping. The table gives shares with 95 % Wilson intervals, means with bootstrap intervals, and
+    differences on the same episodes, tested and corrected for their number.
     """  # noqa: D301
     from lunarsim_envs.evaluation.request import study
     from lunarsim_envs.evaluation.results import differences, figures, with_target, write

@@ -46,7 +46,9 @@ class Surveyed:
 
 
 def mapped(world, rng, **options):
-    return survey(Surveyed.of(world), Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
+    return survey(
+        Surveyed.of(world), Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options
+    )
 
 
 class Descent:
