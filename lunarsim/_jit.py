@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import lru_cache
+from functools import lru_cache, wraps
 from threading import RLock
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar, cast, overload
 
 import numba
+import numpy as np
 from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
@@ -57,6 +58,17 @@ class _Parallel(CPUDispatcher):  # type: ignore[misc]
         forks.check()
         with _parallel_lock():
             return super().__call__(*args)
+
+
+def _without_warnings(function: F) -> F:
+    """Return a function whose overflows and NaN raise no warnings, as in a compiled kernel."""
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*args, **kwargs)
+
+    return cast(F, call)
 
 
 @overload
@@ -118,7 +130,8 @@ def kernel(
 
     def decorate(function: Any) -> Any:
         if numba.config.DISABLE_JIT:
-            return Shared(function) if shared else function
+            plain = _without_warnings(function)
+            return Shared(plain) if shared else plain
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             nogil=True,

@@ -150,3 +150,20 @@ def test_workqueue_runs_kernels_in_turn_and_its_children_may_not_render():
 
 def test_a_flight_without_compilation_is_the_compiled_one(forked):
     assert _lines(_FLIGHT + "print(fly(0))", NUMBA_DISABLE_JIT="1") == forked[:1]
+
+
+_OVERFLOW = """
+import warnings; warnings.simplefilter("error")
+import numpy as np
+from lunarsim._jit import kernel
+
+@kernel()
+def squared(x):
+    return x * x
+
+print(squared(np.uint64(2**63 + 3)))
+"""
+
+
+def test_kernels_without_compilation_raise_no_warning():
+    assert _lines(_OVERFLOW, NUMBA_DISABLE_JIT="1") == ["9"]
