@@ -57,7 +57,8 @@ def rasters(tmp_path_factory):
 )  # fmt: skip
 def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words):
     path = rasters / "s.toml"
-    path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": {"kind": "dtm"} | terrain}))
+    tables = {"terrain": {"kind": "dtm"} | terrain, "rocks": {"cover": 0.0}}
+    path.write_text(tomli_w.dumps(TINY_FLIGHT | tables))
     for command in (("scenario", "check"), ("fly",)):
         done = call(*command, path)
         assert done.exit_code == 2, done.output
