@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from lunarsim.errors import InputError
 from lunarsim.grid import bytes_in_words
+from lunarsim.rocks.laws import golombek_number
 
 # Memory of one process at the peak. A scenario that needs more is refused.
 MAX_MEMORY_BYTES = 16 * 2**30
@@ -19,6 +22,10 @@ _BYTES_PER_POST, _SECONDS_PER_POST = 144.0, 4.7e-7
 _BYTES_PER_SPLINE_POST = 48.0
 # Memory and time to read a post of a file, measured with 2000 posts along a side in degrees.
 _BYTES_PER_POST_READ, _SECONDS_PER_POST_READ = 32.0, 2e-7
+# Heights of the surroundings.
+_BYTES_PER_POST_KEPT = 8.0
+# Memory and time to place a rock, measured with 200,000 rocks on 60 m of terrain.
+_BYTES_PER_ROCK, _SECONDS_PER_ROCK = 400.0, 5e-6
 # Layers of a map with what its mapper keeps; an image with its intermediate results.
 _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
 
@@ -26,6 +33,8 @@ _REMEDIES = {
     "size_m": "Use a smaller value, or a larger posting_m or detail_m",
     "posting_m": "Use a larger value, or a part of the raster: terrain.dtm_window",
     "path": "Use a part of the raster: terrain.dtm_window",
+    "min_diameter_m": "Use a larger value, or a smaller cover",
+    "sizes_m": "Use smaller values or fewer levels",
     "width": "Use a smaller value, or a smaller height",
 }
 
@@ -54,19 +63,31 @@ def estimate(scenario: Any) -> Estimate:
     A raster that cannot be opened is not counted: it is refused where it is loaded.
     """
     ground = scenario.terrain.make()
-    posts, read = 0.0, 0.0
+    posts, read, area = 0.0, 0.0, 0.0
     memory: dict[str, float] = {}
     if hasattr(ground, "posts"):
         with contextlib.suppress(InputError):
             read, posts = ground.posts()
+        area = posts * ground.posting**2
         memory["terrain.path"] = _BYTES_PER_POST_READ * read
         detailed = getattr(ground, "detail", True)
         per_post = _BYTES_PER_POST if detailed else _BYTES_PER_SPLINE_POST
         memory["terrain.posting_m"] = per_post * posts
     elif hasattr(ground, "size") and hasattr(ground, "posting"):
         finest = getattr(ground, "detail_posting", None) or ground.posting
-        posts = (ground.size / finest) ** 2
+        posts, area = (ground.size / finest) ** 2, ground.size**2
         memory["terrain.size_m"] = _BYTES_PER_POST * posts
+    drawn_rocks = scenario.rocks.make()
+    ends = np.array([drawn_rocks.min_diameter, drawn_rocks.max_diameter])
+    density = -np.diff(golombek_number(ends, drawn_rocks.cover))[0] if drawn_rocks.cover else 0.0
+    rocks = float(area * drawn_rocks.share * density)
+    memory["rocks.min_diameter_m"] = _BYTES_PER_ROCK * rocks
+    if scenario.surroundings is not None:
+        around = scenario.surroundings.make()
+        levels = [(s / p) ** 2 for s, p in zip(around.sizes, around.postings, strict=True)]
+        # One level at a time is drawn; all are kept.
+        drawn = _BYTES_PER_POST * max(levels, default=0.0)
+        memory["surroundings.sizes_m"] = drawn + _BYTES_PER_POST_KEPT * sum(levels)
     for name, part in scenario.mappers.items():
         table = part.table.model_dump()
         if table.get("size_m") and table.get("posting_m"):
@@ -77,7 +98,8 @@ def estimate(scenario: Any) -> Estimate:
         if "width" in table and "height" in table:
             pixels = table["width"] * table["height"]
             memory[f"sensors.{name}.width"] = _BYTES_PER_PIXEL * pixels
-    return Estimate(memory, _SECONDS_PER_POST * posts + _SECONDS_PER_POST_READ * read)
+    time = _SECONDS_PER_POST * posts + _SECONDS_PER_POST_READ * read + _SECONDS_PER_ROCK * rocks
+    return Estimate(memory, time)
 
 
 def check_memory(scenario: Any) -> None:
@@ -92,7 +114,7 @@ def check_memory(scenario: Any) -> None:
     if found.total > MAX_MEMORY_BYTES:
         key = max(found.memory, key=lambda one: found.memory[one])
         table, _, last = key.rpartition(".")
-        value = getattr(scenario.terrain if table == "terrain" else _named(scenario, table), last)
+        value = getattr(_table(scenario, table), last)
         raise InputError(
             key, value,
             f"too large: a flight takes {bytes_in_words(found.total)} of memory, and "
@@ -100,7 +122,8 @@ def check_memory(scenario: Any) -> None:
         )  # fmt: skip
 
 
-def _named(scenario: Any, table: str) -> Any:
-    """Return a part such as ``mappers.dem``."""
-    of, _, name = table.partition(".")
-    return getattr(scenario, of)[name]
+def _table(scenario: Any, name: str) -> Any:
+    """Return a table such as ``terrain`` or ``mappers.dem``."""
+    of, _, part = name.partition(".")
+    found = getattr(scenario, of)
+    return found[part] if part else found

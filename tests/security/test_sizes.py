@@ -26,7 +26,7 @@ def test_a_terrain_of_gigabytes_is_refused(tmp_path):
         path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": terrain}))
         done = call("scenario", "check", path)
         assert done.exit_code == 2, done.output
-        for words in ("terrain.size_m", "54 GiB", "16 GiB is the limit", "larger posting_m"):
+        for words in ("terrain.size_m", "54.2 GiB", "16 GiB is the limit", "larger posting_m"):
             assert words in done.stderr
     Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": 2600.0, "posting_m": 0.25}})
 
@@ -57,12 +57,33 @@ def rasters(tmp_path_factory):
 )  # fmt: skip
 def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words):
     path = rasters / "s.toml"
-    path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": {"kind": "dtm"} | terrain}))
+    tables = {"terrain": {"kind": "dtm"} | terrain, "rocks": {"cover": 0.0}}
+    path.write_text(tomli_w.dumps(TINY_FLIGHT | tables))
     for command in (("scenario", "check"), ("fly",)):
         done = call(*command, path)
         assert done.exit_code == 2, done.output
         for word in (*words, "16 GiB is the limit"):
             assert word in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        ({"terrain": {"size_m": 2500.0, "posting_m": 0.5},
+          "rocks": {"cover": 0.2, "min_diameter_m": 0.01}},
+         ["rocks.min_diameter_m = 0.01", "smaller cover"]),
+        ({"moon": {}, "surroundings": {"sizes_m": [40_000.0] * 400, "postings_m": [10.0] * 400,
+                                       "rms_slopes_deg": [1.0] * 400}},
+         ["surroundings.sizes_m", "fewer levels"]),
+    ],
+)  # fmt: skip
+def test_rocks_and_surroundings_of_gigabytes_are_refused(tmp_path, tables, words):
+    path = tmp_path / "s.toml"
+    path.write_text(tomli_w.dumps(TINY_FLIGHT | tables))
+    done = call("scenario", "check", path)
+    assert done.exit_code == 2, done.output
+    for word in (*words, "16 GiB is the limit"):
+        assert word in done.stderr
 
 
 def test_the_estimate_counts_a_raster(rasters):
@@ -72,7 +93,9 @@ def test_the_estimate_counts_a_raster(rasters):
         for n in (1000, 2000)
     )
     # Memory for each post of the file and of the terrain, which are as many here.
-    assert many.total - few.total == pytest.approx((32.0 + 144.0) * 3.0 * 1000.0**2, rel=0.01)
+    more = sum(many.memory[f"terrain.{key}"] - few.memory[f"terrain.{key}"]
+               for key in ("path", "posting_m"))  # fmt: skip
+    assert more == pytest.approx((32.0 + 144.0) * 3.0 * 1000.0**2, rel=0.01)
     assert many.terrain_time > 3.9 * few.terrain_time
 
 
@@ -84,7 +107,8 @@ def test_check_states_memory_and_time(tmp_path):
         for side in (500.0, 1000.0)
     )
     assert large.terrain_time == pytest.approx(4.0 * small.terrain_time)
-    assert large.total - small.total == pytest.approx(144.0 * 3.0 * 1000.0**2)
+    more = large.memory["terrain.size_m"] - small.memory["terrain.size_m"]
+    assert more == pytest.approx(144.0 * 3.0 * 1000.0**2)
 
 
 @pytest.mark.parametrize("flights", [10_000_001, 10**13, 10**30])
