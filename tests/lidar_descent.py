@@ -46,7 +46,8 @@ class Surveyed:
 
 
 def mapped(world, rng, **options):
-    return survey(Surveyed.of(world), Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options)
+    grid = Grid.centred((0.0, 0.0), 240.0, 0.5)
+    return survey(Surveyed.of(world), grid, rng, sigma=0.1, **options)
 
 
 class Descent:

@@ -10,7 +10,6 @@ import pytest
 from lunarsim.scenario import Scenario
 from tests.worlds import TINY_FLIGHT
 
-
 # Runs commands in one process, each given as one argument.
 RUN = """
 import sys
