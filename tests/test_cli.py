@@ -73,13 +73,17 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
     assert again == Scenario.load(small)
 
 
-def test_compare_prints_a_row_a_policy(small, tmp_path):
-    out = tmp_path / "results"
+def test_compare_prints_a_row_a_policy(tmp_path):
+    """Also of a scenario and in a folder whose names look like markup."""
+    tiny, out = tmp_path / "tiny.toml", tmp_path / "out [/x]"
+    Scenario.from_dict(TINY_FLIGHT | {"name": "mare [/low sun]"}).save(tiny)
     result = run(
-        "compare", str(small), "--policies", "no-divert,safest", "--flights", "1", "--jobs", "1",
+        "compare", str(tiny), "--policies", "no-divert,safest", "--flights", "1", "--jobs", "1",
         "--out", str(out), "--no-figures", "--cache", str(tmp_path / "cache"),
     )  # fmt: skip
     assert result.exit_code == 0, result.output
+    assert "mare [/low sun]" in result.stderr
+    assert f"results, records and figures in {out}" in result.stdout
     # As of `campaign run`: its engine, its cache, kernels first.
     assert json.loads((out / "manifest.json").read_text())["engine"] == "local"
     assert list((tmp_path / "cache").rglob("*.npz")) and "kernels are ready" in result.output

@@ -21,7 +21,7 @@ from lunarsim.evaluation.comparisons import Difference
 from lunarsim.scenario import Scenario
 from lunarsim.viz import draw_comparison
 from lunarsim.viz.style import literal
-from tests.worlds import ROOT, TINY_FLIGHT
+from tests.worlds import ROOT
 
 NAMES = [
     "dem[final]", "[/]", "mare [/low sun]", "[red]x[/red]", ":moon:", "[nan, nan]", "a\\[b]",
@@ -64,19 +64,6 @@ def test_terrain_info_prints_the_path(tmp_path, monkeypatch, path):
     done = CliRunner().invoke(main, ["terrain", "info", path])
     assert done.exit_code == 0, done.output
     assert path in done.output.splitlines()[0]
-
-
-def test_compare_flies_a_scenario_with_brackets_in_its_name_and_paths(tmp_path):
-    scenario = tmp_path / "s.toml"
-    Scenario.from_dict(TINY_FLIGHT | {"name": "mare [/low sun]"}).save(scenario)
-    out = tmp_path / "out [/x]"
-    done = CliRunner().invoke(main, [
-        "compare", str(scenario), "--policies", "no-divert", "--flights", "1", "--jobs", "1",
-        "--no-figures", "--cache-size", "0", "--out", str(out),
-    ])  # fmt: skip
-    assert done.exit_code == 0, done.output
-    assert "mare [/low sun]" in done.stderr
-    assert f"results, records and figures in {out}" in done.stdout
 
 
 def _pixels(text, **options):

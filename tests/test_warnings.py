@@ -7,11 +7,32 @@ import sys
 
 import pytest
 
+from lunarsim.scenario import Scenario
+from tests.worlds import TINY_FLIGHT
 
+<<<<<<< HEAD
 def test_a_check_of_a_scenario_raises_no_warning():
     command = [sys.executable, "-W", "error", "-m", "lunarsim", "scenario", "check", "apollo15"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
+=======
+# Runs commands in one process, each given as one argument.
+RUN = """
+import sys
+from lunarsim.cli import main
+for line in sys.argv[1:]:
+    main(line.split(), standalone_mode=False)
+"""
+
+
+def test_commands_raise_no_warning(tmp_path):
+    """Elevations from a file are read, and a small flight is flown; the test below flies more."""
+    Scenario.from_dict(TINY_FLIGHT).save(tmp_path / "tiny.toml")
+    commands = ["scenario check apollo15", "fly tiny.toml"]
+    words = [sys.executable, "-W", "error", "-c", RUN, *commands]
+    done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=tmp_path)
+>>>>>>> 6d4583cf828e7900c371d045d571a11b7e8c664f
     assert done.returncode == 0, done.stderr
+    assert "vertical speed" in done.stdout
 
 
 @pytest.mark.slow
