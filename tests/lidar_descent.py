@@ -46,14 +46,8 @@ class Surveyed:
 
 
 def mapped(world, rng, **options):
-<<<<<<< HEAD
-    return survey(
-        Surveyed.of(world), Grid.centred((0.0, 0.0), 240.0, 0.5), rng, sigma=0.1, **options
-    )
-=======
     grid = Grid.centred((0.0, 0.0), 240.0, 0.5)
     return survey(Surveyed.of(world), grid, rng, sigma=0.1, **options)
->>>>>>> 6d4583cf828e7900c371d045d571a11b7e8c664f
 
 
 class Descent:

@@ -148,28 +148,12 @@ def test_every_page_is_on_the_site():
     assert pages == listed
 
 
-<<<<<<< HEAD
-def _site(folder, *options):
-    command = [sys.executable, "-m", "sphinx", "-W", "-n", "-q", "-b", "html", *options]
-    return subprocess.run(
-        [*command, str(ROOT / "docs"), str(folder)], check=False, capture_output=True, text=True
-    )
-
-
-@pytest.mark.slow
-def test_the_site_without_its_notebooks_is_built_without_a_warning(tmp_path):
-    quiet = "suppress_warnings=myst-nb.lexer"  # known once a kernel has run
-    done = _site(tmp_path, "-D", "nb_execution_mode=off", "-D", quiet)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "first-flight.html").is_file()
-=======
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_links_between_files_lead_to_files(path):
     """The build of the site checks the links between its pages too: see the slow test below."""
     text = re.sub(r"^```.*?^```", "", path.read_text("utf-8"), flags=re.DOTALL | re.MULTILINE)
     links = re.findall(r"\]\((?!\w+:|#)([^)#\s]+)", text)
     assert not [link for link in links if not (path.parent / link).exists()]
->>>>>>> 6d4583cf828e7900c371d045d571a11b7e8c664f
 
 
 def _run(line, folder):

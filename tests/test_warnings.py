@@ -10,11 +10,6 @@ import pytest
 from lunarsim.scenario import Scenario
 from tests.worlds import TINY_FLIGHT
 
-<<<<<<< HEAD
-def test_a_check_of_a_scenario_raises_no_warning():
-    command = [sys.executable, "-W", "error", "-m", "lunarsim", "scenario", "check", "apollo15"]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-=======
 # Runs commands in one process, each given as one argument.
 RUN = """
 import sys
@@ -30,7 +25,6 @@ def test_commands_raise_no_warning(tmp_path):
     commands = ["scenario check apollo15", "fly tiny.toml"]
     words = [sys.executable, "-W", "error", "-c", RUN, *commands]
     done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=tmp_path)
->>>>>>> 6d4583cf828e7900c371d045d571a11b7e8c664f
     assert done.returncode == 0, done.stderr
     assert "vertical speed" in done.stdout
 

@@ -22,18 +22,10 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz.style import end_of
 from tests.campaign.surrogate import plan as surrogate_plan
+from tests.security.strange_parts import SOURCE
 from tests.worlds import TINY_FLIGHT
 
 MODULE = "strange_parts"
-SOURCE = """
-from dataclasses import dataclass
-from pathlib import Path
-from lunarsim.onboard.policies.library import NoDivert
-Path({mark!r}).write_text("imported")
-@dataclass(frozen=True)
-class Mine(NoDivert):
-    name: str = "mine"
-"""
 STRANGE = {"kind": f"{MODULE}:Mine"}
 TABLES = {
     **{name: {name: STRANGE} for name in (

@@ -8,7 +8,7 @@ import sys
 import pytest
 import tomli_w
 
-from tests.security.test_parts import SOURCE
+from tests.security.strange_parts import SOURCE
 from tests.worlds import TINY_FLIGHT
 
 # Modules that a command and its workers import, of the standard library and of packages.
