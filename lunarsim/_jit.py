@@ -123,8 +123,7 @@ def kernel(
         For kernels that only kernels call; they compile faster without a wrapper for Python. The
         default is kernels whose names begin with an underscore.
     allocates
-        Without it references to arrays are not counted: each view of a row counts by an atomic
-        operation, for which threads wait on each other. `inline` and `exact` imply it.
+        Without it no atomic operation counts each view of a row. `inline` and `exact` imply it.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
