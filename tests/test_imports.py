@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 
-HEAVY = ("moderngl", "rasterio", "matplotlib", "gymnasium", "casadi", "xarray")
+HEAVY = (
+    "moderngl", "rasterio", "matplotlib", "gymnasium", "casadi", "xarray", "scipy.stats",
+)  # fmt: skip
 
 
 MODULES = (

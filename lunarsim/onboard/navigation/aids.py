@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_rotate
@@ -70,7 +70,7 @@ _PROVEN = 30
 @lru_cache
 def gate_of(degrees: int) -> float:
     """Return the normalised innovation squared beyond which a measurement is refused."""
-    return float(chi2.isf(1.0 / _REFUSED, degrees))
+    return float(chdtri(degrees, 1.0 / _REFUSED))
 
 
 def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, Array]:

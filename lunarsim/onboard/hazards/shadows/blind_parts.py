@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtr
 
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.hazards.shadows.aspect import aspect
@@ -122,7 +122,7 @@ def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
         rest = count[-1, -1] - inside
         left = np.maximum(share[:, -1:, -1:] - due, 1e-300)
         number = (rest * due / left).min(0)
-        empty = (due.min(0) > 0.0) & (poisson.cdf(inside, _CLUSTERED * number) < _RARE)
+        empty = (due.min(0) > 0.0) & (pdtr(inside, _CLUSTERED * number) < _RARE)
         for i, j in zip(*np.nonzero(empty), strict=True):
             out[i : i + high, j : j + wide] = True
     return out

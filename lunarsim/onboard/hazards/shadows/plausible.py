@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.stats import poisson
+from scipy.special import pdtr
 
 # Fewer than this share of those that should have been found, and fewer than chance explains, are
 # too few.
@@ -19,4 +19,4 @@ def too_few(found: int, expected: float) -> bool:
     found, expected
         Numbers of rocks.
     """
-    return bool(found < _FEW * expected and poisson.cdf(found, expected) < _RARE)
+    return bool(found < _FEW * expected and pdtr(found, expected) < _RARE)
