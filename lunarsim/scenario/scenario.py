@@ -192,7 +192,9 @@ class Scenario:
             Naming the first field that is wrong.
         """
         data = parsed_toml(text)
-        return cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        scenario = cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        check_memory(scenario)
+        return scenario
 
     def changed(self, /, **tables: Any) -> Scenario:
         """Return the scenario with other values, checked.

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
+from lunarsim.received_folders import check_contents
 from lunarsim.scenario.files import parsed_toml
 
 Array = NDArray[np.float64]
@@ -142,6 +143,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError("flight", str(folder), "a folder that holds flight.json")
     with reading(file):
+        check_contents(folder)
         tables: dict[str, Any] = read_json(file)
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
@@ -191,3 +194,81 @@ def test_damaged_folders_end_in_one_error(folder, flown):
         fuzz.survives(lambda: run(plan(), InlineEngine(), folder), f"continued {seed}")
         shutil.rmtree(folder)
         shutil.copytree(flown, folder)
+
+
+@pytest.mark.parametrize(
+    "name", ["journal.jsonl", ".lock", "spec.toml", "manifest.json", "results", "flights/a/00000"]
+)
+@pytest.mark.parametrize("to", ["file", "folder", "gone", "pipe"])
+def test_links_and_pipes_in_a_campaign_are_refused(folder, tmp_path, name, to):
+    """Nothing outside is read, emptied, created or written to, and nothing waits for a pipe."""
+    outside, path = tmp_path / "outside", folder / name
+    outside.mkdir()
+    (outside / "file").write_text("secret")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if to == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(outside if to == "folder" else outside / to)
+    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
+        with fuzz.at_most(10.0), pytest.raises(InputError, match="link, pipe|manifest|other files"):
+            read(folder)
+    assert [p.name for p in outside.iterdir()] == ["file"]
+    assert (outside / "file").read_text() == "secret"
+
+
+def test_a_lock_that_is_a_link_creates_no_file(tmp_path):
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / ".lock").symlink_to(tmp_path / "created")
+    with pytest.raises(InputError, match="link, pipe or device"):
+        run(plan(), InlineEngine(), tmp_path / "c")
+    assert not (tmp_path / "created").exists()
+
+
+def test_a_report_shows_files_that_are_no_utf_8(folder):
+    for name in ("spec.toml", "scenario.toml"):
+        (folder / name).write_bytes(b"\xff\xfe")
+    ends_well(folder, ("campaign", "report"))
+    assert (folder / "report.html").stat().st_size > 1000
+
+
+def test_a_report_makes_no_terrain_of_gigabytes(folder):
+    (folder / "scenario.toml").write_text("[terrain]\nsize_m = 4999.0\nposting_m = 0.25\n")
+    ends_well(folder, ("campaign", "report"))
+
+
+def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
+    arms = [{"name": f"a{i}", "values": {}} for i in range(10**6)]
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | {"arms": arms}))
+    ends_well(folder, ("campaign", "status"))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"name": "\x1b]0;x\x07"}, {"arms": [{"name": "\x9b31m", "values": {}}]},
+     {"identity": {"method": "sobol", "dispersions": {"gone": {"kind": "uniform"}}}}],
+)  # fmt: skip
+def test_names_for_a_terminal_and_draws_without_a_column_are_refused(folder, change):
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | change))
+    ends_well(folder, *COMMANDS)
+    with pytest.raises(InputError, match=r"manifest\.json in order.*(name|no column)"):
+        load_results(folder)
+
+
+def test_a_part_that_expands_to_gigabytes_is_refused(folder):
+    part = folder / "results" / "part-00000.parquet"
+    table = pq.read_table(part)
+    tables = manifest(folder)
+    for odd in (
+        pa.DictionaryArray.from_arrays(np.zeros(5000, np.int32), ["x" * 2_000_000]),
+        pa.array(np.zeros(50_000_000, np.int8)),
+    ):
+        pq.write_table(pa.table({"error": odd}), part)
+        assert part.stat().st_size < 3_000_000
+        without = {k: v for k, v in tables.items() if k not in ("parts", "digest")}
+        (folder / "manifest.json").write_text(json.dumps(without))
+        with pytest.raises(InputError, match="when expanded"):
+            load_results(folder)
+    ran = run(plan(), InlineEngine(), folder)
+    assert ran.flown == len(table) and "when expanded" in ran.notes[0]
