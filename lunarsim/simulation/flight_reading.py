@@ -161,9 +161,11 @@ def digest_of(path: Path) -> str:
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path; refuse one that leads out of the folder."""
+    """Return a path; refuse one that leads out of the folder, and a pipe, which never ends."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError("it leads out of the folder")
+    if path.exists() and not path.is_file():
+        raise ValueError("it is no regular file")
     return path
 
 

@@ -170,6 +170,17 @@ def test_a_damaged_line_of_the_journal_is_flown_again(folder, flown, line):
     assert parts(folder) == parts(flown)
 
 
+@pytest.mark.parametrize(
+    "name", ["journal.jsonl", "results/part-00000.parquet", "timing/part-00007.parquet", ".lock"]
+)
+def test_a_pipe_in_a_folder_is_refused(folder, name):
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
+        with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
+            read(folder)
+
+
 def damaged(folder, flown, seed):
     """Damage one file of a campaign."""
     rng = np.random.default_rng(seed)

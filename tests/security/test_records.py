@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 
 import h5py
@@ -105,6 +106,17 @@ def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
                 Flight.load(folder)
         (folder / name).unlink()
         shutil.move(tmp_path / "elsewhere", folder / name)
+
+
+@pytest.mark.parametrize("name", ["maps/dem.nc", "trajectory.parquet", "scans.parquet"])
+@pytest.mark.parametrize("digests", [True, False])
+def test_a_pipe_in_a_record_is_refused(folder, name, digests):
+    if not digests:
+        edit(folder, lambda t: t.pop("digests"))
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
+        Flight.load(folder)
 
 
 @pytest.mark.parametrize("how", ["link", "external", "virtual"])

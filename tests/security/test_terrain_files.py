@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import os
 import shutil
 import threading
 
@@ -15,6 +16,7 @@ from click.testing import CliRunner
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.world.terrain.dtm import load_dtm, read_info
+from tests.security import fuzz
 from tests.world.terrain.rasters import Case, equirectangular, plane
 
 pytestmark = [
@@ -249,3 +251,38 @@ def test_broken_files_are_read_or_refused_by_name(tmp_path, driver):
         part.write_bytes(parts[part])
     assert try_to_read(path) is None
     assert refused > 0
+
+
+@pytest.mark.parametrize("name", ["a.tif.aux.xml", "a.hdr", "a.lbl"])
+def test_a_pipe_beside_a_raster_is_refused(tmp_path, name):
+    (tmp_path / "a.tif").write_bytes(bytes(4096))
+    os.mkfifo(tmp_path / name)
+    with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
+        load_dtm(tmp_path / "a.tif")
+
+
+def test_a_pipe_that_a_label_names_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.img")
+    (tmp_path / "a.lbl").write_text('PDS_VERSION_ID = PDS3\n^IMAGE = "pipe.img"\nEND\n')
+    with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
+        load_dtm(tmp_path / "a.lbl")
+
+
+def test_a_link_with_a_header_of_its_own_reads_no_other_file(tmp_path):
+    """A header may declare any file to be a raster of bytes."""
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "text").write_bytes(b"secret words " * 8)
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "z.dat").symlink_to(tmp_path / "secret" / "text")
+    (tmp_path / "in" / "z.hdr").write_text(
+        "ENVI\nsamples = 10\nlines = 10\nbands = 1\nheader offset = 0\ndata type = 1\n"
+        "interleave = bsq\nbyte order = 0\n"
+    )
+    with pytest.raises(InputError, match="Put all parts of a raster into one folder"):
+        load_dtm(tmp_path / "in" / "z.dat", posting=1.0)
+    (tmp_path / "in" / "z.dat").unlink()
+    shutil.copy(tmp_path / "secret" / "text", tmp_path / "in" / "z.dat")
+    (tmp_path / "links").mkdir()
+    for part in ("z.dat", "z.hdr"):
+        (tmp_path / "links" / part).symlink_to(tmp_path / "in" / part)
+    assert load_dtm(tmp_path / "links" / "z.dat", posting=1.0).z.shape == (10, 10)

@@ -29,6 +29,8 @@ _ERRORS = (
 )  # fmt: skip
 # Label files that describe a raster of the same name.
 _LABEL_SUFFIXES = (".lbl", ".LBL", ".xml", ".XML")
+# Labels, attached ones too, are shorter.
+_LABEL_BYTES = 2**20
 # A sidecar file can name a URL: no name is allowed, and requests go to a closed port.
 _CLOSED_PROXY = "http://127.0.0.1:1"
 _GDAL_OPTIONS = {
@@ -53,6 +55,7 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         _check_proj()
         try:
+            _check_siblings(path)
             check_links(path)
             with _opened(path) as source:
                 _check_files(path, source)
@@ -131,16 +134,37 @@ def _check_proj() -> None:
         ) from None  # fmt: skip
 
 
-def _check_files(path: Path, source: DatasetReader) -> None:
-    """Refuse a raster whose parts lie outside its folder."""
-    folders = {path.absolute().parent.resolve(), path.resolve().parent}
-    for name in source.files:
-        part = Path(name).resolve()
-        if not (part.is_file() and any(part.is_relative_to(folder) for folder in folders)):
+def _check_siblings(path: Path) -> None:
+    """Refuse pipes and devices that GDAL would open as parts of a raster: it would wait for ever.
+
+    Those are files that begin with the name of the raster, and files that its label names.
+    """
+    siblings = path.absolute().parent.iterdir()
+    odd = [p for p in siblings if p.exists() and not p.is_file() and not p.is_dir()]
+    if not odd:
+        return
+    with path.open("rb") as file:
+        start = file.read(_LABEL_BYTES)
+    for part in odd:
+        if part.name.startswith(path.stem) or os.fsencode(part.name) in start:
             raise InputError(
-                "terrain.path", str(path), f"it refers to {name}, which is no file in its folder. "
-                "Put all parts of a raster into one folder",
-            )  # fmt: skip
+                "terrain.path", str(path), f"{part.name} beside it is no regular file. Remove it"
+            )
+
+
+def _check_files(path: Path, source: DatasetReader) -> None:
+    """Refuse a raster whose parts do not all lie in its folder, or in that of what it links to."""
+    parts = [Path(name).resolve() for name in source.files]
+    outside = [
+        [part for part in parts if not (part.is_file() and part.is_relative_to(folder))]
+        for folder in (path.absolute().parent.resolve(), path.resolve().parent)
+    ]
+    if all(outside):
+        name = source.files[parts.index(outside[0][0])]
+        raise InputError(
+            "terrain.path", str(path), f"it refers to {name}, which is no file in its folder. "
+            "Put all parts of a raster into one folder",
+        )  # fmt: skip
 
 
 def _check_band(path: Path, source: DatasetReader) -> None:
