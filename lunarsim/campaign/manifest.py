@@ -115,7 +115,6 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
         check_folder(folder, hidden=False)
         check_contents(folder)
         return None
-    check_regular(folder)
     manifest = read_manifest(folder)
     for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),
                       ("code", code_digest())):  # fmt: skip
@@ -207,20 +206,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except ValueError as error:
         raise _damaged(folder, str(error)) from None
     return data
-
-
-def check_regular(folder: Path) -> None:
-    """Refuse a folder with pipes or devices in it: a reader would wait for ever.
-
-    Raises
-    ------
-    InputError
-        Naming the file.
-    """
-    for inside in (folder, folder / "results", folder / "timing"):
-        for path in inside.iterdir() if inside.is_dir() else ():
-            if path.exists() and not path.is_file() and not path.is_dir():
-                raise InputError("folder", str(path), "no regular file. Remove it")
 
 
 def _reason(error: ValidationError) -> str:

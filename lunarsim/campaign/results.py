@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lunarsim.campaign.files import bytes_digest
-from lunarsim.campaign.manifest import FORMAT, check_regular, read_manifest
+from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.rows import TIMING, check_expanded, schema_of
@@ -114,7 +114,6 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
         If the folder holds no campaign, or a part cannot be read.
     """
     folder = Path(folder)
-    check_regular(folder)
     manifest = read_manifest(folder)
     if manifest["format"] != FORMAT:
         expected = f"a campaign of format {FORMAT}, not {manifest['format']}"

@@ -58,8 +58,9 @@ def check_expanded(data: bytes) -> None:
         If it does.
     """
     file = pq.ParquetFile(pa.BufferReader(data))
-    texts = [field.name for field in file.schema_arrow if pa.types.is_string(field.type)]
-    size = 8 * file.metadata.num_rows * len(file.schema_arrow)
+    leaves = [file.schema.column(i) for i in range(len(file.schema))]
+    texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
+    size = 8 * file.metadata.num_rows * len(leaves)
     if size <= MAX_FILE_BYTES:
         table = pq.ParquetFile(pa.BufferReader(data), read_dictionary=texts).read(texts)
         for chunk in (chunk for column in table.columns for chunk in column.chunks):

@@ -16,7 +16,7 @@ MAX_TOML_BYTES = 2**22
 _MAX_DEPTH = 40
 # A key of more parts than that; tomllib needs memory that grows with the square of their number.
 _DEEP_KEY = re.compile(
-    r"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){%d}""" % _MAX_DEPTH
+    r"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)""" f"{{{_MAX_DEPTH}}}"
 )
 
 

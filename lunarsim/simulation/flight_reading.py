@@ -119,6 +119,8 @@ def _reason(error: Exception) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    if isinstance(error, InputError):
+        return error.expected
     if isinstance(error, KeyError):
         return f"{error} is missing"
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
@@ -161,11 +163,9 @@ def digest_of(path: Path) -> str:
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path; refuse one that leads out of the folder, and a pipe, which never ends."""
+    """Return a path; refuse one that leads out of the folder."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError("it leads out of the folder")
-    if path.exists() and not path.is_file():
-        raise ValueError("it is no regular file")
     return path
 
 

@@ -170,17 +170,6 @@ def test_a_damaged_line_of_the_journal_is_flown_again(folder, flown, line):
     assert parts(folder) == parts(flown)
 
 
-@pytest.mark.parametrize(
-    "name", ["journal.jsonl", "results/part-00000.parquet", "timing/part-00007.parquet", ".lock"]
-)
-def test_a_pipe_in_a_folder_is_refused(folder, name):
-    (folder / name).unlink(missing_ok=True)
-    os.mkfifo(folder / name)
-    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
-        with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
-            read(folder)
-
-
 def damaged(folder, flown, seed):
     """Damage one file of a campaign."""
     rng = np.random.default_rng(seed)
@@ -198,7 +187,7 @@ def damaged(folder, flown, seed):
 
 
 def test_damaged_folders_end_in_one_error(folder, flown):
-    for seed in range(100):
+    for seed in range(40):
         damaged(folder, flown, seed)
         ends_well(folder, COMMANDS[seed % len(COMMANDS)])
         fuzz.survives(lambda: load_results(folder), f"campaign {seed}")
@@ -208,8 +197,10 @@ def test_damaged_folders_end_in_one_error(folder, flown):
 
 
 @pytest.mark.parametrize(
-    "name", ["journal.jsonl", ".lock", "spec.toml", "manifest.json", "results", "flights/a/00000"]
-)
+    "name",
+    ["journal.jsonl", ".lock", "spec.toml", "manifest.json", "results", "flights/a/00000",
+     "timing/part-00007.parquet"],
+)  # fmt: skip
 @pytest.mark.parametrize("to", ["file", "folder", "gone", "pipe"])
 def test_links_and_pipes_in_a_campaign_are_refused(folder, tmp_path, name, to):
     """Nothing outside is read, emptied, created or written to, and nothing waits for a pipe."""
@@ -223,7 +214,10 @@ def test_links_and_pipes_in_a_campaign_are_refused(folder, tmp_path, name, to):
     else:
         path.symlink_to(outside if to == "folder" else outside / to)
     for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
-        with fuzz.at_most(10.0), pytest.raises(InputError, match="link, pipe|manifest|other files"):
+        with (
+            fuzz.at_most(10.0),
+            pytest.raises(InputError, match=r"link, pipe|manifest|other files"),
+        ):
             read(folder)
     assert [p.name for p in outside.iterdir()] == ["file"]
     assert (outside / "file").read_text() == "secret"
@@ -250,9 +244,10 @@ def test_a_report_makes_no_terrain_of_gigabytes(folder):
 
 
 def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
-    arms = [{"name": f"a{i}", "values": {}} for i in range(10**6)]
-    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | {"arms": arms}))
-    ends_well(folder, ("campaign", "status"))
+    """A parser would take seconds for each part."""
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder)) + " " * 9_000_000)
+    with pytest.raises(InputError, match="more than 8388608 bytes"):
+        load_results(folder)
 
 
 @pytest.mark.parametrize(
@@ -272,10 +267,11 @@ def test_a_part_that_expands_to_gigabytes_is_refused(folder):
     table = pq.read_table(part)
     tables = manifest(folder)
     for odd in (
-        pa.DictionaryArray.from_arrays(np.zeros(5000, np.int32), ["x" * 2_000_000]),
-        pa.array(np.zeros(50_000_000, np.int8)),
+        {"error": pa.DictionaryArray.from_arrays(np.zeros(5000, np.int32), ["x" * 2_000_000])},
+        {"error": pa.array(["x" * 200_000] * 2000)},
+        dict.fromkeys("abcdefgh", pa.array(np.zeros(5_000_000, np.int8))),
     ):
-        pq.write_table(pa.table({"error": odd}), part)
+        pq.write_table(pa.table(odd), part)
         assert part.stat().st_size < 3_000_000
         without = {k: v for k, v in tables.items() if k not in ("parts", "digest")}
         (folder / "manifest.json").write_text(json.dumps(without))
