@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from lunarsim.campaign import results
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.manifest import read_manifest
 from lunarsim.campaign.results import load_results
@@ -279,3 +281,23 @@ def test_a_part_that_expands_to_gigabytes_is_refused(folder):
             load_results(folder)
     ran = run(plan(), InlineEngine(), folder)
     assert ran.flown == len(table) and "when expanded" in ran.notes[0]
+
+
+def test_a_report_runs_no_script_of_a_manifest(tmp_path):
+    folder, evil = tmp_path / "c", "</script><script>alert(1)</script>"
+    given = plan()
+    arms = [(evil + name, values) for name, values in given.arms]
+    run(replace(given, arms=arms, name=evil), InlineEngine(), folder)
+    (folder / "spec.toml").write_text(f"# </pre>{evil}")
+    ends_well(folder, ("campaign", "report"))
+    page = (folder / "report.html").read_text()
+    assert "alert(1)" in page and "<script>alert" not in page
+
+
+def test_a_part_that_changes_while_it_is_read_is_read_again(folder, monkeypatch):
+    """As in a campaign that is flying."""
+    now = results.read_manifest(folder)
+    before = now | {"parts": dict.fromkeys(now["parts"], "of the part before")}
+    answers = [before, now, now]
+    monkeypatch.setattr(results, "read_manifest", lambda folder: answers.pop(0))
+    assert len(load_results(folder).table) == 80
