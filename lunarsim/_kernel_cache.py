@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 import tempfile
 from functools import lru_cache
@@ -10,7 +11,6 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-import numba
 from numba.core import caching
 
 from lunarsim._kernel_sources import sources_digest
@@ -27,7 +27,9 @@ def _folder_of(modules: Path) -> Path | None:
     """
     name = f"{modules.name}_{hashlib.blake2b(bytes(modules), digest_size=8).hexdigest()}"
     folders = [modules / "__pycache__", user_cache("kernels") / name]
-    given = str(numba.config.CACHE_DIR)
+    # Numba's own setting may come from a .numba_config.yaml in the working folder, whose author
+    # could then lay pickles in place of kernels.
+    given = os.environ.get("NUMBA_CACHE_DIR", "")
     if given:
         folders.insert(0, Path(given) / name)
     usable = next(filter(_can_create, folders), None)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 # Bytes of a file. The manifest of a thousand arms and ten thousand parts has 3 MB.
-MAX_JSON_BYTES = 2**26
+MAX_JSON_BYTES = 2**23
 
 
 def read_json(path: Path) -> Any:

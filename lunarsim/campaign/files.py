@@ -74,7 +74,8 @@ def _texts(data: Any) -> Iterator[tuple[str, str]]:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def module_digest(name: str) -> dict[str, str]:

@@ -7,7 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,6 +19,7 @@ from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
 from lunarsim.json_files import read_json
+from lunarsim.received_folders import bounded_bytes, check_contents
 
 FORMAT = 1
 _Kind = Literal[*KINDS]  # type: ignore[valid-type]
@@ -28,8 +29,12 @@ class _Strict(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
+# A terminal that shows a name must not take parts of it as commands.
+_Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
+
+
 class _Arm(_Strict):
-    name: str
+    name: _Name
     values: dict[str, Any]
 
 
@@ -64,7 +69,7 @@ class _Manifest(_Strict):
     """What readers need of a manifest, in strict types."""
 
     format: int
-    name: str
+    name: _Name
     seed: int = Field(ge=0)
     flights: int = Field(ge=0, le=MAX_FLIGHTS)
     arms: list[_Arm]
@@ -80,13 +85,16 @@ class _Manifest(_Strict):
     digest: str = ""
 
     @model_validator(mode="after")
-    def _names_are_unique(self) -> _Manifest:
+    def _names_fit(self) -> _Manifest:
         arms = [arm.name for arm in self.arms]
         columns = schema_of(self.inputs, self.columns).names
         for what, names in (("arm", arms), ("column", columns)):
             twice = [name for name, count in Counter(names).items() if count > 1]
             if twice:
                 raise ValueError(f"{what} {twice[0]!r} is there twice")
+        for key in self.identity.dispersions:
+            if key not in self.inputs:
+                raise ValueError(f"no column holds the draws of {key!r}")
         return self
 
 
@@ -105,8 +113,8 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
     if not (folder / "manifest.json").exists():
         # A writer that was killed before its manifest leaves its lock and a part of a file.
         check_folder(folder, hidden=False)
+        check_contents(folder)
         return None
-    check_regular(folder)
     manifest = read_manifest(folder)
     for key, ours in (("format", FORMAT), ("version", lunarsim.__version__),
                       ("code", code_digest())):  # fmt: skip
@@ -159,7 +167,7 @@ def _last_flight(folder: Path) -> int:
             flights = pq.read_table(path, columns=["flight"])["flight"].to_numpy()
             last = max(last, int(flights.max(initial=-1)))
     journal = folder / "journal.jsonl"
-    for line in journal.read_bytes().split(b"\n") if journal.exists() else []:
+    for line in bounded_bytes(journal).split(b"\n") if journal.exists() else []:
         with contextlib.suppress(ValueError, KeyError, TypeError):
             last = max(last, int(json.loads(line)[0]["flight"]))
     return last
@@ -186,6 +194,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
+    check_contents(folder)
     try:
         data: dict[str, Any] = read_json(path)
         _Manifest.model_validate(data)
@@ -197,20 +206,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     except ValueError as error:
         raise _damaged(folder, str(error)) from None
     return data
-
-
-def check_regular(folder: Path) -> None:
-    """Refuse a folder with pipes or devices in it: a reader would wait for ever.
-
-    Raises
-    ------
-    InputError
-        Naming the file.
-    """
-    for inside in (folder, folder / "results", folder / "timing"):
-        for path in inside.iterdir() if inside.is_dir() else ():
-            if path.exists() and not path.is_file() and not path.is_dir():
-                raise InputError("folder", str(path), "no regular file. Remove it")
 
 
 def _reason(error: ValidationError) -> str:

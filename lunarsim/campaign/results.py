@@ -19,11 +19,12 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lunarsim.campaign.files import bytes_digest
-from lunarsim.campaign.manifest import FORMAT, check_regular, read_manifest
+from lunarsim.campaign.manifest import FORMAT, read_manifest
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
-from lunarsim.campaign.rows import TIMING, schema_of
+from lunarsim.campaign.rows import TIMING, check_expanded, schema_of
 from lunarsim.errors import InputError, check_output
+from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_whole
 
 # Columns that every row has a value of.
@@ -113,7 +114,6 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
         If the folder holds no campaign, or a part cannot be read.
     """
     folder = Path(folder)
-    check_regular(folder)
     manifest = read_manifest(folder)
     if manifest["format"] != FORMAT:
         expected = f"a campaign of format {FORMAT}, not {manifest['format']}"
@@ -122,8 +122,8 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     # The journal first: a row that moves on meanwhile is then read twice rather than never.
     journal = _journal(folder)
     wanted = None if columns is None else list(dict.fromkeys(["id", "flight", "arm", *columns]))
-    table = _parts(folder, "results", schema, wanted)
-    timing = _parts(folder, "timing", TIMING, None)
+    table = _parts(folder, "results", schema, wanted, manifest)
+    timing = _parts(folder, "timing", TIMING, None, manifest)
     if journal:
         # Of a flight that was flown again the journal has the later row.
         table, timing = (_without(one, list(journal)) for one in (table, timing))
@@ -165,12 +165,15 @@ def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
     return timing.take(places).set_column(0, "id", table["id"])
 
 
-def _parts(folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None) -> pa.Table:
+def _parts(
+    folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None, manifest: dict[str, Any]
+) -> pa.Table:
     """Return all parts of a dataset, each as it was written."""
     tables = []
     for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
-            data = _whole_bytes(folder, path)
+            data = _whole_bytes(folder, path, manifest)
+            check_expanded(data)
             table = pq.read_table(pa.BufferReader(data), columns=columns, schema=schema)
             if any(table[name].null_count for name in _ALWAYS if name in table.column_names):
                 raise ValueError("a row without its place")
@@ -185,17 +188,18 @@ def _parts(folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None
     return empty if columns is None else empty.select(columns)
 
 
-def _whole_bytes(folder: Path, path: Path) -> bytes:
+def _whole_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
     """Return the bytes of a part whose digest is that of the manifest, if it has one.
 
     Both are read again if they differ, because a campaign that is flying may just change them.
     """
     name = str(path.relative_to(folder))
     for _ in range(_TRIES):
-        data = path.read_bytes()
+        data = bounded_bytes(path)
         digest = bytes_digest(data)
-        if read_manifest(folder).get("parts", {}).get(name, digest) == digest:
+        if manifest.get("parts", {}).get(name, digest) == digest:
             return data
+        manifest = read_manifest(folder)
     raise ValueError("its digest differs from the one in manifest.json")
 
 
@@ -211,7 +215,7 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     """Return rows and times of the journal by id; a line that is half there is none."""
     found = {}
     path = folder / "journal.jsonl"
-    lines = path.read_bytes().split(b"\n") if path.exists() else []
+    lines = bounded_bytes(path).split(b"\n") if path.exists() else []
     for line in lines:
         try:
             row, timing = json.loads(line)

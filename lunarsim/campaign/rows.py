@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 import lunarsim
 from lunarsim.campaign.files import code_digest
 from lunarsim.campaign.outcomes import Finished
 from lunarsim.campaign.plan import Plan, row_id
+from lunarsim.received_folders import MAX_FILE_BYTES
 
 # A row of results and its times.
 Row = tuple[dict[str, Any], dict[str, Any]]
@@ -42,6 +45,29 @@ def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schem
             ("code", pa.string()),
         ]
     )
+
+
+def check_expanded(data: bytes) -> None:
+    """Refuse a part that takes more than `MAX_FILE_BYTES` in memory.
+
+    Texts are measured as dictionaries: a column may hold one long text many times.
+
+    Raises
+    ------
+    ValueError
+        If it does.
+    """
+    file = pq.ParquetFile(pa.BufferReader(data))
+    leaves = [file.schema.column(i) for i in range(len(file.schema))]
+    texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
+    size = 8 * file.metadata.num_rows * len(leaves)
+    if size <= MAX_FILE_BYTES:
+        table = pq.ParquetFile(pa.BufferReader(data), read_dictionary=texts).read(texts)
+        for chunk in (chunk for column in table.columns for chunk in column.chunks):
+            lengths = pc.binary_length(chunk.dictionary.cast(pa.large_string()))
+            size += pc.sum(lengths.take(chunk.indices)).as_py() or 0
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"more than {MAX_FILE_BYTES} bytes when expanded")
 
 
 def row_of(plan: Plan, done: Finished) -> dict[str, Any]:

@@ -33,8 +33,9 @@ from lunarsim.campaign.files import bytes_digest, write_json
 from lunarsim.campaign.manifest import manifest_of, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
-from lunarsim.campaign.rows import TIMING, Row, row_of, schema_of
+from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
 from lunarsim.errors import InputError
+from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole, write_whole
 
 # Rows of a part, about.
@@ -178,9 +179,10 @@ class Store:
 
     def _read(self, kind: str, name: str) -> pa.BufferReader:
         """Return the bytes of a part; refuse others than those that were written."""
-        data = (self.folder / kind / name).read_bytes()
+        data = bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
+        check_expanded(data)
         return pa.BufferReader(data)
 
     def _forget_digests(self, part: int) -> None:
@@ -199,7 +201,7 @@ class Store:
         self._open[part] = {key: _line(row) for key, row in rows.items()}
 
     def _take_journal(self, path: Path, retry: bool) -> None:
-        lines = path.read_bytes().split(b"\n")
+        lines = bounded_bytes(path).split(b"\n")
         for i, line in enumerate(lines):
             if not line:
                 continue

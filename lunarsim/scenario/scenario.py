@@ -6,6 +6,7 @@ wrong types and impossible values are refused with the field, the value and what
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -192,7 +193,9 @@ class Scenario:
             Naming the first field that is wrong.
         """
         data = parsed_toml(text)
-        return cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        scenario = cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        check_memory(scenario)
+        return scenario
 
     def changed(self, /, **tables: Any) -> Scenario:
         """Return the scenario with other values, checked.
@@ -312,6 +315,8 @@ def _text(data: Mapping[str, Any], key: str, default: str) -> str:
     value = data.get(key, default)
     if not isinstance(value, str):
         raise InputError(key, value, "a text in quotes")
+    if any(unicodedata.category(c) == "Cc" and c not in "\n\t" for c in value):
+        raise InputError(key, value, "a text without control characters, which terminals obey")
     return value
 
 

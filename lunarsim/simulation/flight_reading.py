@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.json_files import read_json
+from lunarsim.received_folders import check_contents
 from lunarsim.scenario.files import parsed_toml
 
 Array = NDArray[np.float64]
@@ -118,6 +119,8 @@ def _reason(error: Exception) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    if isinstance(error, InputError):
+        return error.expected
     if isinstance(error, KeyError):
         return f"{error} is missing"
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__
@@ -142,6 +145,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError("flight", str(folder), "a folder that holds flight.json")
     with reading(file):
+        check_contents(folder)
         tables: dict[str, Any] = read_json(file)
         checked = FlightRecord.model_validate(tables)
         parsed_toml(checked.scenario)
@@ -159,11 +163,9 @@ def digest_of(path: Path) -> str:
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path; refuse one that leads out of the folder, and a pipe, which never ends."""
+    """Return a path; refuse one that leads out of the folder."""
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError("it leads out of the folder")
-    if path.exists() and not path.is_file():
-        raise ValueError("it is no regular file")
     return path
 
 

@@ -31,8 +31,11 @@ POLICY_COLOURS = {
 def new_figure(width: float, height: float) -> Figure:
     """Return a figure (inches) that draws without a display and without global state."""
     mpl.rcParams.update(
-        {"font.size": 9, "axes.titlesize": 10, "axes.grid": False, "legend.fontsize": 8}
-    )
+        {
+            "font.size": 9, "axes.titlesize": 10, "axes.grid": False, "legend.fontsize": 8,
+            "text.usetex": False,  # a matplotlibrc of the working folder could run LaTeX
+        }
+    )  # fmt: skip
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from lunarsim.campaign import results
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.manifest import read_manifest
 from lunarsim.campaign.results import load_results
@@ -168,17 +172,6 @@ def test_a_damaged_line_of_the_journal_is_flown_again(folder, flown, line):
     assert parts(folder) == parts(flown)
 
 
-@pytest.mark.parametrize(
-    "name", ["journal.jsonl", "results/part-00000.parquet", "timing/part-00007.parquet", ".lock"]
-)
-def test_a_pipe_in_a_folder_is_refused(folder, name):
-    (folder / name).unlink(missing_ok=True)
-    os.mkfifo(folder / name)
-    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
-        with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
-            read(folder)
-
-
 def damaged(folder, flown, seed):
     """Damage one file of a campaign."""
     rng = np.random.default_rng(seed)
@@ -196,10 +189,115 @@ def damaged(folder, flown, seed):
 
 
 def test_damaged_folders_end_in_one_error(folder, flown):
-    for seed in range(100):
+    for seed in range(40):
         damaged(folder, flown, seed)
         ends_well(folder, COMMANDS[seed % len(COMMANDS)])
         fuzz.survives(lambda: load_results(folder), f"campaign {seed}")
         fuzz.survives(lambda: run(plan(), InlineEngine(), folder), f"continued {seed}")
         shutil.rmtree(folder)
         shutil.copytree(flown, folder)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["journal.jsonl", ".lock", "spec.toml", "manifest.json", "results", "flights/a/00000",
+     "timing/part-00007.parquet"],
+)  # fmt: skip
+@pytest.mark.parametrize("to", ["file", "folder", "gone", "pipe"])
+def test_links_and_pipes_in_a_campaign_are_refused(folder, tmp_path, name, to):
+    """Nothing outside is read, emptied, created or written to, and nothing waits for a pipe."""
+    outside, path = tmp_path / "outside", folder / name
+    outside.mkdir()
+    (outside / "file").write_text("secret")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if to == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(outside if to == "folder" else outside / to)
+    for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
+        with (
+            fuzz.at_most(10.0),
+            pytest.raises(InputError, match=r"link, pipe|manifest|other files"),
+        ):
+            read(folder)
+    assert [p.name for p in outside.iterdir()] == ["file"]
+    assert (outside / "file").read_text() == "secret"
+
+
+def test_a_lock_that_is_a_link_creates_no_file(tmp_path):
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / ".lock").symlink_to(tmp_path / "created")
+    with pytest.raises(InputError, match="link, pipe or device"):
+        run(plan(), InlineEngine(), tmp_path / "c")
+    assert not (tmp_path / "created").exists()
+
+
+def test_a_report_shows_files_that_are_no_utf_8(folder):
+    for name in ("spec.toml", "scenario.toml"):
+        (folder / name).write_bytes(b"\xff\xfe")
+    ends_well(folder, ("campaign", "report"))
+    assert (folder / "report.html").stat().st_size > 1000
+
+
+def test_a_report_makes_no_terrain_of_gigabytes(folder):
+    (folder / "scenario.toml").write_text("[terrain]\nsize_m = 4999.0\nposting_m = 0.25\n")
+    ends_well(folder, ("campaign", "report"))
+
+
+def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
+    """A parser would take seconds for each part."""
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder)) + " " * 9_000_000)
+    with pytest.raises(InputError, match="more than 8388608 bytes"):
+        load_results(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"name": "\x1b]0;x\x07"}, {"arms": [{"name": "\x9b31m", "values": {}}]},
+     {"identity": {"method": "sobol", "dispersions": {"gone": {"kind": "uniform"}}}}],
+)  # fmt: skip
+def test_names_for_a_terminal_and_draws_without_a_column_are_refused(folder, change):
+    (folder / "manifest.json").write_text(json.dumps(manifest(folder) | change))
+    ends_well(folder, *COMMANDS)
+    with pytest.raises(InputError, match=r"manifest\.json in order.*(name|no column)"):
+        load_results(folder)
+
+
+def test_a_part_that_expands_to_gigabytes_is_refused(folder):
+    part = folder / "results" / "part-00000.parquet"
+    table = pq.read_table(part)
+    tables = manifest(folder)
+    for odd in (
+        {"error": pa.DictionaryArray.from_arrays(np.zeros(5000, np.int32), ["x" * 2_000_000])},
+        {"error": pa.array(["x" * 200_000] * 2000)},
+        dict.fromkeys("abcdefgh", pa.array(np.zeros(5_000_000, np.int8))),
+    ):
+        pq.write_table(pa.table(odd), part)
+        assert part.stat().st_size < 3_000_000
+        without = {k: v for k, v in tables.items() if k not in ("parts", "digest")}
+        (folder / "manifest.json").write_text(json.dumps(without))
+        with pytest.raises(InputError, match="when expanded"):
+            load_results(folder)
+    ran = run(plan(), InlineEngine(), folder)
+    assert ran.flown == len(table) and "when expanded" in ran.notes[0]
+
+
+def test_a_report_runs_no_script_of_a_manifest(tmp_path):
+    folder, evil = tmp_path / "c", "</script><script>alert(1)</script>"
+    given = plan()
+    arms = [(evil + name, values) for name, values in given.arms]
+    run(replace(given, arms=arms, name=evil), InlineEngine(), folder)
+    (folder / "spec.toml").write_text(f"# </pre>{evil}")
+    ends_well(folder, ("campaign", "report"))
+    page = (folder / "report.html").read_text()
+    assert "alert(1)" in page and "<script>alert" not in page
+
+
+def test_a_part_that_changes_while_it_is_read_is_read_again(folder, monkeypatch):
+    """As in a campaign that is flying."""
+    now = results.read_manifest(folder)
+    before = now | {"parts": dict.fromkeys(now["parts"], "of the part before")}
+    answers = [before, now, now]
+    monkeypatch.setattr(results, "read_manifest", lambda folder: answers.pop(0))
+    assert len(load_results(folder).table) == 80

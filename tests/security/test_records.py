@@ -97,12 +97,17 @@ def test_a_map_lies_in_its_folder(folder, name):
 
 
 def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
+    (tmp_path / "secret").write_text("secret")
+    digest = digest_of(tmp_path / "secret")
+    edit(folder, lambda t: t["digests"].update({"../secret": digest}))
+    with pytest.raises(InputError, match="leads out of the folder"):
+        Flight.load(folder)
     for name in ("maps/dem.nc", "trajectory.parquet"):
         shutil.move(folder / name, tmp_path / "elsewhere")
         (folder / name).symlink_to(tmp_path / "elsewhere")
         for change in (lambda t: None, lambda t: t.pop("digests", None)):
             edit(folder, change)
-            with pytest.raises(InputError, match="leads out of the folder"):
+            with pytest.raises(InputError, match="link, pipe or device"):
                 Flight.load(folder)
         (folder / name).unlink()
         shutil.move(tmp_path / "elsewhere", folder / name)
@@ -115,7 +120,7 @@ def test_a_pipe_in_a_record_is_refused(folder, name, digests):
         edit(folder, lambda t: t.pop("digests"))
     (folder / name).unlink()
     os.mkfifo(folder / name)
-    with fuzz.at_most(10.0), pytest.raises(InputError, match="no regular file"):
+    with fuzz.at_most(10.0), pytest.raises(InputError, match="link, pipe or device"):
         Flight.load(folder)
 
 
@@ -189,6 +194,6 @@ def damaged(folder, saved, seed):
 
 
 def test_damaged_records_end_in_one_error(folder, saved):
-    for seed in range(150):
+    for seed in range(60):
         damaged(folder, saved, seed)
         fuzz.survives(lambda: use(folder), f"record {seed}")

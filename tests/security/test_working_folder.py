@@ -68,3 +68,22 @@ def test_a_module_that_the_user_typed_is_found_there(hostile):
     done = python(*check, "--set", "policy=strange_parts:Mine")
     assert done.returncode == 0, done.stderr
     assert (hostile / "mark").read_text() == "imported"
+
+
+def test_settings_of_other_libraries_that_lie_there_run_nothing(tmp_path, monkeypatch):
+    """Numba would load pickles from there in place of kernels, Matplotlib would run LaTeX."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", ":".join(filter(None, sys.path)))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'kernels'}\n")
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    source = """
+import matplotlib, numba
+import lunarsim.triangulation
+from lunarsim.viz.style import new_figure
+new_figure(1.0, 1.0)
+print(numba.config.CACHE_DIR, matplotlib.rcParams["text.usetex"])
+"""
+    done = python("-c", source)
+    assert done.stdout.split() == [str(tmp_path / "kernels"), "False"], done.stderr
+    assert not (tmp_path / "kernels").exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from lunarsim.grid import Grid
+from lunarsim.received_folders import bounded_bytes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import build_world
@@ -19,7 +20,9 @@ _POINTS = 160
 
 def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
     """Return east and north (m) of the points, and the shaded relief in [0, 1]; None: no ground."""
-    scenario = Scenario.world_of(path.read_text(encoding="utf-8"), path.parent.resolve())
+    scenario = Scenario.world_of(
+        bounded_bytes(path).decode(errors="replace"), path.parent.resolve()
+    )
     relief = Terrain(build_world(scenario, Streams(flight_seed(seed, 0))).terrain.relief)
     west, east, south, north = relief.bounds
     posting = max(east - west, north - south) / _POINTS

@@ -30,6 +30,7 @@ from lunarsim.campaign.sensitivity import Sensitivity, sensitivities
 from lunarsim.campaign.subset_share import chains_of, how_it_ended, levels_told
 from lunarsim.errors import InputError, check_output
 from lunarsim.evaluation.sequences import share_sequence
+from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole
 
 # Flights that are listed as the worst, of each arm.
@@ -202,7 +203,7 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
         "causes": failures(found)[:_MOST_CAUSES],
         "worst": _worst(found),
         "timing": _timing(found),
-        "spec": spec.read_text(encoding="utf-8") if spec.is_file() else "",
+        "spec": bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
     }
 
 
