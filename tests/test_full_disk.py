@@ -101,8 +101,8 @@ campaign export flown --out left/rows.parquet
     ("command", "arm", "size"),
     [
         ("campaign run spec.toml --out left/campaign", "all", "60k"),
-        ("compare tiny.toml --policies no-divert --flights 2 --out left/campaign",
-         "no-divert", "150k"),
+        ("compare tiny.toml --policies no-divert --flights 2 --no-figures --out left/campaign",
+         "no-divert", "100k"),
     ],
     ids=["campaign", "compare"],
 )  # fmt: skip
