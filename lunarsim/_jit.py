@@ -106,8 +106,7 @@ def kernel(
     Parameters
     ----------
     parallel
-        Spread `numba.prange` loops over threads. Kernels write each output element from one
-        iteration alone, so the bits do not depend on the number of threads.
+        Spread `numba.prange` loops over threads. One iteration writes each output element.
     shared
         The same for a kernel with one such loop, compiled four times faster: its first parameter is
         a share (first turn, step) of that loop, which callers from Python omit. It returns nothing.

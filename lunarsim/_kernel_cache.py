@@ -14,7 +14,7 @@ from typing import Any
 from numba.core import caching
 
 from lunarsim._kernel_sources import sources_digest
-from lunarsim.user_cache import is_writable, user_cache, warn
+from lunarsim.user_cache import expanded, is_writable, user_cache, warn
 
 _DIGEST_BYTES = 16
 
@@ -31,7 +31,7 @@ def _folder_of(modules: Path) -> Path | None:
     # could then lay pickles in place of kernels.
     given = os.environ.get("NUMBA_CACHE_DIR", "")
     if given:
-        folders.insert(0, Path(given) / name)
+        folders.insert(0, expanded(given) / name)
     usable = next(filter(_can_create, folders), None)
     if given and usable != folders[0]:
         _warn_once(f"NUMBA_CACHE_DIR = {given}: cannot be written to, kernels are kept elsewhere")

@@ -245,6 +245,9 @@ def compare(
     if not result.complete:
         click.echo("interrupted: only finished flights were written", err=True)
         sys.exit(INTERRUPTED)
+    if result.unrecorded:
+        click.echo(f"error: {result.unrecorded}", err=True)
+        sys.exit(1)
 
 
 @main.command()

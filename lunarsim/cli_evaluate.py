@@ -74,8 +74,7 @@ from lunarsim.whole_files import filled_whole
 def evaluate(
     env: str, agents: tuple[str, ...], trust_pickle: bool, scenario: Path | None,
     values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
-    decided: tuple[str, ...], episodes: int,
-    seed: int, jobs: int, within: float, out: Path | None,
+    decided: tuple[str, ...], episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
     """Fly agents over the same episodes of an environment ENV and compare them.
 
@@ -91,8 +90,9 @@ def evaluate(
       FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    Episode i of every agent has the same world, start and noise. A score is a return without its
-    shaping. The table gives shares with 95 % Wilson intervals, means with bootstrap intervals, and
+    A file of Stable-Baselines3 is a pickle: it can run any code when it is read. Episode i of
+    every agent has the same world, start and noise. A score is the return minus shaping rewards.
+    The table gives shares with 95 % Wilson intervals, means with bootstrap intervals, and
     differences on the same episodes, tested and corrected for their number.
     """  # noqa: D301
     from lunarsim_envs.evaluation.request import study

@@ -19,8 +19,14 @@ def ensure_caches() -> None:
     """Set the environment to a temporary cache if the user's cache cannot be written to.
 
     Other libraries and processes started later use it too. Matplotlib needs a folder for its
-    configuration as well.
+    configuration as well. A ``~`` that no shell has expanded is expanded here.
     """
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"):
+        given = os.environ.get(variable, "")
+        if given.startswith("~"):
+            del os.environ[variable]
+            if (folder := expanded(given)) != _NO_FOLDER:
+                os.environ[variable] = str(folder)
     if not is_writable(_cache_home()):
         try:
             folder = _temporary_folder()
@@ -33,13 +39,26 @@ def ensure_caches() -> None:
         os.environ["MPLCONFIGDIR"] = str(_cache_home() / "matplotlib")
 
 
+def expanded(folder: str) -> Path:
+    """Return a folder with ``~`` as the home folder; an impossible one if there is no home."""
+    if not folder.startswith("~"):
+        return Path(folder)
+    name, _, below = folder.partition("/")
+    try:
+        home = Path(name).expanduser()
+    except RuntimeError:
+        return _NO_FOLDER
+    return home / below if home.is_absolute() and home.is_dir() else _NO_FOLDER
+
+
 def is_writable(folder: Path) -> bool:
     """Return whether a folder can be written to, or created."""
     try:
         existing = next(p for p in (folder, *folder.parents) if p.exists())
     except OSError:
         return False
-    return folder != _NO_FOLDER and existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
+    is_possible = _NO_FOLDER not in (folder, *folder.parents)
+    return is_possible and existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
 
 
 def warn(text: str) -> None:
@@ -60,11 +79,7 @@ def _xdg(variable: str, below_home: str) -> Path:
     given = Path(os.environ.get(variable, ""))
     if given.is_absolute():
         return given
-    try:
-        home = Path.home()
-    except RuntimeError:
-        return _NO_FOLDER
-    return home / below_home if home.is_absolute() and home.is_dir() else _NO_FOLDER
+    return expanded(f"~/{below_home}")
 
 
 def _temporary_folder() -> Path:

@@ -93,9 +93,24 @@ campaign export flown --out left/rows.parquet
         left = list((work / "left").iterdir())
     _assert_one_line_each(done, COMMANDS + more, "No space left on device")
     assert left == []
-    with _disk(work / "left", "60k"):
-        done = _run(work, "campaign run spec.toml --out left/campaign --jobs 1")
-        flights = list((work / "left" / "campaign" / "flights" / "all").iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root to mount a small disk")
+@pytest.mark.parametrize(
+    ("command", "arm", "size"),
+    [
+        ("campaign run spec.toml --out left/campaign", "all", "60k"),
+        ("compare tiny.toml --policies no-divert --flights 2 --no-figures --out left/campaign",
+         "no-divert", "100k"),
+    ],
+    ids=["campaign", "compare"],
+)  # fmt: skip
+def test_rows_without_records_are_kept_and_end_a_command_with_an_error(work, command, arm, size):
+    (work / "spec.toml").write_text('scenario = "tiny.toml"\nflights = 2\nrecords = "all"\n')
+    with _disk(work / "left", size):
+        done = _run(work, f"{command} --jobs 1")
+        flights = list((work / "left" / "campaign" / "flights" / arm).iterdir())
     assert done.stdout.startswith('1 ["error: 2 flights have rows but no record: ')
     assert "No space left on device" in done.stdout
     assert flights == []
@@ -103,7 +118,7 @@ campaign export flown --out left/rows.parquet
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to mount a small disk")
-@pytest.mark.parametrize("size", ["60k", "200k"])
+@pytest.mark.parametrize("size", ["60k", "200k", "300k"])  # the last: during figures
 def test_a_disk_that_fills_up_during_a_flights_files_is_left_empty(work, size):
     command = "fly tiny.toml --policy safest --out left/flight\n"
     with _disk(work / "left", size):

@@ -128,6 +128,24 @@ def test_a_users_own_cache_is_kept(no_home, monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_a_tilde_is_the_home_folder_or_nothing(no_home, monkeypatch, own):
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR"):
+        monkeypatch.setenv(variable, "~/own")
+    ensure_caches()
+    assert "XDG_CONFIG_HOME" not in os.environ
+    assert Path(os.environ["MPLCONFIGDIR"]).is_relative_to(no_home)
+    monkeypatch.setenv("HOME", str(no_home))
+    for variable in ("XDG_CACHE_HOME", "MPLCONFIGDIR"):
+        monkeypatch.setenv(variable, "~/own")
+    ensure_caches()
+    assert user_cache("worlds") == no_home / "own" / "lunarsim" / "worlds"
+    assert os.environ["MPLCONFIGDIR"] == str(no_home / "own")
+    code = "from own._own_kernels import doubled as f; print(f(21))"
+    assert _run(own, code, NUMBA_CACHE_DIR="~/kernels") == (["42"], [])
+    assert list((no_home / "kernels").glob("own_*/*.nbi"))
+    assert not (own / "~").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root to become another user")
 @pytest.mark.parametrize("home", [["HOME=/nonexistent"], ["-u", "HOME"]])

@@ -60,6 +60,8 @@ class CompareResult:
         False when the run was interrupted.
     failed
         Rows without a verdict: their code raised, or their process died.
+    unrecorded
+        Why flights have no record or figures, for instance a full disk; empty: all have.
     by_law
         Whether laws of guidance are compared: rows are then told apart by arm, not by policy.
     """
@@ -70,6 +72,7 @@ class CompareResult:
     safe_share_at_heading: float
     complete: bool
     failed: list[dict[str, Any]]
+    unrecorded: str = ""
     by_law: bool = False
 
     @property
@@ -186,7 +189,7 @@ def _compare(
 ) -> CompareResult:
     """Fly into `folder`; write what `out` is promised besides the results."""
     ran = fly(spec, out=folder)
-    result = _result(folder, ran.complete, by_law)
+    result = _result(folder, ran, by_law)
     if out is not None and result.rows:
         _write(result, out, spec)
         if spec.head.figures:
@@ -217,7 +220,7 @@ def _spec(
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
 
-def _result(folder: Path, complete: bool, by_law: bool) -> CompareResult:
+def _result(folder: Path, ran: Ran, by_law: bool) -> CompareResult:
     found = load_results(folder)  # of no flight at all too, after an early interrupt
     rows = found.table.to_pylist()
     seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}
@@ -230,8 +233,9 @@ def _result(folder: Path, complete: bool, by_law: bool) -> CompareResult:
         seconds={n: [seconds[r["id"]] for r in flown if r[apart] == n] for n in names},
         safe_share=_mean([row["safe_share"] for row in shares]),
         safe_share_at_heading=_mean([row["safe_share_at_heading"] for row in shares]),
-        complete=complete,
+        complete=ran.complete,
         failed=[row for row in rows if row["outcome"] != FLOWN],
+        unrecorded=ran.unrecorded,
         by_law=by_law,
     )
 

@@ -53,7 +53,7 @@ def checked_vector(
         vector = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         vector = np.empty(0)
-    if vector.shape == (3,) and np.isfinite(vector).all():
+    if vector.shape == (3,) and np.isfinite(vector).all() and not np.iscomplexobj(value):
         return vector
     raise wrong_result(table, part, method, value, f"three finite numbers in {unit}", time)
 

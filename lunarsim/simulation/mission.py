@@ -18,6 +18,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.control.thrust import thrust_to_command
 from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.part_results import checked_command
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.mission import MissionTarget, Start, StartKnowledge
@@ -137,6 +138,7 @@ def steered(state: State, briefing: Briefing) -> State:
     if braking is not None:
         command = braking.ask(wanted, state.mass, lander, briefing.heading, 0.0)
     else:
+        wanted = checked_command("guidance", part, wanted, 0.0)
         tilt = software.approach.max_tilt
         command = thrust_to_command(wanted, state.mass, lander, briefing.heading, tilt)
     return replace(state, attitude=command.attitude, thrust=command.thrust)

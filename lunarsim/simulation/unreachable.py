@@ -35,6 +35,8 @@ _UNITS |= {"max_tilt": "_deg", "glideslope": "_deg", "reserve": "_kg", "vertical
 _UNITS |= {"vertical_altitude": "_m"}
 # Factor on the largest thrust that counts as relaxing it.
 _MORE_THRUST = 2.0
+# Share of the dry mass that remains if the propellant counts as unlimited.
+_DRY_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,16 +49,14 @@ class _Case:
     approach: Approach
     lander: Lander
     gravity: float
-    # Propellant that the tanks lack, kg.
-    lacking: float = 0.0
 
     @property
     def feasible(self) -> bool:
         """Whether a path keeps all limits."""
         end = self.approach.end(self.target[None, :], self.lander)
-        limits = self.approach.limits
-        limits = replace(limits, reserve=limits.reserve - self.lacking)
-        cost = self.software.guidance.cost(self.here, end, self.lander, self.gravity, limits)
+        cost = self.software.guidance.cost(
+            self.here, end, self.lander, self.gravity, self.approach.limits
+        )
         return bool(cost.feasible[0])
 
 
@@ -106,10 +106,9 @@ def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
     )  # fmt: skip
     stronger = replace(lander, thrust_max=_MORE_THRUST * lander.thrust_max)
     yield "vehicle.thrust_max_n", lander.thrust_max, replace(case, lander=stronger)
-    yield (
-        "vehicle.propellant_mass_kg", lander.propellant_mass,
-        replace(case, lacking=lander.propellant_mass),
-    )  # fmt: skip
+    # Of the same mass, more is propellant.
+    lighter = replace(lander, dry_mass=_DRY_SHARE * lander.dry_mass)
+    yield "vehicle.propellant_mass_kg", lander.propellant_mass, replace(case, lander=lighter)
     velocity = tuple(float(v) for v in case.here.velocity)
     at_rest = replace(case.here, velocity=np.zeros(3))
     yield "start.velocity_m_s", velocity, replace(case, here=at_rest)

@@ -178,6 +178,7 @@ def test_a_start_below_its_target_is_refused():
          "approach.throttle_margin", 0.08),
         ({"vehicle": {"thrust_max_n": 2600.0}}, "vehicle.thrust_max_n", 2600.0),
         ({"vehicle": {"propellant_mass_kg": 30.0}}, "vehicle.propellant_mass_kg", 30.0),
+        ({"vehicle": {"propellant_mass_kg": 1.0}}, "vehicle.propellant_mass_kg", 1.0),
     ],
 )  # fmt: skip
 def test_what_leaves_no_path_is_named(changes, field, value):

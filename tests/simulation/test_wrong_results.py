@@ -32,7 +32,7 @@ class _Law:
         self.part, self.weight = part, weight
 
     def command(self, estimate, end, time, time_to_go):
-        upward = np.array([0.0, 0.0, self.weight])
+        upward = [0.0, 0.0, self.weight]
         return self.part.late if time > 2.0 else upward
 
 
@@ -52,6 +52,22 @@ class FlatLaw(NanLaw):
     """Hovers, then commands two numbers."""
 
     late = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class WordLaw(NanLaw):
+    """Commands a word from the start on."""
+
+    def build(self, briefing, lag):
+        return _Law(self, "up")
+
+
+@dataclass(frozen=True)
+class ComplexLaw(NanLaw):
+    """Commands complex numbers from the start on."""
+
+    def build(self, briefing, lag):
+        return _Law(self, 1.0 + 1.0j)
 
 
 @dataclass(frozen=True)
@@ -155,6 +171,16 @@ CASES = [
     ({"guidance": _of("NanLaw")}, "guidance", "NanLaw", "command returned (nan, 0.0, 1.0) at 2."),
     ({"guidance": _of("FlatLaw")}, "guidance", "FlatLaw", "command returned (0.0, 1.0) at 2."),
     ({"guidance": _of("SilentLaw")}, "guidance", "SilentLaw", "command returned None at 2."),
+    (
+        {"braking": {"law": f"{__name__}:NanLaw"}}, "braking.law", "NanLaw",
+        "command returned (nan, 0.0, 1.0) at 2.",
+    ),
+    (
+        {"braking": {"law": f"{__name__}:SilentLaw"}}, "braking.law", "SilentLaw",
+        "command returned None at 2.",
+    ),
+    ({"guidance": _of("WordLaw")}, "guidance", "WordLaw", "returned [0.0, 0.0, 'up'] at 0.0 s"),
+    ({"guidance": _of("ComplexLaw")}, "guidance", "ComplexLaw", "[0.0, 0.0, (1+1j)] at 0.0 s"),
     ({"policy": _of("NanSite")}, "policy", "NanSite", "decide returned [nan, 0.0, 0.0] at"),
     ({"policy": _of("FlatSite")}, "policy", "FlatSite", "decide returned [0.0, 0.0] at"),
     ({"policy": _of("NoDecision")}, "policy", "NoDecision", "decide returned north at"),
@@ -167,7 +193,9 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("changes", "field", "part", "said"), CASES, ids=[c[2] for c in CASES])
+@pytest.mark.parametrize(
+    ("changes", "field", "part", "said"), CASES, ids=[f"{c[1]}-{c[2]}" for c in CASES]
+)
 def test_part_and_value_are_named(changes, field, part, said):
     scenario = Scenario.from_dict(TINY_FLIGHT | {"policy": {"kind": "safest"}} | changes)
     with pytest.raises(InputError) as refused:

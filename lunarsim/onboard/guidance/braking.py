@@ -19,6 +19,7 @@ from lunarsim.onboard.control.thrust import (
 from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.navigation.estimate import Estimate
+from lunarsim.onboard.part_results import checked_command
 from lunarsim.parts import resolve, settings_of
 from lunarsim.parts.quantity import check_bounds, quantity
 
@@ -102,7 +103,13 @@ class Braking:
         """Return the command for a thrust acceleration (3,), m/s^2; see `thrust_to_command`.
 
         A `max_tilt` of a quarter turn and more lets it push downwards too: `thrust_lift_first`.
+
+        Raises
+        ------
+        InputError
+            If the law has commanded anything else than three finite numbers.
         """
+        wanted = checked_command("braking.law", self.part(), wanted, time)
         give = thrust_to_command if self.max_tilt < 0.5 * np.pi else thrust_lift_first
         give = thrust_along if self.direction_first else give
         command = give(wanted, mass, lander, heading, self.max_tilt)

@@ -1,0 +1,51 @@
+"""Threads that serve calls until the process ends."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import time
+import weakref
+from threading import Thread, get_ident
+
+import pytest
+
+from lunarsim._daemon_threads import DaemonThreads
+
+
+class _Mesh:
+    """Stands for a large argument."""
+
+
+def test_idle_threads_keep_no_arguments_or_results_alive():
+    threads = DaemonThreads(1, "test")
+    mesh = _Mesh()
+    died = weakref.ref(mesh)
+    assert threads.submit(lambda m: m, mesh).result() is mesh
+    del mesh
+    for _ in range(100):  # the thread forgets a call just after it has given the result
+        gc.collect()
+        if died() is None:
+            break
+        time.sleep(0.01)
+    assert died() is None
+
+
+def test_an_exception_is_the_callers_and_the_thread_serves_on():
+    threads = DaemonThreads(1, "test")
+    with pytest.raises(SystemExit):
+        threads.submit(sys.exit).result()
+    assert threads.submit(divmod, 7, 2).result() == (3, 1)
+
+
+def test_first_calls_from_many_threads_start_the_threads_once():
+    served = []
+    threads = DaemonThreads(1, "test")
+    callers = [Thread(target=lambda: served.append(threads.submit(get_ident).result()))
+               for _ in range(20)]  # fmt: skip
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join()
+    assert len(served) == 20
+    assert len(set(served)) == 1
