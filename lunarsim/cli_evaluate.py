@@ -121,9 +121,14 @@ def evaluate(
             raise click.ClickException(str(error)) from None
     found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
-        told = given | {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
+        settings = given | {
+            "env": asked.env,
+            "episodes": episodes,
+            "seed": seed,
+            "within_m": within,
+        }
         with filled_whole(out):
-            write(out, rows, told, found, between)
+            write(out, rows, settings, found, between)
             if asked.scenario is not None:
                 asked.scenario.save(out / "scenario.toml")
     console.print(agents_table(found, within))

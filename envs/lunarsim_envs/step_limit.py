@@ -29,7 +29,7 @@ class StepLimit:
         self._steps = np.zeros(count, np.int64)
 
     def begin(self, mask: Mask) -> None:
-        """Start counting anew in the lanes of `mask` (n,)."""
+        """Restart the count in the lanes of `mask` (n,)."""
         self._steps[mask] = 0
 
     def reached(self, moved: Mask) -> Mask:

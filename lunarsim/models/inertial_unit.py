@@ -32,7 +32,7 @@ class TriadErrors:
     bias_walk: float = quantity(0.0, ge=0, help="walk of the bias, u/s per sqrt(s)")
     scale_factor: float = quantity(0.0, ge=0, help="1 sigma")
     misalignment: float = quantity(0.0, ge=0, help="of each axis towards each other, rad, 1 sigma")
-    quantum: float = quantity(0.0, ge=0, help="least increment, u")
+    quantum: float = quantity(0.0, ge=0, help="smallest increment, u")
 
     def __post_init__(self) -> None:
         check_bounds(self, "imu")

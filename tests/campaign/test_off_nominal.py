@@ -212,7 +212,7 @@ def test_flights_of_a_saltelli_block_do_not_count_as_many(tmp_path):
         for key, low in zip(keys, (-600.0, 0.0, 500.0, -1.0, -1.0), strict=True)
     }
     held = cried = 0
-    for seed in range(8):
+    for seed in range(40):
         made = spec(method="saltelli", dispersions=laws, flights=128, seed=seed,
                     factors={"policy": ["safest", "no-divert"]})  # fmt: skip
         work = Work("tests.campaign.test_off_nominal:chance", seed)
@@ -227,7 +227,7 @@ def test_flights_of_a_saltelli_block_do_not_count_as_many(tmp_path):
         assert made_of_pairs.pairs == 32
         cried += made_of_pairs.p < 0.05
         assert {v.difference.pairs for v in diff(found, found, 0.05)} == {32}
-    assert held >= 6 and cried <= 2
+    assert held >= 34 and cried <= 6
 
 
 def beyond(study, group, arm, memory):

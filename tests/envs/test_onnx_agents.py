@@ -67,11 +67,21 @@ def test_scores_choose_the_best_allowed_option(tmp_path):
 
 
 def test_scores_of_several_choices_are_split(tmp_path):
-    space = Space(SCALARS, gymnasium.spaces.MultiDiscrete([2, 2]))
+    space = Space(SCALARS, gymnasium.spaces.MultiDiscrete([1, 2, 1]))
     agent = agent_of(linear(tmp_path / "a.onnx", np.eye(4)), space)
-    seen = np.array([1.0, 3.0, 2.0, 0.0], dtype=np.float32)
-    assert agent.act(seen, {}).tolist() == [1, 0]
-    assert agent.act(seen, {"action_mask": np.array([1, 1, 0, 1])}).tolist() == [1, 1]
+    seen = np.array([1.0, 3.0, 2.0, 9.0], dtype=np.float32)
+    assert agent.act(seen, {}).tolist() == [0, 0, 0]
+    assert agent.act(seen, {"action_mask": np.array([1, 0, 1, 1])}).tolist() == [0, 1, 0]
+
+
+def test_an_option_that_does_not_exist_is_refused(tmp_path):
+    nodes = [helper.make_node("ArgMax", ["x"], ["y"], axis=1, keepdims=0)]
+    inputs, outputs = [info("x", [1, 4])], [info("y", [1], TensorProto.INT64)]
+    path = stored(tmp_path / "a.onnx", nodes, inputs, outputs)
+    agent = agent_of(path, Space(SCALARS, gymnasium.spaces.Discrete(3)))
+    assert agent.act(np.array([0, 0, 5, 0]), {}) == 2
+    with pytest.raises(InputError, match=r"an action of Discrete\(3\)"):
+        agent.act(np.array([0, 0, 0, 5]), {})
 
 
 def test_named_inputs_and_the_mask_are_fed(tmp_path):
@@ -114,8 +124,9 @@ def test_other_files_are_refused_by_name(tmp_path):
     (tmp_path / "empty.onnx").write_bytes(b"")
     with (tmp_path / "large.onnx").open("wb") as file:
         file.truncate(onnx_network.MAX_BYTES + 1)
-    for name in ("text", "empty", "large"):
-        with pytest.raises(InputError, match=f"{name}.onnx"):
+    for name, why in (("text", "an ONNX network"), ("empty", "an ONNX network"),
+                      ("large", "at most 64 MB")):  # fmt: skip
+        with pytest.raises(InputError, match=rf"{name}\.onnx.*{why}"):
             agent_of(str(tmp_path / f"{name}.onnx"), Space(SCALARS, BOX))
 
 

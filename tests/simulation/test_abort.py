@@ -14,6 +14,7 @@ from lunarsim.onboard.policies.library import SafestOrAbort
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.flight import Flight
+from tests.worlds import SMALL_FLIGHT
 
 
 @dataclass
@@ -32,7 +33,7 @@ class GivesUp:
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return Scenario.load("scenarios/golombek.toml")
+    return Scenario.from_dict(SMALL_FLIGHT)
 
 
 def test_an_abort_climbs_away_and_is_counted_apart(scenario, tmp_path):

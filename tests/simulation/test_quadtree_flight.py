@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -38,17 +40,33 @@ def mapper_of(simulation):
 
 @pytest.fixture(scope="module")
 def flown():
+    """A flight, with the state of its first 9 s, and what was known before and after the lock."""
     simulation = Simulation(scenario(), 2, "safest")
+    known = SimpleNamespace(simulation=simulation, states=[], offsets=[], points=None)
     while not simulation.done:
+        navigation, mapper = filter_of(simulation), mapper_of(simulation)
+        before = mapper.map.points.copy() if known.points is None else None
+        turned = navigation.ground_turn
         simulation.step()
-        if filter_of(simulation).locked:
+        if navigation.locked:
             sigma = np.sqrt(np.diag(simulation.estimate.covariance)[:3])
-            at_lock = simulation.site_error, sigma
-    return simulation, simulation.flight(), at_lock
+            known.at_lock = simulation.site_error, sigma
+            if known.points is None:
+                known.points, known.points_after = before, mapper.map.points.copy()
+                known.turn = navigation.ground_turn.since(turned.rotation)[0], turned.pivot
+                known.grid, known.site = mapper.grid, simulation.site.copy()
+                known.lock_time = simulation.time
+        if simulation.time < 9.0:
+            estimate = simulation.estimate
+            known.states.append(np.concatenate((estimate.position, estimate.velocity)))
+            known.offsets.append(navigation.site_to_local.offset)
+            known.early_site, known.early_grid = simulation.site.copy(), mapper.grid
+    known.flight = simulation.flight()
+    return known
 
 
 def test_a_policy_lands_on_the_quadtree(flown):
-    simulation, flight, _ = flown
+    simulation, flight = flown.simulation, flown.flight
     assert flight.verdict.safe, flight.verdict
     names = [event["name"] for event in flight.events]
     assert names[:2] == ["scan", "lock"]
@@ -65,7 +83,7 @@ def test_a_policy_lands_on_the_quadtree(flown):
 
 
 def test_the_map_tells_safe_from_unsafe(flown):
-    simulation, flight, _ = flown
+    simulation, flight = flown.simulation, flown.flight
     hazard_map = flight.hazard_map
     there = hazard_map.grid.centres() - flight.map_error[:2]
     safe = simulation.truth.safe_at(there)
@@ -78,7 +96,7 @@ def test_the_map_tells_safe_from_unsafe(flown):
 
 
 def test_the_estimate_is_as_good_as_it_says(flown):
-    _, _, (error, sigma) = flown
+    error, sigma = flown.at_lock
     assert (np.abs(error) < 4.0 * sigma + 0.05).all()
     assert np.linalg.norm(error) < 0.5
 
@@ -97,27 +115,20 @@ def test_a_map_that_lies_aside_moves_the_site_frame_alone():
     assert np.nanmedian(gap) == pytest.approx(0.0, abs=0.2)
 
 
-def test_the_local_frame_never_jumps():
-    simulation = Simulation(scenario(), 2)
-    rows, offsets = [], []
-    while simulation.time < 9.0:
-        simulation.step()
-        e = simulation.estimate
-        rows.append(np.concatenate((e.position, e.velocity)))
-        offsets.append(filter_of(simulation).site_to_local.offset)
-    rows, offsets = np.array(rows), np.array(offsets)
-    assert filter_of(simulation).found
+def test_the_local_frame_never_jumps(flown):
+    rows, offsets = np.array(flown.states), np.array(flown.offsets)
+    assert flown.lock_time < 9.0
     # The lock moves the map by metres, the lander in its local frame by no more than it flies.
     assert np.abs(np.diff(offsets, axis=0)).max() > 3.0
     stride = np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1)
-    flown = np.linalg.norm(rows[1:, 3:], axis=1) * simulation.scenario.simulation.cycle_s
+    due = np.linalg.norm(rows[1:, 3:], axis=1) * flown.simulation.scenario.simulation.cycle_s
     # Its first two scans tell of a tilt, 450 m from the ground (1.2 to 1.6 m an axis till then).
-    assert stride[0] < flown[0] + 0.36
-    assert (stride[1:] < flown[1:] + 0.35).all()
+    assert stride[0] < due[0] + 0.36
+    assert (stride[1:] < due[1:] + 0.35).all()
     # The site is where the briefed target is now known to lie.
-    target = simulation.computer.briefing.target
-    assert simulation.site[:2] == pytest.approx((target + offsets[-1])[:2])
-    assert mapper_of(simulation).grid.contains(simulation.site[:2])
+    target = flown.simulation.computer.briefing.target
+    assert flown.early_site[:2] == pytest.approx((target + offsets[-1])[:2])
+    assert flown.early_grid.contains(flown.early_site[:2])
 
 
 def test_two_flights_of_a_seed_are_the_same():
@@ -129,21 +140,15 @@ def test_two_flights_of_a_seed_are_the_same():
     assert np.array_equal(mapper_of(a).map.points, mapper_of(b).map.points)
 
 
-def test_ground_is_mapped_from_the_first_scan_and_a_lock_moves_none_of_it():
-    simulation = Simulation(scenario(), 2)
-    while not filter_of(simulation).locked:
-        before = mapper_of(simulation).map.points.copy()
-        turned = filter_of(simulation).ground_turn
-        simulation.step()
-        assert simulation.time < 9.0
+def test_ground_is_mapped_from_the_first_scan_and_a_lock_moves_none_of_it(flown):
+    before, after = flown.points, cKDTree(flown.points_after)
     assert len(before) > 50_000
-    after = cKDTree(mapper_of(simulation).map.points)
     # The site moved by metres, and the map was perhaps laid about it: its points did not move, but
     # for the tilt that the map has told.
-    assert np.linalg.norm(simulation.site - simulation.computer.briefing.target) > 3.0
-    turn, _ = filter_of(simulation).ground_turn.since(turned.rotation)
-    there = (before[::50] - turned.pivot) @ turn.T + turned.pivot
-    there = there[mapper_of(simulation).grid.contains(there[:, :2])]
+    assert np.linalg.norm(flown.site - flown.simulation.computer.briefing.target) > 3.0
+    turn, pivot = flown.turn
+    there = (before[::50] - pivot) @ turn.T + pivot
+    there = there[flown.grid.contains(there[:, :2])]
     assert len(there) > 500
     # Of points as far apart as these a sixth would meet others by chance.
     assert np.mean(after.query(there)[0] < 0.06) > 0.8

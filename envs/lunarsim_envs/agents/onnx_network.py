@@ -65,16 +65,16 @@ class OnnxAgent:
     action space      first output
     ================  ==================================================================
     Box               the action; it is clipped to the space
-    Discrete(n)       an integer, or n scores, of which the greatest allowed one is flown
+    Discrete(n)       an integer, or n scores: the allowed option with the highest is flown
     MultiDiscrete     an integer per choice, or the scores of all choices in one row
     ================  ==================================================================
 
     Parameters
     ----------
     env
-        Whose observations and actions the network must have.
+        The environment that it flies; observations and actions must fit the network's.
     path
-        Of the file, ``.onnx``.
+        The ONNX file.
 
     Raises
     ------

@@ -111,7 +111,7 @@ def gathered(
                         band = across * 0.5 * (
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
-                        # Of a narrow band rounding may leave less than nothing.
+                        # Rounding may make the integral over a narrow band negative.
                         total += between(shine, row, column) * max(band, 0.0)
                         seen, sine = here, top
                     distance = max(distance + 1.0, distance * growth)

@@ -35,7 +35,7 @@ def world():
 @pytest.mark.statistical
 def test_it_locks_and_then_errs_as_it_says(world):
     nees, errors = Consistency(), []
-    for seed in range(8):
+    for seed in range(14):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
         # A lock holds the lander to the map: what its velocity errs by adds up no more.
@@ -44,7 +44,7 @@ def test_it_locks_and_then_errs_as_it_says(world):
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
     # Whoever starts three sigma off sweeps the grass beside the field.
-    assert len(errors) >= 6
+    assert len(errors) >= 12
     # A post's uses count less than they could, never more: the filter may only be too modest.
     assert 1.0 / 6.0 < nees.ratio < ratio_bounds(nees.degrees)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -55,7 +55,7 @@ def test_it_locks_and_then_errs_as_it_says(world):
 @pytest.mark.statistical
 def test_before_the_lock_it_knows_that_it_does_not_know(world):
     nees = Consistency()
-    for seed in range(8):
+    for seed in range(12):
         # Level grass, far from the field: nothing to find.
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
@@ -128,7 +128,7 @@ def test_odometry_slows_the_drift(world):
     nees = Consistency()
     for scans in (True, False):
         gaps = []
-        for seed in range(8):
+        for seed in range(12):
             errors = StartSigmas(0.2, 0.3, np.deg2rad(0.02))
             nowhere = PriorMap(Grid(1e5, 1e5, 1.0, 4, 4), np.zeros((4, 4)), 0.1)
             descent = Descent(world, seed, nowhere, errors)
@@ -278,10 +278,10 @@ def test_what_sets_scans_apart_from_posts_makes_them_tell_less(world):
     assert told[0] / told[1] == pytest.approx(expected, rel=0.2)
 
 
-@pytest.mark.parametrize(("share", "least"), [(0.05, 3), (0.2, 1)])
+@pytest.mark.parametrize(("share", "least"), [(0.05, 5), (0.2, 2)])
 def test_patches_out_of_date_do_not_mislead(world, share, least):
     errors = []
-    for seed in range(4):
+    for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
         if descent.filter.locked:

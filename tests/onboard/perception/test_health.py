@@ -15,7 +15,7 @@ from lunarsim.onboard.perception.direction import SunAngle, turn_from_sun
 from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from tests.conftest import ROOT
-from tests.picture_faults import all_faults, defocused, halved, rocky
+from tests.picture_faults import all_faults, defocused, halved, rocky, smeared
 from tests.shadow_scene import at, picture
 
 # Terrain (seed, cover, slope, shape), place, Sun's azimuth and elevation (deg).
@@ -88,6 +88,13 @@ def test_why_is_told(scene):
     # Nothing is wrong with ground on which there is nothing to see.
     assert not judge(scene, faults["grey with shot noise"]).alarm
     assert judge(scene, faults["black"]).alarm
+
+
+@pytest.mark.statistical
+def test_a_smear_of_12_pixels_hardly_ever_counts(scene):
+    """One in about a hundred does; more than two of six have a chance of 2e-5."""
+    rng = np.random.default_rng(2)
+    assert sum(judge(scene, smeared(scene[2], rng, 12.0)).good for _ in range(6)) <= 2
 
 
 def test_a_frame_read_again_does_not_count_in_whole_or_in_part(scene):

@@ -51,7 +51,7 @@ def test_small_new_craters_are_shallow():
 
 def test_ground_with_craters_is_the_sum_of_plain_ones():
     """Sizes, places and ages drawn again in their order; the table errs by 1 % of a depth."""
-    grid = Grid.centred((3.0, -2.0), 24.0, 1.0)
+    grid = Grid.centred((3.0, -2.0), 24.0, 0.5)
     flat = Heightfield(grid, np.zeros(grid.shape, np.float32))
     law = CraterLaw(0.06, 200.0)
     craters = AgedCraters.draw(flat, np.random.default_rng(5), minimum=2.5, maximum=6.0, law=law)
