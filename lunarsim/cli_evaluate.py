@@ -90,10 +90,9 @@ def evaluate(
       FILE.zip                            of Stable-Baselines3, with --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    A file of Stable-Baselines3 is a pickle: it can run any code when it is read. Episode i of
-    every agent has the same world, start and noise. A score is the return minus shaping rewards.
-    The table gives shares with 95 % Wilson intervals, means with bootstrap intervals, and
-    differences on the same episodes, tested and corrected for their number.
+    Episode i of every agent has the same world, start and noise. A score is the return minus
+    shaping rewards. The table gives shares with 95 % Wilson intervals, means with bootstrap
+    intervals, and differences on the same episodes, tested and corrected for their number.
     """  # noqa: D301
     from lunarsim_envs.evaluation.request import study
     from lunarsim_envs.evaluation.results import differences, figures, with_target, write
@@ -121,14 +120,9 @@ def evaluate(
             raise click.ClickException(str(error)) from None
     found, between = figures(rows, seed), differences(rows, seed) if len(agents) > 1 else {}
     if out is not None:
-        settings = given | {
-            "env": asked.env,
-            "episodes": episodes,
-            "seed": seed,
-            "within_m": within,
-        }
+        given |= {"env": asked.env, "episodes": episodes, "seed": seed, "within_m": within}
         with filled_whole(out):
-            write(out, rows, settings, found, between)
+            write(out, rows, given, found, between)
             if asked.scenario is not None:
                 asked.scenario.save(out / "scenario.toml")
     console.print(agents_table(found, within))
