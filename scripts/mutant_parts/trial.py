@@ -155,6 +155,7 @@ class Workspace:
         for cached, place in kept:
             cached.rename(place)
         file.write_text(fault.applied(source.decode()), encoding="utf-8")
+        _forget_byte_code(file)
         try:
             yield
         finally:
@@ -163,8 +164,7 @@ class Workspace:
             os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
             for cached in self._compiled(fault.path):
                 cached.unlink()
-            for byte_code in file.parent.glob(f"__pycache__/{file.stem}.*.pyc"):
-                byte_code.unlink()
+            _forget_byte_code(file)
             for cached, place in kept:
                 place.rename(cached)
             aside.rmdir()
@@ -201,3 +201,12 @@ class Workspace:
         if code != 0:
             raise BrokenTestsError(f"pytest ended with {code}:\n{output}")
         return "survived", output
+
+
+def _forget_byte_code(file: Path) -> None:
+    """Delete the byte code of a module; Python would take it for a new source of the same second.
+
+    Python compares sizes, and times in whole seconds.
+    """
+    for byte_code in file.parent.glob(f"__pycache__/{file.stem}.*.pyc"):
+        byte_code.unlink()
