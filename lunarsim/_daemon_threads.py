@@ -18,6 +18,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+class NoThreadError(RuntimeError):
+    """Threads can no longer be started."""
+
+
 class DaemonThreads:
     """Run calls on threads that start at the first call.
 
@@ -38,15 +42,33 @@ class DaemonThreads:
         os.register_at_fork(after_in_child=self._forget_threads)
 
     def submit(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Return the future result of a call."""
+        """Return the future result of a call.
+
+        Raises
+        ------
+        NoThreadError
+            If this is the first call, and comes too late: from Python 3.12 on no thread starts once
+            the main thread has ended.
+        """
         with self._starting:
-            if self._calls is None:
-                self._calls = SimpleQueue()
-                for _ in range(self._count):
-                    Thread(target=_serve, args=(self._calls,), name=self._name, daemon=True).start()
+            calls = self._calls or self._started()
         future: Future[R] = Future()
-        self._calls.put((future, partial(function, *args, **kwargs)))
+        calls.put((future, partial(function, *args, **kwargs)))
         return future
+
+    def _started(self) -> SimpleQueue[Any]:
+        """Start the threads; return the queue of their calls."""
+        calls: SimpleQueue[Any] = SimpleQueue()
+        try:
+            for _ in range(self._count):
+                Thread(target=_serve, args=(calls,), name=self._name, daemon=True).start()
+        except RuntimeError:
+            raise NoThreadError(
+                "no thread can start after the main thread has ended. Let the main thread wait for "
+                "the others: thread.join()"
+            ) from None
+        self._calls = calls
+        return calls
 
     def _forget_threads(self) -> None:
         self._calls = None

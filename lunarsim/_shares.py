@@ -13,7 +13,7 @@ from typing import Any
 
 import numba
 
-from lunarsim._daemon_threads import DaemonThreads
+from lunarsim._daemon_threads import DaemonThreads, NoThreadError
 
 # The caller's own thread does a share too.
 _threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
@@ -44,7 +44,11 @@ class Shared:
             self.compiled((0, 1), *args)
             self._called = True
             return
-        others = [_threads.submit(self.compiled, (n, shares), *args) for n in range(1, shares)]
+        try:
+            others = [_threads.submit(self.compiled, (n, shares), *args) for n in range(1, shares)]
+        except NoThreadError:
+            self.compiled((0, 1), *args)
+            return
         try:
             self.compiled((0, shares), *args)
         finally:

@@ -38,6 +38,18 @@ def test_an_exception_is_the_callers_and_the_thread_serves_on():
     assert threads.submit(divmod, 7, 2).result() == (3, 1)
 
 
+def test_a_first_call_that_comes_too_late_says_so_and_a_later_one_may_succeed(monkeypatch):
+    def start(thread):
+        raise RuntimeError("can't create new thread at interpreter shutdown")
+
+    threads = DaemonThreads(1, "test")
+    with monkeypatch.context() as patched:
+        patched.setattr(Thread, "start", start)
+        with pytest.raises(RuntimeError, match=r"main thread.*thread\.join\(\)"):
+            threads.submit(divmod, 7, 2)
+    assert threads.submit(divmod, 7, 2).result() == (3, 1)
+
+
 def test_first_calls_from_many_threads_start_the_threads_once():
     served = []
     threads = DaemonThreads(1, "test")

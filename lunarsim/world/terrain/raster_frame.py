@@ -261,7 +261,8 @@ def _globe(
     source: DatasetReader, transform: Affine, cols: int, rows: int
 ) -> tuple[Mapping, Mapping]:
     """Return the mappings to an azimuthal equidistant frame about the centre of a window."""
-    crs, body = source.crs, _body(source.crs)
+    body = _body(source.crs)
+    crs = _on_sphere(source.crs) if "R" in body else source.crs
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
     (lon,), (lat,) = warp(crs, globe, [cx], [cy])
@@ -316,8 +317,8 @@ def _warped(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]
 def _body(crs: CRS) -> dict[str, Any]:
     """Return the ellipsoid of a coordinate reference, in PROJ's terms.
 
-    PROJ computes the equidistant cylindrical projection on a sphere of the equatorial radius, and
-    planetary maps count their latitudes on it: distances are those of that sphere.
+    Planetary maps in the equidistant cylindrical projection count their latitudes on a sphere of
+    the equatorial radius: distances are those of that sphere.
     """
     number = r"([-+.\deE]+)"
     found = re.search(rf'(?:ELLIPSOID|SPHEROID)\["[^"]*",{number},{number}', crs.to_wkt())
@@ -327,6 +328,18 @@ def _body(crs: CRS) -> dict[str, Any]:
     if inverse_flattening == 0.0 or crs.to_dict().get("proj") == "eqc":
         return {"R": radius}
     return {"a": radius, "rf": inverse_flattening}
+
+
+def _on_sphere(crs: CRS) -> CRS:
+    """Return a reference on a sphere of the equatorial radius.
+
+    PROJ computes the equidistant cylindrical projection on the ellipsoid in later releases only.
+    """
+    terms = crs.to_dict()
+    if terms.get("proj") != "eqc":
+        return crs
+    shape = {"ellps", "datum", "a", "b", "rf", "f", "R"}
+    return CRS.from_dict({k: v for k, v in terms.items() if k not in shape} | _body(crs))
 
 
 def _is_engineering(crs: CRS) -> bool:

@@ -84,9 +84,10 @@ def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
                 yield key, re.sub(r"/(DN|PIXEL)$", "", str(image[key]["unit"]), flags=re.I)
     elif source.driver == "ISIS3":
         cube = _json_label(source, "json:ISIS3").get("IsisCube", {})
-        for key in ("Unit", "Units"):
-            if isinstance(cube.get("BandBin", {}).get(key), str):
-                yield key, cube["BandBin"][key]
+        for name, group in cube.items():  # BandBin, and with its Name behind it from GDAL 3.12 on
+            for key in ("Unit", "Units"):
+                if name.startswith("BandBin") and isinstance(group.get(key), str):
+                    yield key, group[key]
     elif source.driver == "AAIGrid":
         projection = Path(source.name).with_suffix(".prj")
         text = projection.read_text(errors="replace") if projection.is_file() else ""
