@@ -163,7 +163,7 @@ def sweep(
     except InputError as error:
         is_set = error.field.removeprefix("factors.") in of_swept_parts
         field = error.field.replace("factors.", "--set " if is_set else "--over ", 1)
-        raise InputError(field, error.value, error.expected) from None
+        raise error.renamed(field) from None
     _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 

@@ -99,7 +99,7 @@ def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> No
     try:
         ctx.with_resource(allowing(names))
     except InputError as error:
-        raise InputError("--allow-module", error.value, error.expected) from None
+        raise error.renamed("--allow-module") from None
 
 
 ALLOW_MODULE = click.option(

@@ -12,31 +12,41 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """A value that the user gave cannot be used.
+    """Report an unusable value given by the user.
 
     Parameters
     ----------
     field
-        Where the value was given, for instance ``lander.dry_mass_kg``.
+        Name of the field, option or argument, for instance ``lander.dry_mass_kg``.
     value
-        What was given.
-    expected
-        What would be right.
+        Value given.
+    problem
+        Clause that follows the field: ``must be positive``.
+    remedy
+        Sentence that says what to do; the problem can imply it.
 
     Examples
     --------
-    >>> print(InputError("rocks.cover", 0.5, "at most 0.2"))
-    rocks.cover = 0.5: at most 0.2
+    >>> print(InputError("rocks.cover", 0.5, "must be at most 0.2"))
+    rocks.cover: must be at most 0.2, got 0.5.
+    >>> print(InputError("jobs", 0, "must be 1 or more", "Omit it to use every processor."))
+    jobs: must be 1 or more, got 0. Omit it to use every processor.
     """
 
-    def __init__(self, field: str, value: object, expected: str) -> None:
+    def __init__(self, field: str, value: object, problem: str, remedy: str = "") -> None:
         self.field = field
         self.value = value
-        self.expected = expected
-        super().__init__(f"{field} = {_shown(value)}: {expected}")
+        self.problem = problem
+        self.remedy = remedy
+        message = f"{field}: {problem}, got {_shown(value)}."
+        super().__init__(f"{message} {remedy}" if remedy else message)
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str]]:
-        return InputError, (self.field, self.value, self.expected)
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
+        return InputError, (self.field, self.value, self.problem, self.remedy)
+
+    def renamed(self, field: str) -> InputError:
+        """Return the same error under another field name."""
+        return InputError(field, self.value, self.problem, self.remedy)
 
 
 def check_types(where: str, settings: object) -> None:
@@ -82,10 +92,10 @@ def _are_numbers(value: object) -> bool:
 
 
 _KINDS = (
-    ("float", _is_number, "a number"),
-    ("int", _is_whole, "a whole number"),
-    ("bool", _is_flag, "true or false"),
-    ("tuple[float", _are_numbers, "numbers in a row"),
+    ("float", _is_number, "must be a number"),
+    ("int", _is_whole, "must be an integer"),
+    ("bool", _is_flag, "must be true or false"),
+    ("tuple[float", _are_numbers, "must be a sequence of numbers"),
 )
 
 

@@ -195,7 +195,7 @@ def distribution(key: str, table: Any) -> Distribution:
     except ValidationError as error:
         raise input_error(path, model, error, None, kind) from None
     except InputError as error:
-        raise InputError(f"{path}.{error.field}", error.value, error.expected) from None
+        raise error.renamed(f"{path}.{error.field}") from None
     return made
 
 

@@ -421,13 +421,13 @@ def _made(path: str, of: type, table: Any) -> Any:
         return model.model_validate(dict(table)).make()
     except ValidationError as error:
         found = input_error(path, model, error, None, "")
-        if found.field.startswith(".") and "unknown key" in found.expected:
+        if found.field.startswith(".") and "unknown key" in found.problem:
             key = found.field.removeprefix(".")
             hint = suggestion(key, [*model.model_fields, *_TABLES])
             raise InputError(key, found.value, f"unknown key; {hint}") from None
-        raise InputError(found.field.removeprefix("."), found.value, found.expected) from None
+        raise found.renamed(found.field.removeprefix(".")) from None
     except InputError as error:
-        raise InputError(before + error.field, error.value, error.expected) from None
+        raise error.renamed(before + error.field) from None
 
 
 def _keys(head: Head) -> dict[str, Any]:

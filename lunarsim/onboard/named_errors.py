@@ -22,4 +22,4 @@ def named_in(table: str) -> Iterator[None]:
         if error.field.partition(".")[0] in _OTHER_TABLES:
             raise
         key = error.field.rpartition(".")[2]
-        raise InputError(f"{table}.{key}", error.value, error.expected) from None
+        raise error.renamed(f"{table}.{key}") from None

@@ -31,22 +31,27 @@ class InfeasibleError(InputError):
     ) -> None:
         self.nearest = nearest
         self.miss = np.inf if nearest is None else float(np.linalg.norm(nearest - target))
-        expected = "an end that can be reached within thrust, tilt, glideslope and propellant"
+        remedy = ""
         if nearest is not None:
             at = ", ".join(f"{x:.1f}" for x in nearest)
-            expected += f"; the nearest one found is ({at}), {self.miss:.1f} m off"
-        super().__init__("optimal.end_position", target.tolist(), f"{expected} ({why})")
+            remedy = f"The nearest reachable end position found is ({at}), {self.miss:.1f} m away."
+        super().__init__(
+            "optimal.end_position",
+            target.tolist(),
+            f"must be reachable within thrust, tilt, glideslope and propellant ({why})",
+            remedy,
+        )
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        return _again, (self.field, self.value, self.expected, self.nearest, self.miss)
+        return _again, (self.field, self.value, self.problem, self.remedy, self.nearest, self.miss)
 
 
 def _again(
-    field: str, value: object, expected: str, nearest: object, miss: float
+    field: str, value: object, problem: str, remedy: str, nearest: object, miss: float
 ) -> InfeasibleError:
     """Return an error as it was before it was sent to another process."""
     made = InfeasibleError.__new__(InfeasibleError)
-    InputError.__init__(made, field, value, expected)
+    InputError.__init__(made, field, value, problem, remedy)
     made.nearest, made.miss = nearest, miss  # type: ignore[assignment]
     return made
 

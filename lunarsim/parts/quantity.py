@@ -199,9 +199,11 @@ def check_bounds(part: Any, table: str) -> None:
         if q is None or q.hidden or value is None:
             continue
         if str(f.type).startswith(("float", "int")) and isinstance(value, str | bytes):
-            raise InputError(f"{table}.{f.name}", value, f"a number, not text; {q.expected}")
+            raise InputError(
+                f"{table}.{f.name}", value, f"must be a number, not text, {q.expected}"
+            )
         given = q.from_si(tuple(value) if isinstance(value, list | np.ndarray) else value)
         for one in given if isinstance(given, tuple) else (given,):
             if isinstance(one, Real) and not q.allows(float(one)):
-                raise InputError(f"{table}.{f.name}", given, q.expected)
+                raise InputError(f"{table}.{f.name}", given, f"must be {q.expected}")
     check_types(table, part)

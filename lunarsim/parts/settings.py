@@ -46,8 +46,8 @@ class PartSettings(BaseModel):
         wrong = error.field.rpartition(".")[2]
         for key, (name, _) in keys.items():
             if wrong in (name, key):
-                return InputError(key, getattr(self, key), error.expected)
-        return InputError(wrong, error.value, error.expected)
+                return InputError(key, getattr(self, key), error.problem, error.remedy)
+        return error.renamed(wrong)
 
 
 def _made(key: str, value: Any) -> Any:
@@ -56,7 +56,7 @@ def _made(key: str, value: Any) -> Any:
         try:
             return value.make()
         except InputError as error:
-            raise InputError(f"{key}.{error.field}", error.value, error.expected) from None
+            raise error.renamed(f"{key}.{error.field}") from None
     return tuple(_made(key, v) for v in value) if isinstance(value, list | tuple) else value
 
 

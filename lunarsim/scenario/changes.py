@@ -58,7 +58,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
     try:
         return scenario.changed(**change)
     except InputError as error:
-        raise InputError(f"{where}.{error.field}", error.value, error.expected) from None
+        raise error.renamed(f"{where}.{error.field}") from None
 
 
 def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
@@ -89,7 +89,7 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
         return with_values(scenario, values, _OPTION)
     except InputError as error:
         field = error.field.replace(f"{_OPTION}.", f"{_OPTION} ", 1)
-        raise InputError(field, error.value, error.expected) from None
+        raise error.renamed(field) from None
 
 
 def typed_values(texts: Sequence[str]) -> dict[str, Any]:

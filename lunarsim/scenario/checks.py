@@ -232,7 +232,7 @@ def _check_others(field: str, check: Callable[[dict[str, Any]], Any], scenario: 
     try:
         check({name: part.make() for name, part in scenario.mappers.items()})
     except InputError as error:
-        raise InputError(f"{field}.{error.field}", error.value, error.expected) from None
+        raise error.renamed(f"{field}.{error.field}") from None
 
 
 def _check_map(field: str, mapper: Any, scenario: Tables) -> None:
@@ -242,7 +242,7 @@ def _check_map(field: str, mapper: Any, scenario: Tables) -> None:
         try:
             check_map(size, posting, scenario.vehicle.make())
         except InputError as error:
-            raise InputError(f"{field}.{error.field}", error.value, error.expected) from None
+            raise error.renamed(f"{field}.{error.field}") from None
 
 
 def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:

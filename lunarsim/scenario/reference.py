@@ -34,7 +34,7 @@ def parts_list(contract: str | None = None) -> list[str]:
             try:
                 what = _first_line(resolve(name, kind))
             except InputError as error:
-                what = f"cannot be loaded: {error.expected}"
+                what = f"cannot be loaded: {error.problem}"
             lines.append(f"{name:11s} {kind:16s} {what}")
     return lines
 
@@ -101,7 +101,7 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
                 of = resolve(contract, kind)
                 table = settings_of(of)
             except Exception as error:
-                said = error.expected if isinstance(error, InputError) else str(error)
+                said = error.problem if isinstance(error, InputError) else str(error)
                 yield heading, f"cannot be loaded: {said}", None
             else:
                 yield heading, _first_line(of), table

@@ -384,5 +384,5 @@ def _table(
     try:
         table.make()
     except InputError as error:
-        raise InputError(f"{path}.{error.field}", error.value, error.expected) from None
+        raise error.renamed(f"{path}.{error.field}") from None
     return table

@@ -80,9 +80,7 @@ class FramingCamera:
         try:
             self.camera()
         except InputError as error:
-            raise InputError(
-                error.field.removeprefix("camera."), error.value, error.expected
-            ) from None
+            raise error.renamed(error.field.removeprefix("camera.")) from None
 
     def camera(self) -> Camera:
         """Return the camera."""

@@ -120,7 +120,7 @@ def _reason(error: Exception) -> str:
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     if isinstance(error, InputError):
-        return error.expected
+        return error.problem
     if isinstance(error, KeyError):
         return f"{error} is missing"
     return str(error).split("\n", maxsplit=1)[0] or type(error).__name__

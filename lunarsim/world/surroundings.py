@@ -108,10 +108,11 @@ def _measured(settings: Surroundings) -> Heightfield:
             nodata=settings.dtm_nodata,
         )  # fmt: skip
     except InputError as error:  # the keys have the same names in [terrain]
-        field, expected = (
-            text.replace("terrain.", "surroundings.") for text in (error.field, error.expected)
+        field, problem, remedy = (
+            text.replace("terrain.", "surroundings.")
+            for text in (error.field, error.problem, error.remedy)
         )
-        raise InputError(field, error.value, expected) from None
+        raise InputError(field, error.value, problem, remedy) from None
     if not np.isfinite(z.z).all():
         raise InputError("surroundings.path", str(settings.path), "a raster without gaps")
     g = z.grid

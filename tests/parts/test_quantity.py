@@ -102,4 +102,4 @@ def test_parts_made_in_python_keep_the_bounds_of_their_fields(values, field, exp
     with pytest.raises(InputError) as caught:
         check_bounds(Part(**values), "part")
     assert caught.value.field == f"part.{field}"
-    assert expected in caught.value.expected
+    assert expected in caught.value.problem

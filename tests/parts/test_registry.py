@@ -60,7 +60,7 @@ def test_what_is_no_part_is_explained(kind, says):
     with pytest.raises(InputError) as caught:
         resolve("policy", kind, "--policies")
     assert (caught.value.field, caught.value.value) == ("--policies", kind)
-    assert says in caught.value.expected
+    assert says in caught.value.problem
     with pytest.raises(InputError) as caught:
         resolve("policy", kind)
     assert caught.value.field == "policy.kind"
@@ -80,7 +80,7 @@ def test_a_scenario_takes_a_class_of_ones_own():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": f"{__name__}:MyPolicy", "patiense": 5.0}})
     assert caught.value.field == "policy.patiense"
-    assert "did you mean 'patience'" in caught.value.expected
+    assert "did you mean 'patience'" in caught.value.problem
 
 
 def test_entry_points_add_names_but_take_none(monkeypatch):

@@ -121,7 +121,7 @@ def test_what_a_part_refuses_is_told_by_the_tables_key_and_value():
     with pytest.raises(InputError) as caught:
         TABLE(required=1.0, maybe_s=3.0).make()
     assert (caught.value.field, caught.value.value) == ("maybe_s", 3.0)
-    assert caught.value.expected == "no more than the length"
+    assert caught.value.problem == "no more than the length"
     with pytest.raises(InputError) as caught:
         TABLE(required=13.0).make()
     assert (caught.value.field, caught.value.value) == ("elsewhere", 13.0)

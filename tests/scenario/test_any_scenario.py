@@ -73,7 +73,7 @@ def _refused_or_whole(tables):
     try:
         scenario = Scenario.from_dict(tables)
     except InputError as error:
-        assert error.field and error.expected
+        assert error.field and error.problem
         assert "\n" not in str(error)
         # Of the file, or of one of its tables: what contradicts it may stand in another.
         assert error.field.split(".")[0] in {*Scenario.__dataclass_fields__, *tables}

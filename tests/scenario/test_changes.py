@@ -65,7 +65,7 @@ def test_a_change_that_will_not_do_names_key_and_remedy(text, field, told):
     with pytest.raises(InputError) as caught:
         with_changes(Scenario.from_dict({}), [text])
     assert caught.value.field == field
-    assert told in caught.value.expected
+    assert told in caught.value.problem
 
 
 def test_a_key_given_twice_is_refused():

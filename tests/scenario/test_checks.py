@@ -196,7 +196,7 @@ def test_each_mistake_names_field_value_and_remedy(name):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict(tables)
     assert (caught.value.field, caught.value.value) == (field, value)
-    assert told in caught.value.expected
+    assert told in caught.value.problem
 
 
 def test_limits_themselves_are_allowed():
@@ -231,7 +231,7 @@ def test_parts_of_other_packages_are_checked_by_what_they_say(monkeypatch):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"navigation": {"kind": kind}, "sensors": FIXED})
     assert caught.value.field == "sensors.fix"
-    assert kind in caught.value.expected
+    assert kind in caught.value.problem
     Scenario.from_dict({"navigation": {"kind": kind}, "sensors": {"imu": IMU, "flash": FLASH}})
 
 
@@ -277,4 +277,4 @@ def test_names_doubles_and_gains(tables, field, words):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict(tables)
     assert caught.value.field == field
-    assert words in caught.value.expected
+    assert words in caught.value.problem

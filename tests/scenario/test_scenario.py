@@ -102,7 +102,7 @@ def test_mistakes_name_field_and_remedy(data, field, hint):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict(data)
     assert caught.value.field == field
-    assert hint in caught.value.expected
+    assert hint in caught.value.problem
 
 
 @pytest.mark.parametrize(
@@ -120,26 +120,26 @@ def test_a_key_of_another_kind_names_that_kind(table, value, owner):
         Scenario.from_dict({table: value})
     assert (caught.value.field, caught.value.value) == (f"{table}.{key}", value[key])
     told = f"no key of kind {value['kind']!r}; it belongs to kind {owner}"
-    assert caught.value.expected == told
+    assert caught.value.problem == told
 
 
 def test_a_key_of_another_kind_in_a_named_table():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"mappers": {"dem": {"kind": "gaussian-dem", "split_count": 4}}})
     assert caught.value.field == "mappers.dem.split_count"
-    assert caught.value.expected == "no key of kind 'gaussian-dem'; it belongs to kind 'quadtree'"
+    assert caught.value.problem == "no key of kind 'gaussian-dem'; it belongs to kind 'quadtree'"
     # A key of a table within a table is looked for there.
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"mappers": {"q": {"kind": "quadtree", "sites": {"slope_limit": 1}}}})
     assert caught.value.field == "mappers.q.sites.slope_limit"
-    assert "did you mean 'slope_limit_deg'" in caught.value.expected
+    assert "did you mean 'slope_limit_deg'" in caught.value.problem
 
 
 def test_a_kind_without_keys_says_so():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": "no-divert", "boldness": 1.0}})
     assert caught.value.field == "policy.boldness"
-    assert caught.value.expected == "unknown key; there are none"
+    assert caught.value.problem == "unknown key; there are none"
 
 
 def test_moved_keys_say_where_they_went():
@@ -154,7 +154,7 @@ def test_tables_of_earlier_versions_tell_where_they_are_now(table):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({table: {}})
     assert caught.value.field == table
-    assert caught.value.expected == f"unknown key; it is now {MOVED[table]}"
+    assert caught.value.problem == f"unknown key; it is now {MOVED[table]}"
     # And what it names is there to be written.
     assert any(f"[{name}" in MOVED[table] for name in Scenario.__dataclass_fields__)
 

@@ -202,8 +202,8 @@ def test_part_and_value_are_named(changes, field, part, said):
         Simulation(scenario, 1, scenario.policy.kind).run()
     assert refused.value.field == field
     assert refused.value.value == f"{__name__}:{part}"
-    assert said in refused.value.expected
-    assert "It must return" in refused.value.expected
+    assert said in refused.value.problem
+    assert "It must return" in refused.value.problem
 
 
 @pytest.mark.parametrize(

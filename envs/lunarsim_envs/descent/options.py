@@ -94,7 +94,7 @@ def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenari
         try:
             scenario = with_values(scenario, {KEYS[key]: plain}, "options")
         except InputError as error:
-            raise InputError(f"options.{key}", value, error.expected) from error
+            raise InputError(f"options.{key}", value, error.problem, error.remedy) from error
     return scenario
 
 

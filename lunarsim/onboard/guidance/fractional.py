@@ -108,7 +108,7 @@ class FractionalPolynomialLaw(PathLaw):
         try:
             shape_of(self.gamma, self.gain)
         except InputError as error:
-            raise InputError(error.field.rpartition(".")[2], error.value, error.expected) from None
+            raise error.renamed(error.field.rpartition(".")[2]) from None
 
     @property
     def shape(self) -> PathShape:

@@ -64,7 +64,7 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
                 yield source
         except InputError as error:
             if error.field == "terrain.path":  # the path as it was given
-                raise InputError(error.field, str(path), error.expected) from None
+                raise InputError(error.field, str(path), error.problem, error.remedy) from None
             raise
         except _ERRORS as error:
             reason = error.__cause__ or error
