@@ -1,4 +1,4 @@
-"""The navigator: one error state, and parts that take measurements into it."""
+"""Navigation filter: one error state and the processors of its measurements."""
 
 from __future__ import annotations
 
@@ -47,44 +47,44 @@ Array = NDArray[np.float64]
 
 
 class Navigator(Navigation):
-    """Error-state filter: inertial samples carry it, its parts take in what else is measured.
+    """Error-state Kalman filter with IMU propagation and a list of measurement processors.
 
-    The lander's pose is kept in the local frame, which begins where the lander says that it is and
-    then hangs on the ground of the first scan; where the site lies in it is estimated with it
-    (`LocalFrame`). Each measurement goes to the parts in their order; what one has used counts no
-    second time. Scans are fitted to the map; where that fails, they are compared with an earlier
-    one. Rocks by their shadows are states behind all others; what pictures show of them comes from
-    the mapper that tracks them, and corrects the same state.
+    The pose is kept in the local frame. This frame starts at the initial position estimate and is
+    then anchored to the terrain of the first scan; its offset from the site frame is part of the
+    state (`LocalFrame`). Each measurement is offered to the processors in order, and is used once
+    only. A scan is registered on the map; if that fails, it is registered on an earlier scan. Rocks
+    detected by their shadows are states at the end of the error state; the hazard mapper that
+    tracks them provides the observations.
 
     Parameters
     ----------
     inertial
-        State at the start, as the mission tells it, site frame.
+        Initial state estimate, site frame.
     errors
         Its standard deviations.
     prior
-        The map; None: scans are compared with each other alone.
+        Prior map; if None, scans are only registered on each other.
     settings
-        Limits of the registration.
+        Settings of the scan registration.
     instruments
         Calibrations of the sensors, by name.
     ground
-        What is known of the ground's height.
+        Prior knowledge of the terrain height.
     rocks
         Whether rocks are tracked.
 
     Attributes
     ----------
     state, frame
-        All that errs, and where the site lies in the local frame.
+        The error state, and the transformation between site frame and local frame.
     events
-        What has been reported so far.
+        Events reported so far.
     parts
-        In the order in which they are offered measurements.
+        Measurement processors, in the order in which they are offered measurements.
     matcher
-        The part that knows the map; None without one.
+        Processor that registers scans on the prior map; None without a map.
     rocks
-        The rocks; None if none are tracked.
+        Filter of the rock positions; None if no rocks are tracked.
     """
 
     own_azimuth: ClassVar[bool] = True
@@ -123,68 +123,68 @@ class Navigator(Navigation):
 
     @property
     def inertial(self) -> StrapdownState:
-        """The lander's state, local frame."""
+        """State of the lander, local frame."""
         return self.state.inertial
 
     @property
     def covariance(self) -> Array:
-        """Of the error state: the lander's (15) in the local frame, all blocks, rocks (3 n)."""
+        """Covariance of the error state: lander (15, local frame), blocks, rocks (3 n)."""
         return self.state.covariance
 
     @property
     def watches(self) -> dict[str, Watch]:
-        """What watches over the kinds of measurements, by "sensor kind"; of rocks as "rocks"."""
+        """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
         seen = {} if self.rocks is None else self.rocks.pictures.watches
         return {**self._aids.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
 
     @property
     def lost(self) -> bool:
-        """Whether what was measured or seen cannot be explained."""
+        """Whether measurements or rock observations contradict the estimate."""
         return self._aids.lost or (self.rocks is not None and self.rocks.lost)
 
     @property
     def locked(self) -> bool:
-        """Whether scans agree with the map."""
+        """Whether scans agree with the prior map."""
         return self.matcher is not None and self.matcher.locked
 
     @property
     def found(self) -> bool:
-        """Whether the lander has been found on the map at least once."""
+        """Whether a scan was located on the prior map at least once."""
         return self.matcher is not None and self.matcher.found
 
     @property
     def adrift(self) -> bool:
-        """Whether neither a map nor rocks in view hold the lander."""
+        """Whether neither the prior map nor tracked rocks bound the position error."""
         return not self.locked and (self.rocks is None or self.rocks.count == 0)
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state as the rest of the loop takes it, local frame."""
+        """Return the state of the lander in the local frame."""
         found = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
-        # Attitude errors are kept in body axes here, in ENU there.
+        # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
         covariance = turn @ self.frame.covariance_in_site() @ turn.T
         return replace(found, covariance=covariance, lost=self.lost)
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame: what its covariance refers to."""
+        """Return the state of the lander in the site frame."""
         return self.frame.estimate_in_site(self.estimate(time, mass))
 
     @property
     def site_to_local(self) -> Shift:
-        """Where the site frame is taken to lie in the local one."""
+        """Estimated transformation from the site frame to the local frame."""
         return self.frame.shift
 
     def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+        """Process a measurement; ignore one that is unusable or out of order.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards.
+            If `time` (s) is before the time of an earlier call.
         """
         measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
         for name, details in self.inertial.tell():
@@ -201,7 +201,7 @@ class Navigator(Navigation):
             self._offer(sensor, measurement, time)
 
     def _drowns(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Tell whether a scan is all noise, and report when that begins and ends."""
+        """Return whether a scan is too noisy; report when this begins and ends."""
         noisy = is_noisy(scan)
         if noisy != (sensor in self._noisy):
             (self._noisy.add if noisy else self._noisy.discard)(sensor)
@@ -210,31 +210,31 @@ class Navigator(Navigation):
         return noisy
 
     def _offer(self, sensor: str, measurement: Any, time: float) -> None:
-        """Offer a measurement to the parts in their order."""
+        """Offer a measurement to the processors in order."""
         used = False
         for part in self.parts:
             used = part.take(sensor, measurement, time, used=used) or used
 
     def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what its sensor is known to err by."""
+        """Return a measurement and its pose, corrected for the estimated sensor errors."""
         if not isinstance(measurement, LidarScan):
             return measurement, now
         seen = self._shared.seen(sensor, measurement)
         return seen.scan, replace(now, position=seen.position, attitude=seen.attitude)
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
         self.state.propagate(angle, velocity)
         self._aids.travel()
         self._aids.doubt_units()
 
     @property
     def ground_turn(self) -> GroundTurn | None:
-        """By what ground seen since the first scan has turned, as tilts were corrected."""
+        """Rotation of the mapped terrain since the first scan, by tilt corrections."""
         return self._ground_turn
 
     def _turn_ground(self, error: Array) -> None:
-        """Note by how much a correction turns what has been seen: tilts alone, not azimuths."""
+        """Add a tilt correction to the rotation of the mapped terrain; azimuth is excluded."""
         if self._ground_turn is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
@@ -242,7 +242,7 @@ class Navigator(Navigation):
         self._ground_turn = replace(self._ground_turn, rotation=turn @ self._ground_turn.rotation)
 
     def _hang(self, sensor: str, scan: LidarScan) -> None:
-        """Let the local frame hang on the ground of the first scan."""
+        """Anchor the local frame to the terrain of the first scan."""
         if self._hangs:
             return
         self._hangs = True

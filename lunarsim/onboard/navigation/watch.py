@@ -1,9 +1,10 @@
-"""Whether a filter still believes what it measures, and when it must say that it is lost.
+"""Monitor the innovations of a filter, and declare when the filter has lost track.
 
-A filter that is wrong refuses what is right. Each kind of measurement is watched in two ways. Over
-a window of seconds: the share of refusals, and the mean of the normalised innovations, which is 1
-while the filter errs as it says. And over a longer time: the mean of the whitened innovations,
-which is 0; where it is not, something drifts that is small in every single measurement.
+A filter with a wrong state rejects correct measurements. Each kind of measurement is therefore
+monitored in two ways. The first uses a window of seconds: the rejection rate, and the mean
+normalised innovation squared, which is 1 for a consistent filter. The second uses a longer time
+scale: the mean of the whitened innovations, which is 0 for a consistent filter. Another mean shows
+a drift that is small in each single measurement.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from lunarsim.onboard.navigation.error_state import Outcome
 
 Array = NDArray[np.float64]
 
-# Half of what is doubted, and a little: so far a watch is calm.
+# Fraction of the alarm thresholds below which a monitor is calm: a half plus a small margin.
 _CALM = 0.55
 
 
 class Verdict(Enum):
-    """What a watch has seen."""
+    """Result of an innovation monitor."""
 
     WELL = "well"
     WIDEN = "widen"
@@ -36,33 +37,33 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class WatchSettings:
-    """When measurements are doubted.
+    """Thresholds of an innovation monitor.
 
     Attributes
     ----------
     window_s
-        Over which they are watched, s.
+        Length of the window, s.
     least
-        Fewest measurements by which to judge, however long they took.
+        Minimum number of measurements in the window; older ones are kept to reach it.
     most_refused
-        Greatest share of them that may be refused.
+        Maximum fraction of rejected measurements.
     chance
-        Of a filter that errs as it says to be doubted for its innovations.
+        False-alarm probability of the innovation test for a consistent filter.
     correlation
-        Measurements are taken for this many times fewer: errors that last longer than a cycle make
-        innovations alike.
+        Number of correlated measurements that count as one. Errors that last longer than one cycle
+        correlate the innovations.
     patience
-        Widenings of one kind within three windows that may be explained, by ground that rises for
-        instance; with one more the filter is lost. None: a jump cannot be explained at all, and
-        what is lost by it stays so, since the filter has by then gone along with what is wrong.
+        Number of inflations within three windows that are tolerated, for instance because the
+        terrain height changes. One more declares the filter lost. If None, the first alarm declares
+        it lost for good, since the filter has then already followed the wrong measurements.
     drift_s
-        Time over which the mean of whitened innovations is watched, s; None: it is not.
+        Time constant of the mean of the whitened innovations, s; None disables the drift test.
     drift_level
-        Standard deviations of that mean beyond which something drifts.
+        Threshold of the drift test, in standard deviations of the mean.
     drift_patience, drift_window_s
-        Drifts within so many seconds that a bias may explain; with one more it does not, and the
-        filter is lost. A bias that jumps is found within one or two memories of the mean. 0: a
-        drift is a contradiction, and which of two sensors drifts cannot be told.
+        Number of drifts within a window (s) that a bias can explain. One more declares the filter
+        lost. The filter finds a bias that jumped within one or two time constants. With 0, each
+        drift is a contradiction between two sensors.
     """
 
     window_s: float = 2.0
@@ -87,34 +88,34 @@ class WatchSettings:
         ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
-                raise InputError(f"watch.{name}", value, "a positive number")
+                raise InputError(f"watch.{name}", value, "must be a positive number")
         for name in ("most_refused", "chance"):
             value = getattr(self, name)
             if not 0.0 < value < 1.0:
-                raise InputError(f"watch.{name}", value, "between 0 and 1")
+                raise InputError(f"watch.{name}", value, "must be between 0 and 1")
         for name in ("patience", "drift_patience"):
             value = getattr(self, name)
             if value is not None and not 0.0 <= value < np.inf:
-                raise InputError(f"watch.{name}", value, "a number that is not negative")
+                raise InputError(f"watch.{name}", value, "must be a non-negative number")
 
 
 @dataclass
 class Watch:
-    """Watches one kind of measurement.
+    """Monitor the innovations of one kind of measurement.
 
     Attributes
     ----------
     settings
-        When it is doubted.
+        Thresholds.
     lost
-        Whether it has not been explained.
+        Whether the measurements contradict the filter.
     excess
-        Mean normalised innovation squared a degree of freedom of the last window judged.
+        Normalised innovation squared per degree of freedom in the last evaluated window.
     total, degrees
-        Of all measurements taken: sum of their normalised innovations squared and of their degrees
-        of freedom.
+        Sum of the normalised innovations squared, and of the degrees of freedom, of all accepted
+        measurements.
     refused
-        How many were not.
+        Number of rejected measurements.
     """
 
     settings: WatchSettings = field(default_factory=WatchSettings)
@@ -131,10 +132,10 @@ class Watch:
     _last: float = -np.inf
 
     def note(self, time: float, outcome: Outcome) -> Verdict:
-        """Note what came of a measurement at a time (s), and judge.
+        """Add the outcome of a measurement at a time (s), and evaluate the monitor.
 
-        What told nothing (a `nis` of NaN) is not counted. A drift beyond patience is judged to be
-        one, and `lost` is set besides.
+        Outcomes without information (`nis` is NaN) are not counted. If there are more drifts than
+        `drift_patience`, the result is still a drift, and `lost` is set.
         """
         if outcome.degrees == 0 or not outcome.nis >= 0.0:
             return Verdict.WELL
@@ -155,14 +156,14 @@ class Watch:
         return Verdict.DRIFT
 
     def calm(self, time: float) -> bool:
-        """Tell whether enough was measured of late, and nothing of it looks like a fault."""
+        """Return whether there are enough recent measurements and no sign of a fault."""
         s = self.settings
         late = [outcome.taken for at, outcome in self._seen if at >= time - s.window_s]
         few = len(late) >= s.least and late.count(False) <= _CALM * s.most_refused * len(late)
         return few and bool((self._levels() <= _CALM * s.drift_level).all())
 
     def _levels(self) -> Array:
-        """Return by how many of its deviations the mean of each part lies off 0."""
+        """Return the absolute mean of each component in units of its standard deviation."""
         if self._mean is None:
             return np.zeros(0)
         often = self._weight >= self.settings.least
@@ -171,7 +172,7 @@ class Watch:
     def _judge_window(self, time: float, outcome: Outcome) -> Verdict:
         s = self.settings
         self._seen.append((time, outcome))
-        # The last few count however long ago: a slow sensor is to be judged too.
+        # The last few measurements count at any age, so that slow sensors are monitored too.
         while len(self._seen) > s.least and self._seen[0][0] < time - s.window_s:
             self._seen.popleft()
         while self._widened and self._widened[0] < time - 3.0 * s.window_s:
@@ -203,7 +204,7 @@ class Watch:
         return degrees > 0.0 and bool(chdtrc(degrees, total) < s.chance)
 
     def _drifts(self, time: float, outcome: Outcome) -> bool:
-        """Tell whether innovations lie to one side: a mean that forgets, in its own deviations."""
+        """Return whether the fading mean of the whitened innovations exceeds the threshold."""
         s = self.settings
         if s.drift_s is None or not outcome.taken:
             return False
@@ -213,8 +214,8 @@ class Watch:
             self._last = time
         keep = float(np.exp(-max(time - self._last, 0.0) / s.drift_s))
         self._last = time
-        # Each part by itself, as often as it was measured: sums of independent unit normals, whose
-        # variance is the sum of the squared weights.
+        # The mean is a weighted sum of independent unit normals, whose variance is the sum of the
+        # squared weights. Components can be missing, so each has its own weight.
         seen = np.isfinite(outcome.white)
         self._mean = keep * self._mean + np.where(seen, outcome.white, 0.0)
         self._weight = keep**2 * self._weight + seen
