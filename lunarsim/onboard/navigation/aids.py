@@ -1,4 +1,4 @@
-"""The small measurements of a filter: ranges, speeds and attitudes, each kind watched."""
+"""Process ranges, speeds and attitudes, and monitor the innovations of all measurements."""
 
 from __future__ import annotations
 
@@ -36,52 +36,53 @@ from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
 
-# A measurement that is good is refused once in so many.
+# Mean number of valid measurements per false rejection.
 _REFUSED = 20_000.0
-# Standard deviations beyond which a doubt widens no error: m/s, rad, m.
+# Maximum standard deviations after covariance inflation: m/s, rad, m.
 _MOST_SPEED, _MOST_TURN, _MOST_HEIGHT = 30.0, 0.2, 300.0
-# Variances grow at least and at most by these factors where a watch asks for it.
+# Limits of the factor by which an inflation multiplies variances.
 _LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e4
-# A lander cannot jump in speed or attitude, but the ground under it may in height.
+# Velocity and attitude cannot jump, but the terrain height under the lander can.
 WATCHED = {
     "range": WatchSettings(),
-    # Where one drifts against the inertial unit, which of both does cannot be told.
+    # A drift between a velocimeter and the inertial unit cannot be attributed to one of them.
     "speed": WatchSettings(patience=None, drift_s=8.0, drift_patience=0),
     "attitude": WatchSettings(patience=None, drift_s=8.0, drift_patience=0),
-    # A part of a map may be out of date, and is then refused for as long as it is looked at.
+    # An outdated part of a map is rejected for as long as it is in view.
     "map": WatchSettings(least=10, most_refused=0.8, drift_s=8.0),
-    # Fits that are well, but elsewhere: once the scanner may be what errs, twice it cannot be told.
+    # Good fits at another place: a scanner error explains the first alarm, nothing the second.
     "fits": WatchSettings(least=10, most_refused=0.8, patience=1),
-    # A scan's noise is in all that is compared with it: innovations are alike for its time.
+    # The noise of the reference scan is common to all comparisons with it, so they are correlated.
     "scans": WatchSettings(),
 }
+# Bias that explains a drift of a sensor, and its standard deviation after a drift: m/s^2, rad/s.
 # What drifts where innovations lie to one side, and how far it may: m/s^2, rad/s.
 _BIASES = {"speed": (ACCELEROMETER, 0.1), "attitude": (GYROSCOPE, 2e-3)}
-# A bias of a unit that is found to be so many of its stated deviations is none of that unit.
+# Maximum ratio of an estimated bias to its standard deviation; more contradicts the specification.
 _MOST_BIAS = 6.0
-# Fewer beams of a velocimeter do not tell which of them lies; and what one may have done to the
-# velocity before it was noticed, m/s.
+# Minimum number of beams to identify a faulty one, and the velocity error (m/s) that a faulty beam
+# can cause before it is detected.
 _FEWEST_BEAMS, _LIED = 3, 0.1
-# Readings of each beam that were believed before: of a beam that has just come into sight, and one
-# that was believed for want of others, it cannot be told which is right.
+# Minimum number of accepted speeds of each beam before a faulty beam can be identified. Without
+# such a history it is unknown which of two contradicting beams is faulty.
 _PROVEN = 30
 
 
 @lru_cache
 def gate_of(degrees: int) -> float:
-    """Return the normalised innovation squared beyond which a measurement is refused."""
+    """Return the maximum accepted normalised innovation squared."""
     return float(chdtri(degrees, 1.0 / _REFUSED))
 
 
 def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, Array]:
-    """Return the blocks that measurements of such instruments need in an error state.
+    """Return the error-state blocks that the measurements of these instruments need.
 
     Parameters
     ----------
     instruments
-        Calibrations by name of the sensor.
+        Calibrations of the sensors, by name.
     ground
-        What is known of its height.
+        Prior knowledge of the terrain height.
     """
     out = {} if ground.sigma is None else {GROUND: np.array([[ground.sigma**2]])}
     for name, instrument in instruments.items():
@@ -98,47 +99,47 @@ def blocks_of(instruments: Mapping[str, Any], ground: LevelGround) -> dict[str, 
 
 
 def _mount(sensor: str) -> str:
-    """Return the name of the block of how a sensor is mounted; no sensor is called so."""
+    """Return the block name of a star tracker's misalignment."""
     return f"mount of {sensor}"
 
 
 def _feet(sensor: str) -> str:
-    """Return the name of the block of how high the ground lies where a sensor's beams meet it."""
+    """Return the block name of the terrain heights at a sensor's beam footprints."""
     return f"ground under {sensor}"
 
 
 def _speeds(sensor: str) -> str:
-    """Return the name of the block of what the speeds along a sensor's beams are off by."""
+    """Return the block name of the speed biases of a velocimeter's beams."""
     return f"speeds of {sensor}"
 
 
 def one_each(sensor: str, reading: AltimeterReading) -> None:
-    """Refuse a reading that is not one range and one deviation.
+    """Check that a reading is one range and one standard deviation.
 
     Raises
     ------
     InputError
-        If it is not.
+        If either is an array.
     """
     for name in ("range", "sigma"):
         shape = np.shape(getattr(reading, name))
         if shape:
-            raise InputError(f"{sensor}.{name}", shape, "one number")
+            raise InputError(f"{sensor}.{name}", shape, "must be one number")
 
 
 class Aids:
-    """Takes in altimeters, velocimeters and star trackers, and says when they cannot be believed.
+    """Process altimeter, velocimeter and star-tracker readings, and monitor all innovations.
 
     Parameters
     ----------
     state
         Error state with the blocks of `blocks_of`.
     instruments
-        Calibrations by name of the sensor.
+        Calibrations of the sensors, by name.
     ground
-        What is known of its height.
+        Prior knowledge of the terrain height.
     events
-        To which "doubted", "drift", "shut-off", "lost" and "believed" are added.
+        List that receives the events "doubted", "drift", "shut-off", "lost" and "believed".
     """
 
     def __init__(
@@ -156,11 +157,11 @@ class Aids:
             n: np.array(i.directions)
             for n, i in instruments.items() if isinstance(i, FixedBeams)
         }  # fmt: skip
-        # What beams are off by at the start, and what that wanders in a second.
+        # Initial speed bias of a beam (m/s), and its random walk in 1 s.
         self._speed_errors = {
             n: speed_errors(i) for n, i in instruments.items() if isinstance(i, FixedBeams)
         }
-        # What blocks of sensors' own errors are said to be: sensor, name, deviations, by block.
+        # Specified standard deviations of sensor biases: sensor, name, deviations, by block.
         self._stated: dict[str, tuple[str, str, Any]] = {
             _speeds(n): (n, "speeds", stated) for n, (stated, _) in self._speed_errors.items()
         }
@@ -174,27 +175,27 @@ class Aids:
         self._foot: dict[tuple[str, int], Array] = {}
         self._spoke: dict[str, float] = {}
         self._time = -np.inf
-        # Beams that are no longer believed; whether the inertial unit is no such unit.
+        # Beams excluded after a fault; whether a bias contradicts a sensor's specification.
         self._shut: set[tuple[str, int]] = set()
         self._contradicted = False
 
     @property
     def events(self) -> list[NavigationEvent]:
-        """What was reported."""
+        """Events reported so far."""
         return self._events
 
     @property
     def lost(self) -> bool:
-        """Whether what was measured cannot be explained."""
+        """Whether the measurements contradict the estimate."""
         return self._contradicted or any(watch.lost for watch in self._watches.values())
 
     @property
     def watches(self) -> dict[str, Watch]:
-        """The watch over each kind of measurement of each sensor, by "sensor kind"."""
+        """Innovation monitors by "sensor kind"."""
         return {f"{sensor} {kind}": watch for (sensor, kind), watch in self._watches.items()}
 
     def travel(self) -> None:
-        """Let the ground's height wander by how far the lander has moved."""
+        """Add process noise to the terrain height for the distance moved."""
         if not self.state.has(GROUND):
             return
         here = self.state.inertial.position[:2]
@@ -205,11 +206,12 @@ class Aids:
             self.state.widen(at, self.ground.growth * moved)
 
     def doubt_units(self) -> None:
-        """Be lost where a bias of inertial unit, beams or scanner is found that figures forbid.
+        """Declare navigation lost if an estimated sensor bias contradicts its specification.
 
-        Then it is another unit than it is said to be, or what the bias was found by drifts: the
-        one errs in velocity or attitude by nothing, the other by all of it. So with a scanner: a
-        lander that has turned by what nothing measures looks like a boresight that has.
+        Either the sensor does not meet its specification, or the measurement that the bias was
+        estimated with drifts. The first case does not affect velocity and attitude, but in the
+        second they drift too, and the two cases cannot be distinguished. Likewise, an undetected
+        rotation of the lander looks like a boresight error of the scanner.
         """
         if self._contradicted:
             return
@@ -233,17 +235,18 @@ class Aids:
                 return
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool = False) -> bool:
-        """Take in a measurement; return whether it is of a kind known here.
+        """Process a measurement; return whether its type is supported.
 
-        What has been `used` already is left alone.
+        A measurement that an earlier processor has `used` is skipped.
 
         Raises
         ------
         InputError
-            If time runs backwards, or the arrays of a reading are not of one length.
+            If time runs backwards, or the arrays of a reading have wrong shapes.
+        """
         """
         if not time >= self._time:
-            raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
+            raise InputError("time", time, f"must be at least the last time, {self._time} s")
         self._time = time
         if used:
             return False
@@ -275,7 +278,9 @@ class Aids:
         for name in ("speed", "speed_sigma", "range", "range_sigma"):
             shape = np.shape(getattr(reading, name))
             if shape != (len(beams),):
-                raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+                raise InputError(
+                    f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
+                )
         self._wander(sensor, time)
         found = {
             k: self._speed(sensor, k, reading, beams)
@@ -287,7 +292,7 @@ class Aids:
             self._range(sensor, distance, deviation, beam, time, k)
 
     def _wander(self, sensor: str, time: float) -> None:
-        """Let what the beams are off by wander since the last reading."""
+        """Add the random walk of the beam biases since the last reading."""
         block, last = _speeds(sensor), self._spoke.get(sensor, time)
         self._spoke[sensor] = time
         if self.state.has(block):
@@ -325,7 +330,7 @@ class Aids:
         self.judge(sensor, "range", found, columns, _MOST_HEIGHT, time)
 
     def _across(self, beam: Any) -> Array:
-        """Return how far beside the lander a beam should meet the ground (2,), m."""
+        """Return the horizontal offset of a beam's footprint from the lander (2,), m."""
         inertial, level = self.state.inertial, self.ground.elevation
         level += float(self.state.value(GROUND)[0]) if self.state.has(GROUND) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
@@ -334,13 +339,14 @@ class Aids:
         return np.asarray(height * along[:2] / max(-float(along[2]), LEAST_DOWN))
 
     def _follow_foot(self, sensor: str, beam: Any, number: int) -> int:
-        """Carry the ground's height where a beam meets it to where it does now; return its place.
+        """Move the terrain-height state of a beam to its current footprint; return its index.
 
-        A slanted beam meets ground beside the lander, higher or lower than below it, and the next
-        time nearly the same ground: were that noise, some hundred readings would average it away,
-        and slopes of the ground pass for the lander's tilt. The height of the new place is what
-        that of the last one and that below the lander make of it, the farther the former lies off,
-        as a share of the way to the lander, the less.
+        A slanted beam meets the terrain beside the lander, at another height than below it, and
+        almost at the same point in the next reading. If this difference were white noise, some
+        hundred readings would average it away, and terrain slopes would be taken for a tilt of the
+        lander. The new height is a weighted mean of the last footprint's height and the height
+        below the lander. The weight of the former decays with the distance between the footprints,
+        relative to the distance from the lander.
         """
         state, across = self.state, self._across(beam)
         foot, away = state.inertial.position[:2] + across, float(np.hypot(*across))
@@ -358,11 +364,11 @@ class Aids:
         return at
 
     def _judge_beams(self, sensor: str, found: dict[int, Outcome], time: float) -> None:
-        """Watch what came of beams' speeds, each by itself.
+        """Monitor the speeds of each beam, and exclude a single faulty beam.
 
-        A lander that jumped would do so along all of them: where one alone is doubted while the
-        others agree with what is believed, as it did before, it is shut off, and what it may have
-        done to the velocity is let go.
+        A velocity error of the lander would affect all beams. If one beam alone raises an alarm
+        and the others agree with the estimate, that beam is excluded. The variances of velocity
+        and accelerometer bias are increased by the effect that the fault may have had.
         """
         watches = {k: self._watch(sensor, _of_beam(k)) for k in found}
         before = {k: watch.lost for k, watch in watches.items()}
@@ -398,22 +404,23 @@ class Aids:
         *,
         drifting: tuple[NDArray[np.int64], Any] | None = None,
     ) -> Verdict:
-        """Watch what came of a measurement; widen what it depends on where it is doubted.
+        """Monitor the outcome of a measurement, and inflate the covariance after an alarm.
 
         Parameters
         ----------
         sensor, kind, found, time
-            What was measured and what came of it; s.
+            Sensor, kind of measurement, outcome, and time in s.
         columns, most
-            Errors (k,) on which it depends, and the deviations beyond which a doubt widens none.
+            Errors (k,) that the measurement depends on, and their maximum standard deviations
+            after an inflation.
         drifting
-            What may be wrong where innovations lie to one side: errors (j,) and deviations (j,) to
-            let them go to; left out: a bias of the inertial unit.
+            Errors (j,) that can explain a drift, and the standard deviations (j,) that they are
+            raised to; default: a bias of the inertial unit.
 
         Returns
         -------
         verdict
-            What was found, and acted on.
+            Result of the monitor, already acted on.
         """
         watch = self._watch(sensor, kind)
         before = watch.lost
@@ -425,11 +432,11 @@ class Aids:
         self, sensor: str, kind: str, verdict: Verdict, columns: NDArray[np.int64], most: Any,
         time: float, *, before: bool, drifting: tuple[NDArray[np.int64], Any] | None = None,
     ) -> None:  # fmt: skip
-        """Do what a verdict asks for; `before` tells whether navigation was lost by this kind."""
+        """Act on the result of a monitor; `before` is its `lost` before the measurement."""
         watch = self._watch(sensor, kind)
         if verdict is Verdict.DRIFT:
-            # A bias of the inertial unit or of the sensor is what drifts: let it be found anew. It
-            # has moved by itself, so what else errs must not be told from where it is found.
+            # The bias itself has changed, so only its own variance grows: its new estimate must not
+            # correct the other errors by their old correlations.
             place, sigma = _BIASES.get(kind.split(maxsplit=1)[0], (slice(0), 0.0))
             own = np.arange(place.start or 0, place.stop), sigma
             self.state.let_go(*(own if drifting is None else drifting))
@@ -450,5 +457,5 @@ class Aids:
 
 
 def _of_beam(number: int) -> str:
-    """Return what the speed along a beam is called; beams count from 1."""
+    """Return the name of the speed along a beam; beams are counted from 1."""
     return f"speed of beam {number + 1}"

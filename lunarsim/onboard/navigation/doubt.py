@@ -1,4 +1,4 @@
-"""How what is doubted grows in a covariance, so that nothing is learnt by doubting."""
+"""Inflate variances in a covariance without adding information."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from lunarsim.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Two errors that are the same but for this share of their variance are so by rounding.
+# Relative variance added to the correlations so that nearly identical errors stay positive definite.
 _SINGULAR = 1e-9
 
 
 def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
-    """Multiply the variances of some errors by a factor, as far as no other tells of them.
+    """Multiply the conditional variances of some errors by a factor.
 
-    An error is what the others make of it and a rest; the rest grows, all of it alike, so that what
-    these errors have to do with each other and with the others stays. Had they grown whole, a
-    measurement of how they differ from one that did not would tell them both: two heights of 5 m
-    that are known to be the same to 2 cm, one of them doubled, are told by the next look at their
-    difference to be nothing.
+    Each error is the sum of its regression on the other errors and a residual. Only the residual is
+    inflated, so that the correlations remain valid. If the total variance were inflated, a later
+    measurement of a difference would create information. Example: two heights have standard
+    deviations of 5 m and are known to be equal to 2 cm. If one variance is inflated as a whole, a
+    measurement of their difference makes both seem known to be near zero.
 
     Parameters
     ----------
     p
         Covariance (n, n), changed in place.
     columns
-        Distinct places in it (k,).
+        Distinct indices of the errors (k,).
     factor
-        1 or more.
+        Factor on the variances, 1 or more.
     most
-        Deviations (k,), or one for all, beyond which none grows.
+        Maximum standard deviations (k,) after the inflation, or one for all.
 
     Raises
     ------
     InputError
-        If the factor is less than 1 or no number, or a deviation is negative or none.
+        If the factor is below 1 or not finite, or a standard deviation is negative or NaN.
     """
     if not 1.0 <= factor < np.inf:
-        raise InputError("factor", factor, "a number of 1 or more")
+        raise InputError("factor", factor, "must be a finite number of 1 or more")
     if not (np.asarray(most) >= 0.0).all():
-        raise InputError("most", most, "deviations that are not negative")
+        raise InputError("most", most, "must be non-negative standard deviations")
     at = np.asarray(columns, dtype=np.int64)
     told = _told_by_others(p, at)
     own = p[np.ix_(at, at)]
     rest = own - told
-    # Where rounding has eaten a variance all is refused; what is left is not spoilt besides.
+    # If rounding made a variance negative, all updates are rejected anyway; do not worsen it here.
     variance = np.maximum(rest.diagonal(), 0.0)
     room = np.square(most) - np.maximum(told.diagonal(), 0.0)
     times = np.sqrt(np.clip(room / np.maximum(variance, 1e-300), 1.0, factor))
@@ -56,7 +56,7 @@ def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> Non
 
 
 def _told_by_others(p: Array, at: Index) -> Array:
-    """Return the covariance of what all other errors tell of some (k, k)."""
+    """Return the covariance of some errors explained by all other errors (k, k)."""
     others = np.setdiff1d(np.arange(len(p)), at)
     unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
     cross = p[np.ix_(at, others)] / unit
@@ -65,6 +65,6 @@ def _told_by_others(p: Array, at: Index) -> Array:
     try:
         found = cross @ cho_solve(cho_factor(correlation), cross.T)
     except (np.linalg.LinAlgError, ValueError):
-        # Not positive or not finite: everything is refused from now on, whatever grows.
+        # Not positive definite or not finite: all later measurements are rejected in any case.
         return np.zeros((len(at), len(at)))
     return np.asarray(0.5 * (found + found.T))

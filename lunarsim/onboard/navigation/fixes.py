@@ -1,4 +1,4 @@
-"""Navigation that takes the fixes of another system as they come."""
+"""Navigation with the position fixes of an external system."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lunarsim.messages.measurements import InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 
-# Without a fix for so long nobody knows where the lander is, s.
+# Maximum age of a fix before navigation is lost, s.
 _LONGEST = 2.0
 
 
 @dataclass(frozen=True)
 class Fixes:
-    """Takes the fixes of another system as they come."""
+    """Use the fixes of an external navigation system unchanged."""
 
     needs: ClassVar[tuple[type, ...]] = (NavigationFix,)
     takes: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -28,23 +28,23 @@ class Fixes:
     uses_prior_map: ClassVar[bool] = False
 
     def build(self, briefing: Briefing) -> FixNavigation:
-        """Return the navigation of one flight."""
+        """Build the navigation of one flight."""
         return FixNavigation(briefing.start, briefing.step)
 
 
 class FixNavigation(Navigation):
-    """The last fix is the estimate; before the first it is the start's.
+    """Return the last fix as the estimate, or the initial estimate before the first fix.
 
-    A fix that is not finite, whose attitude is no rotation or whose covariance is negative tells
-    nothing, and one that comes out of order is left out (`Arrivals`). After 2 s without one it is
-    lost.
+    A fix is ignored if it is not finite, its attitude is not a unit quaternion or a variance is
+    negative. `Arrivals` rejects fixes that are out of order. Navigation is lost if there is no fix
+    for 2 s.
 
     Parameters
     ----------
     start
-        Where the descent begins.
+        Initial estimate.
     step
-        Between samples of gyroscopes, if there are any, s.
+        Time between gyroscope samples, if there are any, s.
     """
 
     steps: ClassVar[bool] = False
@@ -61,24 +61,24 @@ class FixNavigation(Navigation):
 
     @property
     def adrift(self) -> bool:
-        """Fixes do not drift."""
+        """False, since fixes do not drift."""
         return False
 
     @property
     def site_to_local(self) -> Shift:
-        """Fixes are of the site frame, and so is the local frame."""
+        """The identity: the local frame is the site frame of the fixes."""
         return Shift()
 
     def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Keep a fix, and the rate of gyroscopes.
+        """Store a fix, or the rate measured by the gyroscopes.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards, or arrays are not of the shapes that they should be.
+            If `time` (s) runs backwards, or an array has a wrong shape.
         """
         measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, NavigationFix):
@@ -99,11 +99,11 @@ class FixNavigation(Navigation):
 
 
 def _tells(fix: NavigationFix) -> bool:
-    """Tell whether a fix can be believed: finite, a rotation, a covariance that is not negative."""
+    """Return whether a fix is finite, with a unit quaternion and non-negative variances."""
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
         given = np.shape(getattr(fix, name))
         if given != shape:
-            raise InputError(f"fix.{name}", given, f"an array {shape}")
+            raise InputError(f"fix.{name}", given, f"must have shape {shape}")
     finite = all(np.isfinite(getattr(fix, name)).all() for name in shapes)
     return bool(finite and is_rotation(fix.attitude) and (np.diag(fix.covariance) >= 0.0).all())

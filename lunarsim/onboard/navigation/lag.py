@@ -1,10 +1,10 @@
-"""Columns of a covariance that are brought up to date only when somebody asks for them.
+"""Deferred update of covariance columns until they are read.
 
-Of errors that rest the block among themselves stays as it is, while their correlations with others
-change with each measurement (`RestingErrors.rest`). These stand in the matrix twice: in the rows of
-the others, which lie in one piece each, and in their columns, of which each entry costs a line of
-the cache. So the rows are kept up and the columns lag behind in the rows of errors that rest, until
-these are used. What an error that begins or ceases to rest changes is few columns.
+The covariance block of the frozen errors does not change, but their correlations with the other
+errors change with each measurement (`RestingErrors.rest`). These correlations are stored twice: in
+the rows of the other errors, which are contiguous in memory, and in their columns, where each entry
+costs a cache line. Therefore only the rows are updated. The columns are copied when the rows of
+frozen errors are read. If an error is frozen or released, only a few columns must be copied.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ Flags = NDArray[np.bool_]
 
 
 class Lag:
-    """Whether columns of errors that do not rest lag behind in the rows of those that do.
+    """Mirror the columns of active errors in the rows of frozen errors on demand.
 
     Attributes
     ----------
     behind
-        Whether they do.
+        Whether these columns are out of date.
     """
 
     def __init__(self) -> None:
         self.behind = False
 
     def catch_up(self, p: Array, rests: Flags) -> None:
-        """Bring the symmetric p (n, n) up to date, of which errors `rests` (n,) rest."""
+        """Update the columns of the symmetric p (n, n); `rests` (n,) marks frozen errors."""
         if self.behind:
             self.behind = False
             _take_over(p, np.flatnonzero(rests), np.flatnonzero(~rests))
 
     def change(self, p: Array, before: Flags, now: Flags) -> None:
-        """Let other errors `now` (n,) rest than did before (n,), of the symmetric p (n, n)."""
+        """Change the frozen errors of the symmetric p (n, n) from `before` (n,) to `now` (n,)."""
         if not self.behind:
             return
         begin, cease = np.flatnonzero(~before & now), np.flatnonzero(before & ~now)
@@ -52,6 +52,6 @@ class Lag:
 
 
 def _take_over(p: Array, rows: Index, columns: Index) -> None:
-    """Let rows of the symmetric p have in columns what stands in the rows of these, mirrored."""
+    """Copy p[columns, rows]' to p[rows, columns]."""
     with threads_for(2e-3 * len(rows) * len(columns)):
         take_over_columns(p, rows, columns)

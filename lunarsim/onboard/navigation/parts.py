@@ -1,4 +1,4 @@
-"""What filters are made of: parts that share one error state."""
+"""Shared context and interface of the measurement processors."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from lunarsim.onboard.navigation.seen_scan import (
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Standard deviation beyond which a doubt widens no coordinate of a rock, m.
+# Maximum standard deviation of a rock coordinate after covariance inflation, m.
 _MOST_PLACE = 100.0
 
 
 @dataclass(frozen=True)
 class Shared:
-    """What the parts of a filter share.
+    """State and helpers that the measurement processors share.
 
     Attributes
     ----------
     state
-        All that errs.
+        Error state.
     aids
-        Takes in ranges, speeds and attitudes, and watches over every kind of measurement.
+        Processor of ranges, speeds and attitudes, with all innovation monitors.
     events
-        What is reported.
+        List that receives the events.
     most
-        Deviations beyond which a doubt widens no error: see `most_of`.
+        Maximum standard deviations (head,) after covariance inflation; see `most_of`.
     """
 
     state: ErrorState
@@ -50,7 +50,7 @@ class Shared:
     most: Array
 
     def scanner(self, sensor: str) -> Index:
-        """Return where a scanner's errors lie in the state (5,), or (0,) if it has none."""
+        """Return the indices of a scanner's errors in the state (5,), or (0,) without any."""
         name = scanner_block(sensor)
         if not self.state.has(name):
             return np.zeros(0, np.int64)
@@ -58,22 +58,22 @@ class Shared:
         return np.arange(place.start, place.stop)
 
     def seen(self, sensor: str, scan: Any) -> SeenScan:
-        """Return a scan as it is seen from where the lander is thought to be, the state's frame."""
+        """Return a scan with the estimated pose and scanner errors, frame of the state."""
         name = scanner_block(sensor)
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
         return SeenScan.of(scan, self.state.inertial, value)
 
     def local_errors(self, sensor: str) -> tuple[Index, Array]:
-        """Return on what of the state (k,) a scan's errors depend, and how (11, k), its frame."""
+        """Return the state indices (k,) that a scan depends on, and its Jacobian (11, k)."""
         own = self.scanner(sensor)
         return np.concatenate((POSE, own)), np.eye(11, 6 + len(own))
 
     def judge(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
-        """Watch what came of a scan.
+        """Monitor the outcome of a scan update.
 
-        Where it is doubted the whole state grows alike: what is wrong is in the pose, the pose at
-        the scan kept, the map's place, rocks and all that errs with them, and what had not grown
-        would draw the rest back. Where it drifts the scanner's errors are let go.
+        After an alarm the entire state is inflated. The error can be in the current pose, the
+        reference pose, the map offset, the rocks or their correlated errors, and a part that did
+        not grow would pull the others back. After a drift the scanner's errors are widened.
         """
         own, every = self.scanner(sensor), np.arange(self.state.size)
         most = np.concatenate((self.most, np.full(self.state.tail, _MOST_PLACE)))
@@ -83,7 +83,7 @@ class Shared:
 
 
 def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the blocks of what the LiDARs among instruments, by name, err by."""
+    """Return the initial covariances of the scanner-error blocks of all LiDARs."""
     return {
         scanner_block(name): scanner_covariance(instrument)
         for name, instrument in instruments.items()
@@ -92,9 +92,10 @@ def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def most_of(state: ErrorState) -> Array:
-    """Return deviations (head,) beyond which a doubt widens no error: thrice those at the start.
+    """Return the maximum standard deviations (head,) after covariance inflation.
 
-    Position, velocity and attitude of the lander, and a pose kept, at least 30 m, 3 m/s, 0.2 rad.
+    These are three times the initial ones; for the pose of the lander and the reference scan, they
+    are 30 m and 0.2 rad, and 3 m/s for the velocity.
     """
     out = 3.0 * np.sqrt(state.covariance.diagonal()[: state.head])
     out[POSITION], out[VELOCITY], out[ATTITUDE] = 30.0, 3.0, 0.2
@@ -104,16 +105,16 @@ def most_of(state: ErrorState) -> Array:
 
 
 class Part(Protocol):
-    """One of a navigator's ways of taking in measurements."""
+    """Processor of measurements in the navigator."""
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Take in a measurement; return whether what it says has been used.
+        """Process a measurement; return whether it was used.
 
         Parameters
         ----------
         sensor, measurement, time
-            What was measured, s.
+            Sensor name, its measurement, and time in s.
         used
-            Whether an earlier part has used it: it must not count twice.
+            Whether an earlier processor has used the measurement; it must not be used twice.
         """
         ...

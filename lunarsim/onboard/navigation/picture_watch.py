@@ -1,7 +1,7 @@
-"""Whether what pictures show of rocks can still be explained.
+"""Monitor whether observations of rocks in camera images agree with the estimate.
 
-Three things are watched: where rocks are seen against where they were expected, how many of those
-that should be seen are, and whether shadows fall away from where the Sun is taken to be.
+Three quantities are monitored: the innovations of rock positions, the detected fraction of the
+rocks that are expected in view, and whether the shadows point away from the assumed Sun direction.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
 
-# Errors of rocks' places last over many pictures, so innovations are alike for some 40 of them.
-# Rocks may be begun anew once; a Sun that is elsewhere cannot be explained.
+# Errors of rock positions persist over many images, so about 40 innovations count as one. The rocks
+# may be reset once; a wrong Sun direction cannot be explained.
 _WATCHED = {
     "places": WatchSettings(correlation=40.0, patience=2),
     "expected": WatchSettings(patience=2),
@@ -22,7 +22,7 @@ _WATCHED = {
 
 
 class Remedy(Enum):
-    """What is to be done about rocks."""
+    """Corrective action for the tracked rocks."""
 
     NONE = "none"
     DOUBT = "doubt"
@@ -30,12 +30,12 @@ class Remedy(Enum):
 
 
 class PictureWatch:
-    """Watches pictures, and says when they cannot be believed.
+    """Monitor the rock observations of camera images.
 
     Parameters
     ----------
     events
-        To which "doubted", "renewed", "lost" and "believed" are added.
+        List that receives the events "doubted", "renewed", "lost" and "believed".
     """
 
     def __init__(self, events: list[NavigationEvent]) -> None:
@@ -45,11 +45,11 @@ class PictureWatch:
 
     @property
     def lost(self) -> bool:
-        """Whether what was seen cannot be explained."""
+        """Whether the observations contradict the estimate."""
         return any(watch.lost for watch in self.watches.values())
 
     def note(self, kind: str, time: float, outcome: Outcome) -> Remedy:
-        """Note what came of a picture at a time (s); return what is to be done.
+        """Add the outcome of an image; return the corrective action.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class PictureWatch:
         time
             s.
         outcome
-            What came of it.
+            Outcome of the update.
         """
         watch = self.watches[kind]
         before, verdict = watch.lost, watch.note(time, outcome)
@@ -70,7 +70,7 @@ class PictureWatch:
             if not before:
                 self._note(time, "lost", kind)
             return Remedy.RENEW
-        # First the state may be wider than was thought; what is doubted again soon is begun anew.
+        # The first alarm inflates the covariance; another one soon after it resets the rocks.
         again = time - self._doubted[kind] < 3.0 * watch.settings.window_s
         self._doubted[kind] = time
         self._note(time, "renewed" if again else "doubted", kind)

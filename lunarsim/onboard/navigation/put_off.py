@@ -1,8 +1,8 @@
-"""What measurements take off a covariance, put off until somebody asks for it.
+"""Deferred covariance updates: collect several measurements for one pass.
 
-A measurement takes w' w off the covariance of all errors. Of thousands of rocks that is hundreds of
-megabytes to read and write, whatever was measured: an altitude costs as much as a picture. Squares
-add up, so that many of them are taken off in one pass.
+A measurement subtracts w' w from the covariance of all errors. With thousands of rocks each pass
+reads and writes hundreds of megabytes, for an altitude as much as for an image. The squares are
+additive, so that several of them can be subtracted in one pass.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtrac
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# So many rows are put off at most: more would not make a pass any cheaper for each.
+# Maximum number of deferred rows: a larger number does not reduce the cost per row.
 _MOST = 256
 
 
 class PutOff:
-    """Squares that are still to be taken off a symmetric matrix.
+    """Matrix squares that are still to be subtracted from a symmetric matrix.
 
-    Of rows that rest, the block among themselves stays as it is: see `RestingErrors.rest`.
+    The covariance block of frozen rows does not change; see `RestingErrors.rest`.
     """
 
     def __init__(self) -> None:
@@ -32,23 +32,23 @@ class PutOff:
 
     @property
     def rows(self) -> int:
-        """How many rows are put off."""
+        """Number of deferred rows."""
         return sum(len(w) for w in (*self._of_all, *self._of_awake))
 
     @property
     def full(self) -> bool:
-        """Whether they are to be taken off before there are more."""
+        """Whether the deferred rows must be subtracted before more are added."""
         return self.rows >= _MOST
 
     def add(self, w: Array, awake: Index | None) -> None:
-        """Put off taking w' w off, w being (m, n).
+        """Defer the subtraction of w' w, for w (m, n).
 
         Parameters
         ----------
         w
-            A row for each number that was measured.
+            One row for each scalar measurement.
         awake
-            Rows that do not rest (k,), the same until `settle`; None: all.
+            Indices of the rows that are not frozen (k,), constant until `settle`; None for all.
         """
         if len(w) == 0:
             return
@@ -60,16 +60,16 @@ class PutOff:
 
     @property
     def of_all(self) -> bool:
-        """Whether any of it is to be taken off rows that rest."""
+        """Whether a deferred update applies to all rows, including frozen ones."""
         return bool(self._of_all)
 
     def settle(self, p: Array) -> bool:
-        """Take all of it off the matrix p in place, of which these are the first n rows.
+        """Subtract all deferred squares from the first n rows and columns of p, in place.
 
         Returns
         -------
         lags
-            Whether columns of rows that do not rest are left as they were in those that rest.
+            Whether the columns of active rows are out of date in the frozen rows.
         """
         lags = False
         if self._of_all:

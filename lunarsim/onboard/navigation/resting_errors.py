@@ -1,4 +1,4 @@
-"""A covariance of many errors, of which some may rest, kept up no sooner than it is asked for."""
+"""Schmidt-Kalman covariance with frozen errors and deferred updates."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ Index = NDArray[np.int64]
 
 
 class RestingErrors:
-    """Covariance of errors: a head that measurements always correct, and a tail that may rest.
+    """Covariance of a head, which all measurements correct, and a tail that can be frozen.
 
-    What measurements take off the tail is put off (`PutOff`), and columns lag (`Lag`), until they
-    are asked for.
+    The updates of the tail are deferred (`PutOff`, `Lag`) until its covariance is read.
 
     Parameters
     ----------
     head
-        Covariance of the head at the start (k, k).
+        Initial covariance of the head (k, k).
     capacity
-        Errors in the tail for which room is made at first; it grows as needed.
+        Initial number of tail errors to allocate; it grows as needed.
 
     Attributes
     ----------
     head
-        Number of errors of the head.
+        Number of errors in the head.
     tail
-        Number of those behind them.
+        Number of errors in the tail.
     """
 
     def __init__(self, head: Array, capacity: int = 0) -> None:
@@ -45,25 +44,25 @@ class RestingErrors:
 
     @property
     def size(self) -> int:
-        """Number of errors."""
+        """Number of errors in head and tail."""
         return self.head + self.tail
 
     @property
     def rests(self) -> NDArray[np.bool_]:
-        """Which errors of the tail rest (tail,); empty if none has yet."""
+        """Whether each error of the tail is frozen (tail,); empty before the first `rest`."""
         return self._rests
 
     @property
     def p(self) -> Array:
-        """Covariance of all errors, with room for more behind them."""
+        """Covariance of all errors, with allocated space behind them."""
         self._settle()
         self._catch_up()
         return self._p
 
     def for_rows(self, *rows: ArrayLike) -> Array:
-        """Return `p` where only rows of some errors (...) are used, and blocks of rocks.
+        """Return `p` for reading the rows of given errors (...) and the blocks of rocks.
 
-        Columns may lag in other rows, see `Lag`.
+        The columns in other rows may be out of date; see `Lag`.
         """
         self._settle()
         if self._lag.behind and any(self._rest(at).any() for at in rows):
@@ -80,7 +79,7 @@ class RestingErrors:
         return np.asarray(self._p[one, other])
 
     def _rest(self, errors: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which errors (...) rest."""
+        """Return whether errors (...) are frozen."""
         behind = np.asarray(errors) - self.head
         known = (behind >= 0) & (behind < len(self._rests))
         rests = np.zeros(behind.shape, np.bool_)
@@ -88,12 +87,12 @@ class RestingErrors:
         return rests
 
     def _catch_up(self) -> None:
-        """Bring columns up to date that lag behind."""
+        """Update columns that are out of date."""
         n = len(self._rests)
         self._lag.catch_up(self._p[self.head :, self.head :][:n, :n], self._rests)
 
     def _settle(self) -> None:
-        """Take in what has been put off: of the head it has been taken in at once."""
+        """Apply the deferred updates of the tail; those of the head are never deferred."""
         if self._put_off.rows:
             if self._put_off.of_all:
                 self._catch_up()
@@ -102,11 +101,11 @@ class RestingErrors:
 
     @property
     def covariance(self) -> Array:
-        """Of all errors (size, size)."""
+        """Covariance of all errors (size, size)."""
         return np.asarray(self.p[: self.size, : self.size])
 
     def own(self, columns: ArrayLike) -> Array:
-        """Return the covariance of some errors (k, k); of lander and blocks it costs nothing."""
+        """Return the covariance of some errors (k, k); in the head this costs no update."""
         at = np.asarray(columns)
         return np.asarray(self._for(at)[np.ix_(at, at)])
 
@@ -115,16 +114,16 @@ class RestingErrors:
         return np.asarray(self._for(at)[at])
 
     def _for(self, *columns: ArrayLike) -> Array:
-        """Return the covariance where only rows of some errors (k,) are used.
+        """Return the covariance for reading given rows (k,), and columns among them.
 
-        And columns among them. Those of lander and blocks are never put off.
+        For errors of the head, no deferred update is needed.
         """
         last = max(int(np.max(at, initial=0)) for at in columns)
         held = self._p if last < self.head else self.for_rows(*columns)
         return np.asarray(held[: self.size, : self.size])
 
     def reserve(self, tail: int) -> None:
-        """Make room for so many errors behind the blocks."""
+        """Allocate space for a number of tail errors."""
         if self.head + tail <= len(self._p):
             return
         grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
@@ -132,7 +131,7 @@ class RestingErrors:
         self._p = grown
 
     def keep(self, tail: int, to: Index, source: Index) -> None:
-        """Let errors at `source` (k,) take places `to` (k,); keep so many behind the blocks."""
+        """Move errors from `source` (k,) to `to` (k,), and truncate the tail to `tail` errors."""
         p, size = self.for_rows(), self.size
         p[to, :size] = p[source, :size]
         p[:size, to] = p[:size, source]
@@ -142,9 +141,9 @@ class RestingErrors:
         self._rests, self.tail = rests[:tail], tail
 
     def put(self, at: Index, rows: Array) -> None:
-        """Give some errors (k,) rows of the covariance (k, size), and the columns that go with it.
+        """Set rows (k, size) of the covariance of some errors (k,), and the matching columns.
 
-        Columns may lag in rows of errors that rest.
+        In the rows of frozen errors the columns may stay out of date.
         """
         self._settle()
         p, size, awake = self._p, self.size, self._awake()
@@ -157,31 +156,31 @@ class RestingErrors:
             self._lag.behind = True
 
     def rest(self, tail: NDArray[np.bool_]) -> None:
-        """Leave errors behind the blocks (tail,) as they are until told otherwise.
+        """Freeze the marked errors of the tail (tail,), until the next call.
 
-        Measurements of others correct neither them nor their own covariance, while their
-        correlations with what is corrected are kept up, so that the covariance stays that of the
-        errors (Schmidt's consider filter; Jazwinski 1970, section 8.4). A measurement then takes
-        time in proportion to the number of errors, and not to its square.
+        Measurements of other errors change neither the frozen errors nor their covariance, but
+        their correlations with the corrected errors are updated. The covariance therefore remains
+        correct (Schmidt's consider filter; Jazwinski 1970, section 8.4). The cost of a measurement
+        is then proportional to the number of errors, and not to its square.
         """
         if not np.array_equal(tail, self._rests):
-            self._settle()  # What was put off is of those that rested till now.
+            self._settle()  # The deferred updates refer to the errors frozen so far.
             n = min(len(tail), len(self._rests))
             own = self._p[self.head :, self.head :][:n, :n]
             self._lag.change(own, self._rests[:n], tail[:n])
             self._rests = tail
 
     def _awake(self) -> Index | None:
-        """Return the errors behind the head that measurements correct; None for all of them."""
-        # Correcting half of all alone costs as much as correcting all of them.
+        """Return the indices of the active tail errors; None if all are to be corrected."""
+        # If less than half of the tail is frozen, a full update costs no more.
         if 2 * np.count_nonzero(self._rests) < max(self.tail, 1):
             return None
         return np.flatnonzero(~self._rests)
 
     def _take_off(self, w: Array, awake: Index | None) -> None:
-        """Take w' w off the covariance, w being (m, size): of what stands behind the head later on.
+        """Subtract w' w from the covariance, for w (m, size); defer it for the tail.
 
-        Parameters are those of `PutOff.add`, `awake` being counted from the head on.
+        Parameters are those of `PutOff.add`; `awake` is counted from the start of the tail.
         """
         n, p = self.head, self._for(self.head - 1)
         if self.tail == 0:

@@ -1,8 +1,8 @@
-"""What of a scan is worth comparing: by its own pixels, before any ground is looked for.
+"""Check the pixels of a LiDAR scan for spikes and excess noise.
 
-Neighbouring pixels meet neighbouring ground. One that lies far off all those about it has met a
-fleck of dust or was counted wrong; where all of them scatter far beyond what the scanner states,
-the slopes of the ground drown, and a fit would take noise for ground that tells where it lies.
+Neighbouring pixels see neighbouring terrain. A single range far from all its neighbours is a spike,
+for instance by dust. If all ranges scatter far more than the scanner specifies, the noise hides the
+terrain slopes, and a registration would take noise for terrain features.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from lunarsim.messages.measurements import LidarScan
 
 Array = NDArray[np.float64]
 
-# A return farther than this off three of its four neighbours, to the same side, is none of the
-# ground's, m: besides what it may err by, so many deviations.
+# A range is a spike if it differs from three of its four neighbours, in the same direction, by more
+# than this distance (m) plus a number of standard deviations.
 _OFF, _DEVIATIONS, _FEWEST = 1.0, 6.0, 3
-# Noise that a scan may have: so many times what is stated, and what rough ground looks like, m.
+# Maximum noise of a scan: multiple of the specified noise, plus the effect of rough terrain, m.
 _STATED, _ROUGH = 3.0, 0.25
-# Noise that may be stated, m: fits take ranges as exact, and the slopes that weigh them with them.
+# Maximum specified noise, m: registrations neglect the range noise in the slopes.
 _MOST_STATED = 0.15
-# Of a standard normal variable, deviation over median of its size.
+# Ratio of standard deviation to median absolute value of a normal variable with zero mean.
 _BY_MEDIAN = 1.4826
 
 
 def without_spikes(scan: LidarScan) -> LidarScan:
-    """Return a scan without returns that lie far off those about them.
+    """Remove ranges that differ strongly from those of their neighbours.
 
     Raises
     ------
     InputError
-        If its rows and columns do not make up its pixels.
+        If the shape of the scan does not match its number of pixels.
     """
     r = _image(scan)
     if min(r.shape) < 3:
@@ -51,10 +51,10 @@ def without_spikes(scan: LidarScan) -> LidarScan:
 
 
 def noise_of(scan: LidarScan) -> float:
-    """Return the noise of a range, 1 sigma, m, by neighbours along the rows; NaN of too few.
+    """Estimate the range noise, 1 sigma, m; NaN with fewer than 100 pixels.
 
-    The median size of how ranges differ from the mean of those on either side, which is 0 on
-    a slope.
+    The estimate is the scaled median of the differences between a range and the mean of its two
+    neighbours in the row. These differences are 0 on a uniform slope.
     """
     r = _image(scan)
     bend = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
@@ -65,7 +65,7 @@ def noise_of(scan: LidarScan) -> float:
 
 
 def is_noisy(scan: LidarScan) -> bool:
-    """Tell whether ranges scatter far beyond what the scanner states, or by that alone too far."""
+    """Return whether the range noise exceeds its specification, or this is too large."""
     stated = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
     if len(stated) == 0:
         return False
@@ -74,14 +74,16 @@ def is_noisy(scan: LidarScan) -> bool:
 
 
 def _image(scan: LidarScan) -> Array:
-    """Return the ranges by row and column."""
+    """Return the ranges as an image (rows, cols)."""
     if int(np.prod(scan.shape)) != np.size(scan.range):
-        raise InputError("scan.shape", scan.shape, f"rows and columns of {np.size(scan.range)}")
+        raise InputError(
+            "scan.shape", scan.shape, f"must have {np.size(scan.range)} pixels, as many as ranges"
+        )
     return np.reshape(scan.range, scan.shape)
 
 
 def _pairs() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Return pixels and their neighbours, on each of four sides."""
+    """Return slices of pixels and of their neighbours, for the four sides."""
     every, first, last = slice(None), slice(None, -1), slice(1, None)
     return [
         ((first, every), (last, every)), ((last, every), (first, every)),

@@ -1,4 +1,4 @@
-"""What each measurement tells of the error state: one file a kind."""
+"""Measurement models of the error state: attitudes, slant ranges and Doppler speeds."""
 
 from lunarsim.onboard.navigation.measured.attitude import symmetric, take_attitude
 from lunarsim.onboard.navigation.measured.ranges import LEAST_DOWN, VAGUE, take_range

@@ -1,4 +1,4 @@
-"""A slant range to level ground (shadow EKF paper, Eq. 9, for any boresight)."""
+"""Measurement model of a slant range to horizontal terrain (shadow EKF paper, Eq. 9)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outco
 
 Array = NDArray[np.float64]
 
-# Cosine from straight down beyond which a beam says little of the ground below.
+# Minimum cosine between a beam and straight down; flatter beams are ignored.
 LEAST_DOWN = 0.1
-# A deviation beyond this tells nothing, m: its square may be no number.
+# Standard deviations above this are ignored, m: their square can overflow.
 VAGUE = 1e9
 
 
@@ -28,27 +28,27 @@ def take_range(
     rise: float = 0.0,
     gate: float = np.inf,
 ) -> Outcome:
-    """Take in a range.
+    """Update the error state with a slant range along any boresight.
 
     Parameters
     ----------
     state
-        Of the filter.
+        Error state of the filter.
     distance, sigma
-        Measured, and its standard deviation, m; NaN, or a deviation that is not positive or
-        beyond any use, tells nothing.
+        Range and its standard deviation, m. The reading is ignored if the range is NaN, or the
+        deviation is not positive or too large.
     beam
-        Unit vector (3,), body axes.
+        Unit vector of the beam (3,), body axes.
     ground
-        Elevation of the ground in the site frame, m.
+        Elevation of the terrain in the site frame, m.
     block
-        What is to be added to that elevation is kept there in the state; left out: nothing.
+        Name of the block with the correction of this elevation; default: no correction.
     part
-        Which error of that block.
+        Index of the correction in that block.
     rise
-        Variance of the ground's height where the beam meets it, along the beam, m^2.
+        Variance of the terrain height at the footprint, along the beam, m^2.
     gate
-        See `ErrorState.measure`.
+        Maximum normalised innovation squared, as for `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
     if not (0.0 < distance < np.inf and 0.0 < sigma < VAGUE):
@@ -68,7 +68,7 @@ def take_range(
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(block).start + part)
     if state.has(MAP):
-        # The ground's elevation is known in the site frame.
+        # The elevation of the terrain is given in the site frame.
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(MAP).start + 2)
     return state.measure(jacobian, columns, distance + height / down, [sigma**2 + rise], gate)

@@ -1,4 +1,4 @@
-"""Speeds along the beams of a Doppler velocimeter."""
+"""Measurement model of the speeds along the beams of a Doppler velocimeter."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from lunarsim.models.instruments import FixedBeams
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 
 _COLUMNS = np.r_[3:6, 9:12]
-# No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
-# all measurements say the same, and together they would move the velocity by that.
+# Minimum standard deviation of the speed bias of a beam, m/s. A constant bias affects all readings
+# alike, and with a smaller value they would together move the velocity by it.
 _LEAST_SPEED_BIAS = 0.02
-# Nor does that wander by less in a second, m/s.
+# Minimum random walk of the bias in 1 s, m/s.
 _LEAST_SPEED_WANDER = 0.005
 
 
 def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
-    """Return what the speeds of a beam are off by at the start, and what that wanders in a second.
+    """Return the initial speed bias of a beam, and its random walk in 1 s.
 
-    Standard deviations, m/s: as stated, and not less than is likely.
+    Both are standard deviations, m/s: the specified ones, but not less than realistic minima.
     """
     return (
         max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
@@ -40,31 +40,31 @@ def take_speeds(
     biases: ArrayLike | None = None,
     known: ArrayLike | float = 0.0,
 ) -> Outcome:
-    """Take in speeds over the ground.
+    """Update the error state with speeds along beams.
 
-    A beam b (body axes) sees ``b' R' v``; a small rotation of the body changes that by
-    ``(b x R' v)'`` times itself.
+    A beam b (body axes) measures ``b' R' v``; a small rotation of the body changes this by the
+    product of ``(b x R' v)'`` and the rotation.
 
     Parameters
     ----------
     state
-        Of the filter.
+        Error state of the filter.
     speed, sigma
-        Along each beam and their standard deviations (n,), m/s; beams without a return, or whose
-        deviation is not positive, tell nothing.
+        Speed along each beam and its standard deviation (n,), m/s; beams without a return or with a
+        deviation that is not positive are ignored.
     beams
-        Unit vectors (n, 3), body axes.
+        Unit vectors of the beams (n, 3), body axes.
     gate
-        See `ErrorState.measure`.
+        Maximum normalised innovation squared, as for `ErrorState.measure`.
     biases
-        Places (n,) in the error state of what the beams are off by; left out: by nothing.
+        Indices of the beam biases in the error state (n,); default: no biases.
     known
-        What they are thought to be off by now (n,), m/s.
+        Estimated biases (n,), m/s.
 
     Returns
     -------
     Outcome
-        Its `white` has a place for every beam.
+        Outcome of the update; `white` has one element per beam.
     """
     measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
     seen = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
