@@ -244,7 +244,6 @@ class Aids:
         InputError
             If time runs backwards, or the arrays of a reading have wrong shapes.
         """
-        """
         if not time >= self._time:
             raise InputError("time", time, f"must be at least the last time, {self._time} s")
         self._time = time

@@ -157,7 +157,6 @@ class Arrivals:
         InputError
             If `time` is before the current time, or not finite.
         """
-        """
         if not (np.isfinite(time) and time >= self._now):
             raise InputError("time", time, f"must be at least the last time, {self._now} s")
         self._now = time

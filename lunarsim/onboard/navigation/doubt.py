@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Relative variance added to the correlations so that nearly identical errors stay positive definite.
+# Relative variance added so that the correlation of nearly equal errors is positive definite.
 _SINGULAR = 1e-9
 
 

@@ -40,7 +40,7 @@ POSE = np.r_[0:3, 9:12]
 MAP = "map"
 # Name of the block of the lander's pose at the reference scan of the odometry.
 KEY = "key"
-# Relative variance added to the correlations so that nearly identical errors stay positive definite.
+# Relative variance added so that the correlation of nearly equal errors is positive definite.
 _SINGULAR = 1e-9
 # Velocity corrections below this are too small to transform the velocity covariance, m/s.
 _TELLING = 0.01
