@@ -1,4 +1,4 @@
-"""Where a fit of a scan to a map may begin: a fit finds the nearest minimum, right or wrong."""
+"""Find the initial shift of a scan on a map, since a fit converges to the nearest minimum."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from lunarsim.onboard.navigation.surface import Surface
 
 Array = NDArray[np.float64]
 
-# Deviations of the scan's place that are looked at, and posts either way at most.
+# Range of the searched shifts: standard deviations of the scan position, and maximum in posts.
 _DEVIATIONS, _FARTHEST = 4.0, 60
-# Posts along a side of the tiles that may have changed on their own, and of a scan at most.
+# Side of the tiles, in posts, that may have changed independently; maximum side of a scan in posts.
 _SIDE, _WIDEST = 12, 600
 
 
 @dataclass(frozen=True)
 class FitStart:
-    """The likeliest of the whole-post shifts of a scan on a map.
+    """Most probable shift of a scan on a map, in whole posts.
 
     Attributes
     ----------
     shift
         East and north (2,), m.
     certainty
-        Probability of it and the shifts next to it.
+        Probability of this shift and its direct neighbours.
     spread
-        Second moment of all shifts about it, by their probability (2, 2), m^2.
+        Second moment of all shifts about it, weighted by their probability (2, 2), m^2.
     """
 
     shift: Array
@@ -40,18 +40,18 @@ class FitStart:
 
 
 def fit_start(surface: Surface, features: MapFeatures, covariance: Array) -> FitStart:
-    """Weigh the whole-post shifts that a scan's stated error allows.
+    """Evaluate all shifts by whole posts that the position uncertainty of a scan allows.
 
-    As `PlaceSearch` does it, with the scan alone.
+    The method is that of `PlaceSearch` for a single scan.
 
     Parameters
     ----------
     surface
-        The scan, averaged over the map's squares.
+        Scan averaged over the squares of the map.
     features
-        The map's.
+        Features of the map.
     covariance
-        Of the scan's place, east and north (2, 2), m^2.
+        Covariance of the scan's position, east and north (2, 2), m^2.
     """
     posting = features.prior.grid.posting
     reach = np.ceil(_DEVIATIONS * np.sqrt(np.diag(covariance)) / posting).astype(int)
@@ -75,7 +75,7 @@ def fit_start(surface: Surface, features: MapFeatures, covariance: Array) -> Fit
 
 
 def _tiles(surface: Surface, features: MapFeatures) -> list[tuple[int, int, Tile]]:
-    """Return tiles of a scan with the row and column of their first posts."""
+    """Divide a scan into tiles; return each with the row and column of its first post."""
     first = (int(surface.row.min()), int(surface.col.min()))
     shape = (int(surface.row.max()) - first[0] + 1, int(surface.col.max()) - first[1] + 1)
     if max(shape) > _WIDEST:
@@ -85,7 +85,7 @@ def _tiles(surface: Surface, features: MapFeatures) -> list[tuple[int, int, Tile
     height[place] = surface.position[:, 2]
     known[place] = True
     above, kept = above_plane(height, known, features.reach)
-    # The truth lies up to half a post beside a shift.
+    # The true shift can differ from a whole number of posts by half a post.
     slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
     spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
     variance = features.variance + spread

@@ -1,4 +1,4 @@
-"""Scans that cover too few posts of a map, gathered until together they cover enough."""
+"""Accumulate small scans until they cover enough posts of a map."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
 
-# Squares along a post's side that gather scans; and so many posts as must agree must be covered:
-# those at the edge have no slope.
+# Squares per side of a post in which scans are averaged. The second number is the ratio of covered
+# posts to posts that must agree; posts at the edge have no slope.
 _SQUARES, _ENOUGH = 4, 3
 
 
 class Gathering:
-    """Lays scans in the local frame on squares until they cover posts enough for a fit.
+    """Average scans on squares of the local frame until they cover enough posts for a fit.
 
     Parameters
     ----------
     posting
-        Of the map, m.
+        Distance of the map's posts, m.
     least
-        Posts that must agree.
+        Number of posts that must agree.
     longest
-        Scans older than this are left out, s.
+        Maximum time of an accumulation, s.
     """
 
     def __init__(self, posting: float, least: int, longest: float) -> None:
@@ -40,9 +40,10 @@ class Gathering:
         self._since = -np.inf
 
     def take(self, seen: SeenScan, time: float) -> SeenScan | None:
-        """Return a scan of the local frame that covers posts enough, or all gathered once they do.
+        """Return a scan that covers enough posts: this one or the accumulated ones; else None.
 
-        What was gathered is seen from where the lander is now: the frame hangs on the ground.
+        The accumulated points are fixed in the local frame, and are returned as a scan from the
+        current pose.
         """
         points = seen.points()
         if posts_under(points, self._posting, self._enough) == self._enough:
@@ -63,7 +64,7 @@ class Gathering:
 
 
 def posts_under(points: Array, posting: float, most: int = 1 << 40) -> int:
-    """Return how many posts points (n, 3) lie on, NaN for none; `most` once they are so many."""
+    """Count the posts below points (n, 3), up to `most`; NaN marks missing points."""
     count = int(kernels.squares_under(np.ascontiguousarray(points), posting, most))
     if count >= 0:
         return count

@@ -1,10 +1,10 @@
-"""An unscented filter on position, velocity, accelerometer bias and mass: the plain alternative.
+"""Unscented Kalman filter on position, velocity, accelerometer bias and mass, for comparison.
 
-filterpy's `UnscentedKalmanFilter` (Wan and van der Merwe 2000) with ten states. The attitude is not
-among them: gyroscopes carry it from one reading of the star tracker to the next, each of which is
-taken as it comes. What the attitude errs by, and what the ground lies off by, is noise here and not
-a state; since both last, that noise is made larger by how long. Scans, and ranges of velocimeters,
-are not used. It stands beside the error-state filter to be compared with (`kinds.py`).
+The filter is the `UnscentedKalmanFilter` of filterpy (Wan and van der Merwe 2000) with ten states.
+The attitude is not a state: each star-tracker reading replaces it, and the gyroscopes propagate it
+in between. Errors of the attitude and of the terrain height are treated as measurement noise. Since
+these errors persist over many measurements, their variance is increased accordingly. LiDAR scans
+and the ranges of velocimeters are not used. The main filter is the error-state filter (`kinds.py`).
 """
 
 from __future__ import annotations
@@ -62,28 +62,29 @@ STATES = 10
 _LINEAR, _MASS = slice(0, 9), 9
 _TURN = slice(9, 15)
 _VELOCITY = np.r_[3:6]
-# Share of the greatest variance that every direction has at least, once rounding has eaten one.
+# Minimum variance of a direction relative to the largest one, to repair rounding errors.
 _SINGULAR = 1e-9
-# What lasts as long as this and is taken for noise counts as often as it is met in it, s.
+# Time over which persistent errors are correlated, s. As white noise, their variance is multiplied
+# by the number of measurements in this time.
 _LASTING = 10.0
-# Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
-# bias in m and m/s^2, velocity in m/s.
+# Limits of the factor of a covariance inflation. The maximum standard deviations after it are given
+# below: height in m, bias in m/s^2, velocity in m/s.
 _GROWTH = (4.0, 1e4)
-# Drifts within the watch's time that a bias may explain: its noise is rough, and drifts are common.
+# Number of drifts within the window of a monitor that a bias may explain.
 _PATIENCE = 3
-# A reading of the attitude that errs by more tells nothing, rad.
+# Attitude readings with a larger standard deviation are ignored, rad.
 _VAGUE_TURN = 1.0
 _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 
 
 @dataclass(frozen=True)
 class UnscentedNavigation:
-    """Unscented filter (filterpy) on position, velocity, accelerometer bias and mass."""
+    """Use an unscented filter (filterpy): position, velocity, accelerometer bias and mass."""
 
-    relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
-    mass_sigma: float = quantity(1.0, "kg", gt=0, help="of the mass at the start, 1 sigma")
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+    mass_sigma: float = quantity(1.0, "kg", gt=0, help="1-sigma error of the initial mass")
     thrust_error: float = quantity(
-        0.01, gt=0, le=1, help="of the engine's thrust against what it is asked for, 1 sigma"
+        0.01, gt=0, le=1, help="relative 1-sigma error of the thrust against its command"
     )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -95,7 +96,7 @@ class UnscentedNavigation:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> UnscentedFilter:
-        """Return the filter of one flight."""
+        """Build the navigation filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
             state, sigmas, self, ground=LevelGround.of(briefing, float(np.tan(self.relief))),
@@ -106,24 +107,24 @@ class UnscentedNavigation:
 
 
 class UnscentedFilter(Navigation):
-    """Ten states by sigma points, attitude as instruments give it.
+    """Unscented filter with ten states; the attitude is propagated outside of it.
 
     Parameters
     ----------
     inertial
-        The lander's state at the start.
+        Initial state of the lander.
     errors
         Its standard deviations.
     settings
-        What else errs, and by how much.
+        Standard deviations of the other errors.
     ground
-        What is known of the ground's height.
+        Prior knowledge of the terrain height.
     mass
-        At the start, kg.
+        Initial mass, kg.
     exhaust_velocity
         m/s.
     lag
-        Time constant with which thrust follows its command, s.
+        Time constant of the thrust response, s.
     instruments
         Calibrations of altimeters, velocimeters and star trackers, by name.
     """
@@ -142,7 +143,7 @@ class UnscentedFilter(Navigation):
     ) -> None:
         for name, value in (("mass", mass), ("exhaust_velocity", exhaust_velocity)):
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"navigation.{name}", value, "a positive number")
+                raise InputError(f"navigation.{name}", value, "must be a positive number")
         self.inertial = inertial
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
@@ -153,7 +154,7 @@ class UnscentedFilter(Navigation):
         self._cones = {
             n: np.array(i.directions) for n, i in known.items() if isinstance(i, FixedBeams)
         }
-        # Variance of what the beams' speeds are off by, lasting for that time.
+        # Variance of the speed biases of the beams, m^2/s^2.
         self._lasting = {
             n: b**2 + _LASTING * w**2
             for n, (b, w) in (
@@ -164,7 +165,7 @@ class UnscentedFilter(Navigation):
             n: i.misalignment for n, i in known.items() if isinstance(i, StarInstrument)
         }
         start = inertial.covariance(errors or StartSigmas())
-        # The attitude's own: small rotation in body axes, bias of the gyroscopes.
+        # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
         self._turn = start[_TURN, _TURN].copy()
         self._drift = start[12:, 12:].copy()
         points = MerweScaledSigmaPoints(STATES, alpha=1.0, beta=2.0, kappa=0.0)
@@ -181,11 +182,11 @@ class UnscentedFilter(Navigation):
         self._offset = np.zeros(3)
         self._arrivals = Arrivals(inertial.step, self._note)
 
-    # --- what is known --------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
-        """Of the errors as `StrapdownState` orders them (15, 15); attitude apart from the rest."""
+        """Covariance in the order of `StrapdownState` (15, 15), without attitude correlations."""
         out = np.zeros((INERTIAL, INERTIAL))
         out[_LINEAR, _LINEAR] = self.kalman.P[_LINEAR, _LINEAR]
         out[_TURN, _TURN] = self._turn
@@ -193,21 +194,21 @@ class UnscentedFilter(Navigation):
 
     @property
     def mass(self) -> tuple[float, float]:
-        """Mass and its standard deviation, kg."""
+        """Estimated mass and its standard deviation, kg."""
         return float(self.kalman.x[_MASS]), float(np.sqrt(self.kalman.P[_MASS, _MASS]))
 
     @property
     def watches(self) -> dict[str, Watch]:
-        """The watch over each kind of measurement of each sensor, by "sensor kind"."""
+        """Innovation monitors by "sensor kind"."""
         return {f"{sensor} {kind}": watch for (sensor, kind), watch in self._watches.items()}
 
     @property
     def site_to_local(self) -> Shift:
-        """Where the site lies in the local frame, which no measurement moves."""
+        """Transformation from the site frame to the local frame."""
         return Shift(self._offset.copy())
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state; its mass is the filter's own once thrust was told."""
+        """Return the lander's state, with the filter's own mass once a thrust was commanded."""
         own = mass if self._thrust is None else self.mass[0]
         found = self.inertial.estimate(self.covariance, time, own)
         lost = any(watch.lost for watch in self._watches.values())
@@ -217,42 +218,43 @@ class UnscentedFilter(Navigation):
         )  # fmt: skip
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame: what its covariance refers to."""
+        """Return the lander's state in the site frame."""
         return replace(self.estimate(time, mass), position=self.inertial.position.copy())
 
     # --- time -----------------------------------------------------------------------------
 
     def commanded(self, thrust: float, seconds: float) -> None:
-        """Note the thrust (N) that the engine was asked for over the last so many seconds.
+        """Record the thrust (N) that was commanded over the last `seconds`.
 
         Raises
         ------
         InputError
-            If it is no number, or negative.
+            If an argument is negative or not finite.
         """
         for name, value in (("thrust", thrust), ("seconds", seconds)):
             if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"navigation.{name}", value, "a number that is not negative")
+                raise InputError(f"navigation.{name}", value, "must be a non-negative number")
         before = thrust if self._thrust is None else self._thrust
         left = float(np.exp(-seconds / self._lag)) if self._lag > 0.0 else 0.0
         share = self._lag / seconds * (1.0 - left) if seconds > 0.0 else 0.0
-        # Mean thrust of the cycle, and the one that it ends with.
+        # Mean thrust over the cycle, and the thrust at its end.
         self._asked = thrust + (before - thrust) * share
         self._thrust = thrust + (before - thrust) * left
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one.
+        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples.
 
         Raises
         ------
         InputError
-            If they are not as many of both, three numbers each.
+            If the arrays are not (n, 3) or differ in length.
         """
         samples = [np.asarray(part, dtype=np.float64) for part in (angle, velocity)]
         for name, part in zip(("angle", "velocity"), samples, strict=True):
             if part.ndim != 2 or part.shape[1] != 3 or len(part) != len(samples[0]):
                 raise InputError(
-                    f"inertial.{name}", np.shape(part), "samples (n, 3), as many of both"
+                    f"inertial.{name}", np.shape(part),
+                    "must be an array (n, 3), with equal n for angle and velocity",
                 )
         if len(samples[0]) == 0:
             return
@@ -266,7 +268,7 @@ class UnscentedFilter(Navigation):
         q[_LINEAR, _LINEAR] = noise[_LINEAR, _LINEAR]
         q[_LINEAR, _LINEAR] += lasting * by_turn @ self._turn[:3, :3] @ by_turn.T
         q[_MASS, _MASS] = lasting * (self.settings.thrust_error * burnt) ** 2 + 1e-12
-        # With the attitude given, errors of the rest go on linearly about what was carried.
+        # For a given attitude, deviations from the propagated state evolve linearly.
         carried = np.concatenate(
             (self.inertial.position, self.inertial.velocity, self.inertial.biases[0],
              [before[_MASS] - burnt])
@@ -282,7 +284,7 @@ class UnscentedFilter(Navigation):
         self._weigh(samples[1])
 
     def _weigh(self, velocity: Array) -> None:
-        """Take in the push along the engine: thrust over mass, and the accelerometer's bias."""
+        """Update with the axial acceleration: thrust over mass plus accelerometer bias."""
         push = velocity[np.isfinite(velocity).all(axis=1), 2] / self.inertial.step
         if self._thrust is None or self._asked <= 0.0 or len(push) == 0:
             return
@@ -300,12 +302,12 @@ class UnscentedFilter(Navigation):
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+        """Process a measurement; ignore one that is unusable or out of order.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
+            If `time` (s) runs backwards, or a reading does not have the shape of its sensor.
         """
         given = self._arrivals.carried(sensor, measurement, time, self.propagate)
         for name, details in self.inertial.tell():
@@ -327,7 +329,7 @@ class UnscentedFilter(Navigation):
         good = 0.0 < r < np.inf and 0.0 < sigma < VAGUE
         if not good or down > -LEAST_DOWN:
             return Outcome(np.nan, 1, False)
-        # The ground is off by the same at every reading: together they never count more than once.
+        # The terrain-height error is common to all readings: together they must count only once.
         uses = self._ranges.get(sensor, 0)
         level = ((self._ground.sigma or 0.0) / down) ** 2 * (uses + 1) * (uses + 2)
         found = self._update(
@@ -342,7 +344,9 @@ class UnscentedFilter(Navigation):
         for name in ("speed", "speed_sigma"):
             shape = np.shape(getattr(reading, name))
             if shape != (len(beams),):
-                raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+                raise InputError(
+                    f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
+                )
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
         seen = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
         if not seen.any():
@@ -364,7 +368,9 @@ class UnscentedFilter(Navigation):
     def _stars(self, sensor: str, reading: AttitudeReading) -> Outcome:
         q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
         if q.shape != (4,) or r.shape != (3, 3):
-            raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance")
+            raise InputError(
+                "attitude", (q.shape, r.shape), "must be a quaternion (4,) and a covariance (3, 3)"
+            )
         mount = self._mounts.get(sensor, 0.0)
         own = r + mount**2 * np.eye(3)
         if not is_rotation(q) or not symmetric(own):
@@ -388,9 +394,9 @@ class UnscentedFilter(Navigation):
     def _update(
         self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
     ) -> Outcome:
-        """Take in a measurement (m,), unless it lies beyond the gate."""
+        """Update with a measurement (m,), unless its innovation exceeds the gate."""
         k = self.kalman
-        # filterpy draws its points in `predict` alone: several updates need them anew.
+        # filterpy draws sigma points only in `predict`; each further update needs new ones.
         self._mend()
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
         through = np.array([expected(x) for x in k.sigmas_f])
@@ -403,10 +409,10 @@ class UnscentedFilter(Navigation):
         return outcome
 
     def _mend(self) -> None:
-        """Make the covariance positive again where spoilt readings have left one that is not.
+        """Make the covariance positive definite again after rounding errors.
 
-        Directions that were left without a variance get a little, and no reading brings it back to
-        nothing: what was lost there is told by innovations from then on.
+        Directions without variance get a small one, and no reading reduces it to zero again. If the
+        estimate is wrong there, the innovations show it.
         """
         try:
             np.linalg.cholesky(self.kalman.P)
@@ -416,7 +422,7 @@ class UnscentedFilter(Navigation):
             self.kalman.P = (axes * np.maximum(values, least)) @ axes.T
 
     def _follow(self) -> None:
-        """Set the carried state to where the filter is."""
+        """Set the propagated state to the filter's estimate."""
         s = self.inertial
         error = np.zeros(INERTIAL)
         error[_LINEAR] = self.kalman.x[_LINEAR] - np.concatenate(
@@ -425,7 +431,7 @@ class UnscentedFilter(Navigation):
         s.correct(error)
 
     def _judge(self, sensor: str, kind: str, found: Outcome, time: float) -> None:
-        """Watch what came of a measurement; widen what it depends on where it is doubted."""
+        """Monitor the outcome of a measurement, and inflate the covariance after an alarm."""
         settings = replace(WATCHED[kind], drift_patience=_PATIENCE)
         watch = self._watches.setdefault((sensor, kind), Watch(settings))
         before = watch.lost
@@ -433,7 +439,7 @@ class UnscentedFilter(Navigation):
         growth = float(np.clip(watch.excess, *_GROWTH))
         name = {Verdict.WIDEN: "doubted", Verdict.LOST: "lost", Verdict.DRIFT: "drift"}.get(verdict)
         if kind == "attitude" and verdict is not Verdict.WELL:
-            # There is no state for it: the next reading is believed again.
+            # The attitude is no filter state; its inflated variance lets the next reading pass.
             self._turn *= growth
         elif verdict is Verdict.DRIFT:
             inflate(self.kalman.P, np.arange(9)[ACCELEROMETER], _GROWTH[1], _MOST_BIAS)
