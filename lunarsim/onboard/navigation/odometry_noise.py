@@ -63,7 +63,6 @@ def second_order(prior: Array, ways: Array) -> float:
     prior
         Prior covariance of the pose, the reference pose and the scanner errors.
     """
-    """
     angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
     angles += float(np.trace(prior[13:16, 13:16]))
     return float(angles**2 * np.sum(ways**2))

@@ -40,6 +40,7 @@ def scanner_covariance(instrument: LidarInstrument) -> Array:
 
 
 @dataclass(frozen=True)
+class SeenScan:
     """LiDAR scan with the estimated pose.
 
     Attributes
