@@ -1,4 +1,4 @@
-"""Scans against a prior map: where in the local frame the site lies."""
+"""Match LiDAR scans with a prior map to estimate the site frame in the local frame."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from lunarsim.onboard.navigation.watch import Verdict
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# A scan that does not fit is tried with deviations so many times larger.
+# Factor on the standard deviations in the second fit of a scan that does not match.
 _LOOSE = 20.0
-# The local frame may turn by so much before a search begins anew, rad.
+# Maximum rotation of the local frame before a search is restarted, rad.
 _TURNED = 0.01
 _LEVEL_VELOCITY = np.arange(VELOCITY.start, VELOCITY.start + 2)
 
 
 @dataclass(frozen=True)
 class _Laid:
-    """How the local frame was laid on the map when a search began.
+    """Transformation from the local frame to the map at the start of a search.
 
     Attributes
     ----------
     rotation, position
         Map coordinates of a local point are ``rotation @ point + position``.
     azimuth
-        Of the rotation, rad.
+        Angle of the rotation, rad.
     """
 
     rotation: Array
@@ -52,21 +52,21 @@ class _Laid:
 
 
 class MapMatcher:
-    """Finds the place of scans on a map, then fits every scan to it.
+    """Search for the place of scans on a map, then register every scan on it.
 
-    A post's error is the same whenever it is seen, so its k-th use counts 1 / (k (k + 1)) of a
-    full one: all uses together never count more than one.
+    The error of a map post is the same in every use. Its k-th use therefore gets the weight
+    1 / (k (k + 1)), so that all uses together count as one.
 
     Parameters
     ----------
     shared
-        What the parts share.
+        State and helpers that the processors share.
     frame
-        Where the site frame lies in the local one.
+        Transformation between local frame and site frame.
     prior
-        The map, site frame.
+        Prior map, site frame.
     settings
-        Limits of the registration.
+        Settings of the registration.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class MapMatcher:
 
     @property
     def prior(self) -> PriorMap:
-        """The map, site frame; another one begins without a search or a post's use."""
+        """Prior map, site frame; setting another map resets the search and the use counts."""
         return self._features.prior
 
     @prior.setter
@@ -102,16 +102,16 @@ class MapMatcher:
 
     @property
     def found(self) -> bool:
-        """Whether the lander has been found on the map at least once."""
+        """Whether a scan was located on the map at least once."""
         return any(event.name == "lock" for event in self.shared.events)
 
     @property
     def position_sigma(self) -> float:
-        """Greatest standard deviation of the position on the map on an axis, m."""
+        """Largest standard deviation of the position on the map over the three axes, m."""
         return float(np.sqrt(np.diag(self.frame.covariance_in_site())[:3].max()))
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Find a scan's place on the map; return whether it agreed with it."""
+        """Search or register a scan on the map; return whether it agrees with the map."""
         if used or not isinstance(measurement, LidarScan):
             return False
         self._before = self.frame.shift.offset
@@ -134,14 +134,14 @@ class MapMatcher:
     # --- fit ------------------------------------------------------------------------------
 
     def _register(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Fit a scan to the map; without a lock only where the state is certain enough for it."""
+        """Register a scan; without a lock only if the position is certain enough."""
         s = self.settings
         near = self.found and self.position_sigma < self.prior.grid.posting
         if not self.locked and not near:
             return False
         seen = self._gathering.take(self.shared.seen(sensor, scan), time)
         if seen is None:
-            # A scan that covers too few posts speaks neither for nor against the lock.
+            # A scan that covers too few posts is no evidence for or against the lock.
             if self.locked and near:
                 self._agreed = time
             return False
@@ -169,12 +169,12 @@ class MapMatcher:
         return True
 
     def _judge_elsewhere(self, sensor: str, seen: SeenScan, time: float) -> None:
-        """Watch a scan that fits the map, but not where it is taken to lie on it.
+        """Monitor a scan that agrees with the map only at another place.
 
-        One that fits nowhere about has met ground that has changed: it tells of nothing else. One
-        that fits as a whole, farther off than errors reach, contradicts the state. A lander does
-        not jump from scan to scan, so the scanner's errors alone are let go, as far as it is off;
-        where that explains nothing, navigation is lost.
+        A scan that fits nowhere has met changed terrain, and gives no further information. A scan
+        that fits well, but farther away than the errors allow, contradicts the state. Since the
+        lander cannot jump between scans, only the variances of the scanner's errors are raised, to
+        cover the offset. If this does not explain it, navigation is lost.
         """
         columns, jacobian = self._errors(sensor)
         own = self.shared.state.own(columns)
@@ -184,7 +184,7 @@ class MapMatcher:
         if not self.settings.believes(result):
             return
         told = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
-        # Nothing is taken in: with a gate below any distance it is only told.
+        # A negative gate rejects the information, so that only its distance is evaluated.
         outcome = self.shared.state.inform(columns, *told, -1.0)
         if chdtrc(max(outcome.degrees, 1), outcome.nis) >= self.settings.map_chance:
             return
@@ -198,14 +198,14 @@ class MapMatcher:
         self.shared.state.let_go(scanner, np.maximum(LET_GO, least)[: len(scanner)])
 
     def _watch(self, sensor: str, outcome: Outcome, time: float) -> Verdict:
-        """Watch whether scans that fit the map fit it where they are taken to lie."""
+        """Monitor whether scans fit the map at the estimated place."""
         scanner = self.shared.scanner(sensor)
         return self.shared.aids.judge(
             sensor, "fits", outcome, scanner, LET_GO[: len(scanner)], time
         )
 
     def _errors(self, sensor: str) -> tuple[Index, Array]:
-        """Return on what of the state (k,) a scan's errors depend, and how (11, k), site frame."""
+        """Return the state indices (k,) of a scan's errors and the Jacobian (11, k), site frame."""
         own = self.shared.scanner(sensor)
         out = np.zeros((11, 10 + len(own)))
         out[:6, :10] = self.frame.pose_jacobian()
@@ -213,14 +213,14 @@ class MapMatcher:
         return np.concatenate((self.frame.pose_columns(), own)), out
 
     def _inform(self, sensor: str, information: Array, vector: Array, chance: float) -> Outcome:
-        """Take in information (11, 11) on a scan's errors in the site frame."""
+        """Update with information (11, 11) on a scan's errors in the site frame."""
         columns, jacobian = self._errors(sensor)
         return self.shared.state.inform(
             columns, jacobian.T @ information @ jacobian, jacobian.T @ vector, chance=chance
         )
 
     def _of_uses(self, prior: PriorMap, uses: NDArray[np.int32]) -> Array:
-        """Return the variance of a residual at posts that were compared `uses` times before."""
+        """Return the variance of a residual at posts with a number of earlier uses, m^2."""
         own = prior.sigma**2 * (uses + 1.0) * (uses + 2.0)
         return np.asarray(own + self.settings.model_sigma**2)
 
@@ -231,7 +231,7 @@ class MapMatcher:
         self._laid = None
 
     def _lay(self) -> _Laid:
-        """Return how the local frame is laid on the map for the search, afresh if it has turned."""
+        """Return the transformation of the search; restart the search after a large rotation."""
         frame = self.frame
         if self._laid is not None and abs(frame.azimuth - self._laid.azimuth) > _TURNED:
             self._restart()
@@ -240,7 +240,7 @@ class MapMatcher:
         return self._laid
 
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Look for what was scanned on the map; return whether it was found."""
+        """Search the map for the scanned terrain; return whether the place was found."""
         s, frame = self.settings, self.frame
         seen, laid = self.shared.seen(sensor, scan), self._lay()
         local = seen.points()
@@ -250,7 +250,7 @@ class MapMatcher:
         self._searched = time
         middle = np.nanmean(local, axis=0)
         at = frame.to_site(middle)
-        # What the rest of navigation has learnt of the place since the frame was laid on the map.
+        # Shift that other measurements have added since the start of the search.
         known = at - (laid.rotation @ middle + laid.position)
         jacobian = frame.in_site(seen).point_jacobian(at)
         columns, of_state = self._errors(sensor)
@@ -272,8 +272,8 @@ class MapMatcher:
     def _take_height(
         self, sensor: str, row: Array, match: Match, known: float, before: float
     ) -> None:
-        """Take in the height alone, where it is known much better than before: level ground."""
-        # The map's own level over the patch is the same in every search: counted once, not again.
+        """Update the height only, if the search determines it much better than the prior."""
+        # The level of the map is common to all searches: the strong condition uses it only once.
         variance = match.up_variance + self.settings.level_sigma**2
         if 9.0 * variance < before:
             self._inform(

@@ -1,4 +1,4 @@
-"""Where on a map the scanned ground lies, from tens of metres off: a posterior over all places."""
+"""Search for the place of scanned terrain on a map by a posterior over shifts."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from lunarsim.onboard.navigation.submap import Submap
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Places whose logarithm of the probability lies so far below the best's are not compared further.
+# Places with a log probability this far below the maximum are not evaluated further.
 _HOPELESS = 14.0
-# Places that the height is told by.
+# Number of places for the estimate of the height.
 _SAMPLE = 2048
-# Deviations of the prior within which places are looked at.
+# Standard deviations of the prior within which places are searched.
 _DEVIATIONS = 3.5
-# Up to so many places are told apart by half posts, more by whole ones; and at most so many a side.
+# Maximum number of places with a spacing of half a post, else a whole post; maximum per side.
 _BY_HALVES, _WIDEST = 250_000, 2000
-# Where there are so many places, what tells less even if it fits exactly is not compared.
+# Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
 _LEAST_TOLD = 5.0
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How tiles are cut out of what was scanned, and what drifts.
+    """Parameters of the tiles and of the drift.
 
     Attributes
     ----------
     tile
-        Side of the tiles that are compared as one, m; 4 to 16 posts.
+        Side of a tile, m; limited to 4 to 16 posts.
     deaf_s
-        A tile that grows no more for so long is compared as it is, s.
+        Time without new posts after which an incomplete tile is compared, s.
     held_s
-        A speed that is wrong stays so for so long, s: what places drift by.
+        Correlation time of the velocity error that lets the shift drift, s.
 
     Raises
     ------
     InputError
-        If one is not positive.
+        If a value is not positive.
     """
 
     tile: float = 8.0
@@ -57,26 +57,26 @@ class SearchSettings:
         for f in fields(self):
             value = getattr(self, f.name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"search.{f.name}", value, "a positive number")
+                raise InputError(f"search.{f.name}", value, "must be a positive number")
 
 
 @dataclass(frozen=True)
 class Match:
-    """Where the scanned ground lies on the map.
+    """Estimated place of the scanned terrain on the map.
 
     Attributes
     ----------
     shift
-        To be added to local coordinates (3,), ENU, m.
+        Shift from local to map coordinates (3,), ENU, m.
     covariance
-        Of the shift (3, 3), m^2.
+        Covariance of the shift (3, 3), m^2.
     certainty
-        Probability that it lies within one and a half posts of there.
+        Probability that the true shift lies within 1.5 posts.
     share
-        Of the posts that agree there.
+        Fraction of the posts that agree at this place.
     up, up_variance
-        Mean and variance of the vertical shift over all places, by their probability, m and m^2: on
-        level ground the height is known before the place.
+        Mean and variance of the vertical shift over all places, weighted by their probability, m
+        and m^2. On horizontal terrain the height is known before the place.
     """
 
     shift: Array
@@ -89,16 +89,16 @@ class Match:
 
 @dataclass(frozen=True)
 class _Tile:
-    """A tile at every half post.
+    """Tile sampled at every half post.
 
     Attributes
     ----------
     first
-        Row and column of the first post, in halves of a post from the map's first.
+        Row and column of the first post, in half posts from the first post of the map.
     whole
         Heights, weights and variances at every half post (r, c).
     level
-        Of the ground itself (r, c), m.
+        Terrain heights (r, c), m.
     """
 
     first: tuple[int, int]
@@ -106,27 +106,27 @@ class _Tile:
     level: Array
 
     def lay(self, a: int, b: int) -> Tile:
-        """Return every other post, from the first or from half a post farther north and east."""
+        """Return every second post, starting at an offset of `a` rows and `b` columns."""
         cut = (slice(a, None, 2), slice(b, None, 2))
         return Tile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
 
 
 class PlaceSearch:
-    """Posterior over shifts from the local frame to a map, kept over a flight.
+    """Posterior over shifts from the local frame to a map, updated during a flight.
 
-    The ground scanned is gathered in the local frame (`Submap`) and compared tile by tile. A tile's
-    likelihood at a place, relative to what it is at all places on average, multiplies the
-    posterior: level ground fits nearly anywhere and tells nothing. A post is compared once: seen
-    again it would only tell its own error again. Where the map may have changed a tile that fails
-    speaks against a place no more than `changed` allows. Between searches the posterior is blurred
-    by the drift of the local frame.
+    The scanned terrain is accumulated in the local frame (`Submap`) and compared tile by tile. The
+    likelihood of a tile at a place, relative to its mean over all places, multiplies the posterior;
+    flat terrain fits nearly everywhere and gives no information. Each post is compared once, since
+    its error is the same in every view. A tile that does not fit lowers the probability of a place
+    by no more than the factor `changed`. Between searches the posterior is blurred by the drift of
+    the local frame.
 
     Parameters
     ----------
     features
-        The map's.
+        Features of the map.
     settings
-        How tiles are cut, and what drifts.
+        Parameters of the tiles and the drift.
     """
 
     def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
@@ -137,7 +137,7 @@ class PlaceSearch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all that was scanned."""
+        """Delete all scanned terrain and the posterior."""
         g = self.prior.grid
         corner = (g.x0 - 0.5 * g.posting, g.y0 - 0.5 * g.posting)
         self._submap = Submap(*corner, 0.5 * g.posting)
@@ -151,50 +151,48 @@ class PlaceSearch:
 
     @property
     def evidence(self) -> tuple[Array, tuple[int, int]]:
-        """Logarithm of the evidence at every place (rows, cols), and the shift of its first.
+        """Log evidence at every place (rows, cols), and the shift of the first place.
 
-        Shifts north and east, in whole or half posts: see `spacing`.
+        The shift is (north, east) in units of `spacing`.
         """
         return self._log, self._origin
 
     @property
     def spacing(self) -> float:
-        """Distance of the places, m: half a post, or a whole one where there are many."""
+        """Distance of the places, m: half a post, or a whole one if there are many places."""
         return self._unit
 
     def add(self, points: Array) -> None:
-        """Take in a scan's points in the local frame (n, 3), m; NaN for none."""
+        """Add the points of a scan in the local frame (n, 3), m; NaN marks missing points."""
         self._submap.add(points)
 
     # --- search ---------------------------------------------------------------------------
 
     def search(
-        self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
-    ) -> Match | None:
-        """Compare what is new, and return the place by all that was compared so far.
+        """Compare new tiles, and return the most probable place by all tiles so far.
 
         Parameters
         ----------
         time
             s.
         mean, covariance
-            Of the shift as the rest of navigation knows it (2,), (2, 2), east and north, m and m^2.
+            Prior mean (2,) and covariance (2, 2) of the shift, east and north, m and m^2.
         speed_sigma
-            Deviation of the speed at which the local frame drifts, an axis, m/s.
+            Standard deviation of the drift velocity of the local frame, per axis, m/s.
 
         Returns
         -------
         match
-            None before anything was compared.
+            Most probable place; None before the first comparison.
 
         Raises
         ------
         InputError
-            If time runs backwards, or what is known is no number, covariance or deviation.
+            If time runs backwards, or an argument is not finite or out of range.
         """
         _check_known(mean, covariance, speed_sigma)
         if not (np.isfinite(time) and (self._time is None or time >= self._time)):
-            raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
+            raise InputError("time", time, f"must be at least the last time, {self._time} s")
         self._cover(mean, covariance)
         self._blur(time, speed_sigma)
         away = self._away(mean, covariance)
@@ -205,7 +203,7 @@ class PlaceSearch:
             for tile, mean in zip(due, usual, strict=True)
         ]
         least = _LEAST_TOLD * min(1.0, self._log.size / _BY_HALVES)
-        # What tells most comes first: the rest need be compared at fewer places.
+        # Tiles with the most information first: the others need fewer places then.
         for n in np.argsort(np.negative(told), kind="stable"):
             if usual[n] is not None and told[n] >= least:
                 self._compare(due[n], away, usual[n])
@@ -213,7 +211,7 @@ class PlaceSearch:
         return self._match(away, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
-        """Make the posterior reach as far as the prior does; what is new has told nothing yet."""
+        """Extend the posterior to the reach of the prior; new places start without evidence."""
         posting = self.prior.grid.posting
         far = _DEVIATIONS * np.sqrt(np.diag(covariance)) + 2.0 * posting
         if not self._log.size:
@@ -236,7 +234,7 @@ class PlaceSearch:
             self._log, self._origin = grown, (int(low[0]), int(low[1]))
 
     def _blur(self, time: float, speed_sigma: float) -> None:
-        """Let places drift since the last search."""
+        """Blur the posterior by the drift since the last search."""
         before, self._time = self._time, time
         if before is None or time <= before or not self._tiles:
             return
@@ -247,7 +245,7 @@ class PlaceSearch:
             self._log = best + np.log(np.maximum(p, 1e-300))
 
     def _away(self, mean: Array, covariance: Array) -> Array:
-        """Return half the squared distance of every place from the mean, in units of the prior."""
+        """Return half the squared Mahalanobis distance of every place from the prior mean."""
         rows, cols = self._log.shape
         y = self._unit * (self._origin[0] + np.arange(rows))[:, None] - mean[1]
         x = self._unit * (self._origin[1] + np.arange(cols))[None, :] - mean[0]
@@ -256,15 +254,15 @@ class PlaceSearch:
             0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
         )
 
-    # --- what was scanned -----------------------------------------------------------------
+    # --- scanned terrain ------------------------------------------------------------------
 
     def _due(self, time: float) -> list[_Tile]:
-        """Return the tiles that are whole by now, or grow no more."""
+        """Return the new tiles that are complete or no longer grow."""
         height, known = self._submap.posts()
         if not known.any():
             return []
         first = self._submap.first
-        # Whole posts only are counted: the first of the four ways to lay posts over the squares.
+        # Count only whole posts, the first of the four offsets of posts over the half-post squares.
         skip = (first[0] % 2, first[1] % 2)
         whole = above_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
@@ -292,8 +290,8 @@ class PlaceSearch:
         return [self._cut(key, height, known) for key in due]
 
     def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
-        """Return a tile at every half post, out of what was scanned."""
-        # A half post more on either side, for the four ways to lay posts, and two for slopes.
+        """Cut a tile at every half post out of the scanned terrain."""
+        # Margin of half a post per side for the four offsets, and of two posts for slopes.
         side, room = 2 * self._wide, 2 * self.features.reach + 2
         south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
         many = side + 2 * room
@@ -304,7 +302,7 @@ class PlaceSearch:
                 above[a::2, b::2], kept[a::2, b::2] = above_plane(
                     z[a::2, b::2], seen[a::2, b::2], self.features.reach
                 )
-        # A place lies up to half a spacing beside the truth.
+        # The true place can differ from a sampled one by half the spacing.
         spread = np.zeros(z.shape)
         for axis in (0, 1):
             rise = np.gradient(above, axis=axis)
@@ -325,7 +323,7 @@ class PlaceSearch:
         north, east, ways = row + self._origin[0], col + self._origin[1], self._ways
         for a in range(ways):
             for b in range(ways):
-                # A shift by an odd number of halves takes posts that begin a half later.
+                # A shift by an odd number of half posts uses the posts with an offset of a half.
                 mine = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
                 ratio[mine], share[mine] = self.features.likelihood(
                     tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
@@ -336,7 +334,7 @@ class PlaceSearch:
     # --- outcome --------------------------------------------------------------------------
 
     def _match(self, away: Array, mean: Array, covariance: Array) -> Match:
-        """Weigh all places, and all that lie farther off by what was known before."""
+        """Normalise the posterior, with the prior probability of all places beyond it."""
         log = self._log - away
         best = log.max()
         p = np.exp(log - best)
@@ -352,7 +350,7 @@ class PlaceSearch:
         north = self._unit * (rows[near] + self._origin[0])
         east = self._unit * (cols[near] + self._origin[1])
         middle = np.array([q @ east, q @ north])
-        # Half a post's width is left open besides the spread of the posterior.
+        # Add half a post to the spread of the posterior for its finite resolution.
         spread = np.array([q @ (east - middle[0]) ** 2, q @ (north - middle[1]) ** 2])
         spread += (0.5 * self.prior.grid.posting) ** 2
         share, rise, error = self._agreement(int(row), int(col))
@@ -363,10 +361,10 @@ class PlaceSearch:
         )  # fmt: skip
 
     def _beyond(self, mean: Array, covariance: Array) -> float:
-        """Return the share of the prior beyond the places searched, at most.
+        """Return an upper bound of the prior probability beyond the searched places.
 
-        By its tails past each side, and not by what places within add up to: of a prior narrower
-        than their distance that may be anything.
+        It sums the tails past each side. The sum over the searched places would be inaccurate for a
+        prior narrower than their spacing.
         """
         sigma = np.sqrt(np.diag(covariance))
         low = self._unit * (np.array(self._origin[::-1]) - 0.5)
@@ -377,9 +375,9 @@ class PlaceSearch:
     def _under(
         self, tile: _Tile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return which posts of a tile lie on posts of the map at places, and on which (n, r, c).
+        """Return the slices of a tile's posts, and the map rows (n, r) and columns (n, c) below.
 
-        All places given must ask for the same of the four ways to lay posts.
+        All places must use the same of the four offsets of posts.
         """
         north, east = row + self._origin[0], col + self._origin[1]
         ways = self._ways
@@ -390,9 +388,9 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return the share of posts that agree at a place, and how far the map lies above, m.
+        """Return the share of agreeing posts, the height difference and its variance at a place.
 
-        The height is that of the last tiles, with its variance.
+        The height difference is map minus scan, m, from the last six tiles.
         """
         agreed, offered, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
@@ -413,8 +411,8 @@ class PlaceSearch:
         return agreed / offered if offered else 0.0, found, float(error)
 
     def _level(self, p: Array) -> tuple[float, float]:
-        """Return mean and variance of the vertical shift over all places, by their probability."""
-        # Places of one lay of posts stand for all, thinned to what is quick.
+        """Return mean and variance of the vertical shift, weighted by the posterior."""
+        # Use the places with one offset of posts only, and thin them for speed.
         every = self._ways * max(1, int(np.sqrt(p.size / self._ways**2 / _SAMPLE)))
         best = np.unravel_index(int(np.argmax(p)), p.shape)
         row, col = (np.arange(int(b) % every, n, every) for b, n in zip(best, p.shape, strict=True))
@@ -442,19 +440,19 @@ class PlaceSearch:
 
 
 def _check_known(mean: Array, covariance: Array, speed_sigma: float) -> None:
-    """Refuse what cannot be known of a place."""
+    """Check the prior of a search."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
-        raise InputError("mean", mean, "two numbers, m")
+        raise InputError("mean", mean, "must be two finite numbers, m")
     p = np.asarray(covariance, dtype=np.float64)
     fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
     if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
-        raise InputError("covariance", covariance, "a positive definite matrix (2, 2), m^2")
+        raise InputError("covariance", covariance, "must be a positive definite matrix (2, 2), m^2")
     if not 0.0 <= speed_sigma < np.inf:
-        raise InputError("speed_sigma", speed_sigma, "0 or a positive number, m/s")
+        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number, m/s")
 
 
 def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
-    """Return a square of a raster, 0 where it lies beyond."""
+    """Return a square of a raster, with 0 outside the raster."""
     out = np.zeros((side, side), of.dtype)
     r0, r1 = max(row, 0), min(row + side, of.shape[0])
     c0, c1 = max(col, 0), min(col + side, of.shape[1])
@@ -464,7 +462,7 @@ def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
 
 
 def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
-    """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN beyond it."""
+    """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN outside of it."""
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])
     inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])

@@ -1,4 +1,4 @@
-"""A scan fitted to a map by least squares."""
+"""Register a scan on a map by robust least squares."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from lunarsim.onboard.navigation.surface import Surface, surface_of
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# A scan's place is certain where so many deviations lie within half a post, or else with such a
-# probability.
+# The scan position is unambiguous if this number of standard deviations is below half a post, or if
+# the best shift has this probability.
 _DEVIATIONS, _CERTAIN = 3.5, 0.9995
-# Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
+# Side of the blocks for the correlation of residuals, in posts; minimum number of blocks.
 _BLOCK, _FEWEST_BLOCKS = 6, 4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Outcome of a registration, as information on an error state.
+    """Result of a registration, as information on the errors of the scan.
 
     Attributes
     ----------
@@ -34,9 +34,9 @@ class Fit:
     vector
         J' W y (d,).
     used, offered
-        Squares that agree with the map, and all that could be compared.
+        Number of squares that agree with the map, and of all compared squares.
     misfit
-        Mean square of the residuals used, in units of their variance.
+        Mean square of the residuals of agreeing squares, in units of their variance.
     """
 
     information: Array
@@ -47,7 +47,7 @@ class Fit:
 
     @property
     def share(self) -> float:
-        """Share of the squares that agree."""
+        """Fraction of the squares that agree."""
         return self.used / self.offered if self.offered else 0.0
 
 
@@ -60,27 +60,27 @@ def fit(
     *,
     expected: Array | None = None,
 ) -> Fit:
-    """Fit an error to residuals, leaving out those that no likely error explains.
+    """Estimate an error from residuals, and exclude outliers.
 
     Parameters
     ----------
     jacobian, residual, variance
-        Of m scalar measurements (m, d), (m,), (m,).
+        Jacobian, residuals and variances of m scalar measurements (m, d), (m,), (m,).
     prior
-        Covariance (d, d) of the error before.
+        Prior covariance of the error (d, d).
     gate
-        Residuals farther than so many deviations from the fit are left out.
+        Maximum residual after the fit, in standard deviations.
     expected
-        Variance of a residual by which they are judged (m,); left out, `variance`, which may be
-        greater because a measurement has been used before. Judged by that, ground that has changed
-        would agree once it has been looked at often enough.
+        Variances for the outlier test (m,); default: `variance`. The latter can be larger because a
+        measurement was used before. With it, changed terrain would pass the test after repeated
+        views.
     """
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
     judged = variance if expected is None else expected
     keep = np.ones(len(residual), np.bool_)
-    # The first fit rests on the bulk: a patch that has changed would pull a plain mean along.
+    # Start without the outliers from the median: a changed patch would bias a plain mean.
     middle = np.median(residual)
     spread = 1.4826 * np.median(np.abs(residual - middle))
     if spread > 0.0:
@@ -89,7 +89,7 @@ def fit(
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
         vector = (j * w[:, None]).T @ residual[keep]
-        # The prior may be singular: two scans at nearly the same place err alike.
+        # The prior can be singular: errors of two scans from nearly the same place are equal.
         error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
         after = residual - jacobian @ error
         agree = after**2 <= gate**2 * judged
@@ -105,7 +105,7 @@ def fit(
 
 
 def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
-    """Tell which squares of a scan (m,) a map has an elevation for."""
+    """Return which squares of a scan lie on known posts of a map (m,)."""
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
     inside[inside] = np.isfinite(prior.elevation[row[inside], col[inside]])
@@ -120,28 +120,28 @@ def register(
     *,
     passes: int = 4,
 ) -> tuple[Fit, tuple[IntArray, IntArray]]:
-    """Fit a scan to a map.
+    """Register a scan on a map.
 
-    Gauss-Newton: the scan is averaged afresh with each correction, until the ground moves by less
-    than a twentieth of a post. What is returned refers to the scan as it was given.
+    Gauss-Newton iteration: the scan is averaged again after each correction, until the terrain
+    moves by less than 1/20 of a post. The result refers to the scan as given.
 
     Parameters
     ----------
     seen, features
-        To be compared: the scan in the frame of the map, and the map's features.
+        Scan in the frame of the map, and the features of the map.
     covariance
-        Of the scan's errors (11, 11): see `SeenScan`.
+        Prior covariance of the scan's errors (11, 11); see `SeenScan`.
     variance
-        Of a residual at each post (rows, cols), m^2, greater the more often it has been used.
+        Variance of the residual at each post (rows, cols), m^2; it grows with the number of uses.
     passes
-        At most.
+        Maximum number of iterations.
 
     Returns
     -------
     fit
         Information on the scan's errors.
     posts
-        Rows and columns of the posts compared.
+        Rows and columns of the compared posts.
     """
     prior = features.prior
     error, level_only, spread = _begin(seen, features, covariance)
@@ -172,16 +172,16 @@ def register(
 
 
 def solved(found: Fit, covariance: Array) -> Array:
-    """Return the error that a fit and the covariance before make likeliest (d,)."""
+    """Return the maximum a posteriori error of a fit with its prior covariance (d,)."""
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
 
 
 def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
-    """Return the normals (m, 3) that a fit uses, and what is added to the variances (m,), m^2.
+    """Return the normals (m, 3) for a fit, and variances to be added to the residuals (m,), m^2.
 
-    With a `spread` (2, 2) the place is not to be told: the slope of the whole, the same for all,
-    ties the level to the place, and slopes that differ from it are errors.
+    If a `spread` (2, 2) is given, the fit must not determine the horizontal position. All normals
+    are then replaced by their mean, and the deviation of each slope adds variance.
     """
     if spread is None or len(normal) == 0:
         return normal, np.zeros(len(normal))
@@ -191,10 +191,11 @@ def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
 
 
 def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
-    """Return how many times less residuals tell than if each erred on its own.
+    """Return the variance inflation that accounts for the correlation of residuals.
 
-    By their sums over blocks of a few posts: errors of a map that are alike over some metres, and
-    ground that has changed by little, add up there. 1 with too few blocks to tell.
+    It compares sums over blocks of a few posts with their variance for independent residuals. Map
+    errors with a correlation length of some metres and small terrain changes add up in these sums.
+    The result is 1 if there are too few blocks.
     """
     row, col = (part // _BLOCK for part in posts)
     keep = residual**2 <= 9.0 * variance
@@ -208,11 +209,11 @@ def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array)
 
 
 def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:
-    """Return where to begin a fit (11,), whether it may tell the level alone, and the spread.
+    """Return the initial error of a fit (11,), whether it may only use heights, and the spread.
 
-    Slopes tell where a scan lies only as far as they reach, which is half a post on rough ground:
-    where the scan's place is less certain, all places that its stated error allows are compared
-    first. Where several will do, which one it is must not be told.
+    Slopes give the correct position only within half a post on rough terrain. If the position of
+    the scan is less certain, all shifts that its uncertainty allows are compared first. If several
+    shifts are plausible, the fit must not choose between them.
     """
     surface = seen.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))

@@ -1,4 +1,4 @@
-"""How scans are compared with a map and with each other."""
+"""Settings of the scan registration."""
 
 from __future__ import annotations
 
@@ -12,44 +12,45 @@ from lunarsim.onboard.navigation.registration import Fit
 
 @dataclass(frozen=True)
 class RegistrationSettings:
-    """How scans are compared with the map and with each other.
+    """Settings of the registration of scans on a map and on each other.
 
     Attributes
     ----------
     model_sigma
-        What else sets a scan's mean over a post's square apart from the post: rocks that hide the
-        ground behind them, points that lie unevenly, m.
+        Standard deviation of the difference between a scan's mean over the square of a post and the
+        post, apart from the map's noise, m. Causes are occlusion by rocks and uneven sampling.
     least_squares
-        Fewest squares for a registration.
+        Minimum number of squares for a registration.
     least_share
-        Least share of them that must agree with the map.
+        Minimum fraction of squares that agree with the map.
     greatest_misfit
-        Mean square of their residuals, in units of their variance, above which there is no match.
+        Maximum mean square of their residuals, in units of their variance.
     chance, map_chance
-        Of a good correction to be refused: by a scan kept or a search, and by a fit to the map,
-        where ground that has changed in part draws a fit aside by a few deviations.
+        Probability to reject a valid correction, from a reference scan or a search (`chance`) and
+        from a fit to the map (`map_chance`). Partly changed terrain biases the latter by a few
+        standard deviations.
     certainty
-        Probability of the best place that a search must reach to be believed.
+        Minimum probability of the best place of a search.
     level_sigma
-        Of a height taken from the level of the ground before the place is known, m.
+        Standard deviation of a height that is derived before the place is known, m.
     search_s
-        Between two searches, s.
+        Time between two searches, s.
     lost_s
-        If nothing that covers posts enough agrees for so long the lock is lost, s.
+        Time without agreement of a large enough scan after which the lock is lost, s.
     gather_s
-        Scans that cover too few posts are gathered for so long at most, s.
+        Maximum time over which small scans are accumulated, s.
     odometry_postings
-        Least and greatest squares in which scans are compared with each other, m: a
-        twenty-fourth of a scan's width between them.
+        Minimum and maximum side of the squares for scan-to-scan odometry, m. Between these limits
+        it is 1/24 of the width of a scan.
     odometry_sigma
-        Of the difference of their heights there, m.
+        Standard deviation of the height difference of two scans in a square, m.
     key_share
-        A scan is compared with an earlier one until less than this share of it lies on that one.
+        Minimum overlap with the reference scan; below it the reference scan is replaced.
 
     Raises
     ------
     InputError
-        If one is out of range.
+        If a value is out of range.
     """
 
     model_sigma: float = 0.03
@@ -75,20 +76,20 @@ class RegistrationSettings:
             raise InputError(
                 "navigation.odometry_postings",
                 self.odometry_postings,
-                "two lengths, the least first",
+                "must be two positive lengths in ascending order",
             )
         for name in ("least_share", "chance", "map_chance", "certainty", "key_share"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
-                raise InputError(f"navigation.{name}", value, "above 0 and at most 1")
+                raise InputError(f"navigation.{name}", value, "must be above 0 and at most 1")
         for name in ("model_sigma", "least_squares", "greatest_misfit", "level_sigma", "search_s",
                      "lost_s", "gather_s", "odometry_sigma"):  # fmt: skip
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"navigation.{name}", value, "a positive number")
+                raise InputError(f"navigation.{name}", value, "must be a positive number")
 
     def believes(self, found: Fit) -> bool:
-        """Tell whether enough agrees, and well enough."""
+        """Return whether enough squares agree, with small enough residuals."""
         return (
             found.used >= self.least_squares
             and found.share >= self.least_share

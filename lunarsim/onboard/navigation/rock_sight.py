@@ -1,4 +1,4 @@
-"""Where rocks should be seen by a camera (Eqs. 10-11)."""
+"""Predict the pixels of rocks in a camera image (Eqs. 10-11)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sight:
-    """Where rocks should be seen, and how that depends on the state.
+    """Predicted pixels of rocks and their Jacobians.
 
     Attributes
     ----------
     pixel
-        Predicted pixels (n, 2), distortion left out (Eq. 10).
+        Predicted pixels (n, 2), without distortion (Eq. 10).
     depth
-        Along the boresight (n,), m; not positive behind the camera.
+        Distance along the boresight (n,), m; not positive behind the camera.
     by_pose
         Derivatives by position and attitude error (n, 2, 6).
     by_rock
@@ -37,7 +37,7 @@ class Sight:
 
 
 def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
-    """Return where rocks at points (n, 3) should be seen from where the lander is (Eqs. 10-11)."""
+    """Predict the pixels of rocks at points (n, 3) from the estimated pose (Eqs. 10-11)."""
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation
     seen = (body - np.asarray(camera.offset)) @ camera.mount

@@ -1,4 +1,4 @@
-"""Scans against an earlier scan: how the lander has moved, not where it is."""
+"""Scan-to-scan odometry: estimate the motion from the overlap with an earlier scan."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from lunarsim.onboard.navigation.surface import Surface
 
 Array = NDArray[np.float64]
 
-# No return comes from farther, m.
+# Maximum plausible range, m.
 _FARTHEST = 20_000.0
-# Deviations beyond which what a fit leaves of a square is not noise; squares tell this many times
-# less than they err by, since the slopes that weigh them err too.
+# Maximum residual of a square in standard deviations; factor on the variances, since the slopes
+# that weight the squares have errors too.
 _FAR_OFF, _SLOPES = 3.0, 1.5
-# A mount differs from a rotation, and a ray's direction from a unit vector, by rounding alone.
+# Tolerance on the orthogonality of the mount and on the norm of ray directions.
 _TURNS = 1e-3
-# A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
-# slopes its squares no longer hold, and what is found then moves them farther.
+# Displacement of the reference scan, in squares, above which it is averaged again: a linear
+# extrapolation along the slopes is no longer valid then.
 _AFRESH = 0.05
 
 
 def key_block() -> dict[str, Array]:
-    """Return the block for an error state."""
+    """Return the empty block of the reference pose for an error state."""
     return {KEY: np.zeros((6, 6))}
 
 
 @dataclass(frozen=True)
 class _Key:
-    """A scan kept to compare later ones with.
+    """Reference scan that later scans are compared with.
 
     Attributes
     ----------
     sensor, seen
-        Whose, and how it was seen, as far as is known now.
+        Name of the sensor, and the scan with its current pose estimate.
     grid, surface
-        Its squares as they were averaged last.
+        Grid, and the scan averaged over its squares.
     off
-        By how much it has been moved since, m.
+        Displacement since the last averaging, m.
     """
 
     sensor: str
@@ -58,7 +58,7 @@ class _Key:
     off: float = 0.0
 
     def moved(self, change: Array) -> _Key:
-        """Return it with errors (11,) added, its squares carried on by their slopes."""
+        """Return it with errors (11,) added, extrapolated along the slopes of the squares."""
         middle = self.surface.position.mean(axis=0)
         off = self.off + float(np.abs(self.seen.point_jacobian(middle) @ change).max())
         position = self.surface.position.copy()
@@ -67,21 +67,21 @@ class _Key:
         return replace(self, surface=surface, seen=self.seen.moved(change), off=off)
 
     def afresh(self) -> _Key:
-        """Return it averaged afresh, if its squares no longer hold."""
+        """Return it averaged again, if its displacement is too large."""
         if self.off <= _AFRESH * self.grid.posting:
             return self
         return replace(self, surface=self.seen.surface(self.grid), off=0.0)
 
 
 class ScanOdometry:
-    """Compares scans with one kept; the pose at that one is part of the state.
+    """Compare scans with a reference scan, whose pose is part of the state.
 
     Parameters
     ----------
     shared
-        Its state has the block of `key_block`.
+        State and helpers that the processors share; the state has the block of `key_block`.
     settings
-        Limits of the comparison.
+        Settings of the comparison.
     """
 
     def __init__(self, shared: Shared, settings: RegistrationSettings) -> None:
@@ -92,7 +92,7 @@ class ScanOdometry:
         shared.state.listeners.append(self._corrected)
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Compare a scan with the one kept, unless it is used already, and keep it if need be."""
+        """Compare an unused scan with the reference scan, and replace the latter if necessary."""
         if not isinstance(measurement, LidarScan):
             return False
         taken = False
@@ -102,7 +102,7 @@ class ScanOdometry:
         return taken
 
     def _remember(self, sensor: str, scan: LidarScan) -> None:
-        """Keep this scan and the pose at it for later ones, if the last kept is left behind."""
+        """Make this scan the reference if the overlap with the last one is too small."""
         if self._key is not None and self._share >= self.settings.key_share:
             return
         posting = float(np.clip(width_of(scan) / 24.0, *self.settings.odometry_postings))
@@ -113,7 +113,7 @@ class ScanOdometry:
         self._share = 1.0
 
     def _follow(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Compare a scan with the one kept."""
+        """Compare a scan with the reference scan; return whether it was accepted."""
         self._share = 0.0
         if self._key is None or self._key.sensor != sensor:
             return False
@@ -124,7 +124,7 @@ class ScanOdometry:
         i, j = _common(key.surface, new)
         if len(i) < least:
             return False
-        # A scan from nearer covers less ground: it need only lie on the one kept.
+        # A scan from a lower altitude covers a smaller area: it need only lie on the reference.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
         own = self.shared.scanner(sensor)
         both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
@@ -153,12 +153,12 @@ class ScanOdometry:
         )
         self.shared.judge(sensor, "scans", found, time)
         if not found.taken:
-            # Either scan may be the wrong one: the next is compared with this.
+            # Either scan can be wrong: make this one the reference for the next.
             self._share = 0.0
         return found.taken
 
     def _corrected(self, error: Array) -> None:
-        """Move the scan kept with its pose; one without squares is compared with nothing."""
+        """Correct the pose of the reference scan; skip one without squares."""
         if self._key is None or len(self._key.surface) == 0:
             return
         state = self.shared.state
@@ -171,9 +171,9 @@ class ScanOdometry:
 def _differences(
     new: SeenScan, old: SeenScan, points: Array, normals: Array, scanner: NDArray[np.int64]
 ) -> Array:
-    """Return how points (m, 3) of a scan move along vectors (m, 3) against those of an earlier one.
+    """Return the Jacobian of the difference between points (m, 3) of two scans along vectors.
 
-    With the errors of the pose, of the pose kept, and of the scanner, both have the same (m, d).
+    Columns are the errors of the pose, of the reference pose and of the common scanner (m, d).
     """
     here, there = new.jacobian(points, normals), old.jacobian(points, normals)
     of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
@@ -181,14 +181,14 @@ def _differences(
 
 
 def plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give, or that have no deviation.
+    """Remove ranges that are implausible or have no standard deviation.
 
-    With none if its mount turns nothing, or its rays are no unit vectors.
+    All ranges are removed if the mount is not a rotation, or the rays are not unit vectors.
 
     Raises
     ------
     InputError
-        If its arrays do not fit each other, or hold no real numbers.
+        If the arrays do not match each other, or are not real numbers.
     """
     scan.check_arrays()
     n = len(scan.range)
@@ -204,10 +204,7 @@ def plausible(scan: LidarScan) -> LidarScan:
 
 
 def width_of(scan: LidarScan) -> float:
-    """Return the width of the ground that a scan covers, across the line of sight, m.
-
-    NaN without returns.
-    """
+    """Return the width of the scanned area across the line of sight, m; NaN without returns."""
     if not np.isfinite(scan.range).any():
         return np.nan
     reach = np.nanmedian(scan.range)
@@ -216,7 +213,7 @@ def width_of(scan: LidarScan) -> float:
 
 
 def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the places in `a` and in `b` of the squares that both hold."""
+    """Return the indices in `a` and in `b` of their common squares."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1
