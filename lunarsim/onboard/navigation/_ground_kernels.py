@@ -1,4 +1,4 @@
-"""Compiled ordinary kriging of heights, and posts that a scan lies on."""
+"""Compiled ordinary kriging of heights, and counting of posts below a scan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lunarsim.onboard.navigation._near_kernels import nearest, on_squares
 
 @kernel(allocates=False)
 def _solve(a, b):
-    """Solve a x = b by elimination with the greatest pivot of a column; x is left in b (n,)."""
+    """Solve a x = b by Gaussian elimination with partial pivoting; x overwrites b (n,)."""
     n = b.size
     for c in range(n):
         best = c
@@ -34,7 +34,7 @@ def _solve(a, b):
 
 @kernel()
 def _height_at(east, north, squares, known, x, y, count, growth, own):
-    """Return the likeliest height at one point, see `heights`."""
+    """Return the interpolated height at one point; see `heights`."""
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
     system = np.empty((count + 1, count + 1))
@@ -59,17 +59,17 @@ def _height_at(east, north, squares, known, x, y, count, growth, own):
 
 @kernel(parallel=True)
 def heights(places, known, at, count, growth, own):
-    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
+    """Interpolate heights (b,) at points (b, 2) from known heights (n,) at places (n, 2), m.
 
     Parameters
     ----------
     places, known, at
-        n at least `count`.
+        Places, their heights, and points; n must be at least `count`.
     count
-        Neighbours that count.
+        Number of neighbours.
     growth, own
-        The variance of the difference of two heights: by how much it grows with a metre between
-        them, m^2/m, and half of what it is side by side, as a standard deviation, m.
+        Growth of the variance of a height difference with distance, m^2/m, and standard deviation
+        of a single height at zero distance, m.
     """
     out = np.empty(len(at))
     east, north = places[:, 0].copy(), places[:, 1].copy()
@@ -85,7 +85,7 @@ def heights(places, known, at, count, growth, own):
 
 @kernel()
 def _crossing(at, east, north, squares, known, eye, per_drop, height, search, count, growth, own):
-    """Write where one line of sight meets the ground (3,), see `crossings`."""
+    """Write the intersection of one line of sight with the terrain (3,); see `crossings`."""
     passes, found, least, most = search
     tried, off, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
@@ -94,13 +94,13 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
         if np.isfinite(x) and np.isfinite(y):
             here = _height_at(east, north, squares, known, x, y, count, growth, own)
         now = here - height
-        # Of one that never arrives the pass counts that came nearest; NaN: there is no ground.
+        # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
         if not abs(now) >= nearest_yet:
             at[0], at[1], at[2] = x, y, here
             nearest_yet = abs(now)
         if not abs(now) > found:
             return
-        # Where it would meet ground that goes on as it did from the last height to this.
+        # Secant step: intersect the line with the terrain slope between the last two iterates.
         slope = (off - now) / (height - tried)
         if slope < least:
             slope = least
@@ -112,9 +112,9 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
 
 @kernel(parallel=True)
 def crossings(places, known, eye, per_drop, height, search, count, growth, own):
-    """Return where lines from an eye (3,) meet the ground that `heights` gives (b, 3).
+    """Intersect lines from a point (3,) with the terrain interpolated by `heights` (b, 3), m.
 
-    Pass by pass as `RockFilter` does over ground that was measured. Parameters are those of
+    The iteration equals that of `RockFilter` on measured terrain. Parameters are those of
     `wandering_ground.crossings`; `count` and `own` as for `heights`.
     """
     out = np.empty((len(per_drop), 3))
@@ -130,10 +130,10 @@ def crossings(places, known, eye, per_drop, height, search, count, growth, own):
 
 @kernel()
 def squares_under(points, side, most):
-    """Return on how many squares points (n, 3) lie, NaN for none; `most` once there are so many.
+    """Count the squares that contain points (n, 3), up to `most`; NaN marks missing points.
 
-    Squares begin at the westernmost and southernmost of the points. -1 where they would be too many
-    to count so: a scan that grazes the ground.
+    The squares start at the minimum east and north of the points. The result is -1 if the grid of
+    squares would be too large, as for a scan that grazes the terrain.
     """
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for i in range(len(points)):

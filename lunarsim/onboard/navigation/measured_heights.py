@@ -1,17 +1,17 @@
-"""Rocks on ground that another eye has measured.
+"""Correct rock heights by terrain heights that another sensor has measured.
 
-A LiDAR measures the ground from where it flies: how high rocks lie below the lander is then known
-to decimetres, where pictures alone leave metres, and with it how far away they are. Seen from the
-side a metre of height is a metre and more along the ground.
+A LiDAR measures the terrain relative to the lander. The height of the rocks below the lander, and
+with it their range, is then known to decimetres, while images alone leave metres. In an oblique
+view a height error of one metre is a horizontal error of more than one metre.
 
-Ground and rocks are both laid down from the estimated pose. With m the measured height at a rock,
-n the ground's normal there of which up is 1, and r the rock less the lander, in true errors
-(estimate plus error is truth)
+Terrain and rocks both depend on the estimated pose. With the measured height m at a rock, the
+terrain normal n there (vertical component 1), and r the vector from the lander to the rock, the
+true errors (estimate plus error is truth) satisfy
 
-    m - z = n d(rock) - n d(position) - (r x n) d(attitude) + noise,
+    m - z = n d(rock) - n d(position) - (r x n) d(attitude) + noise.
 
-attitude errors being about body axes, in which r and n are taken there. Noise is a rock's own in
-part and in part all rocks' of one scan.
+Attitude errors are about body axes, so r and n are expressed in body axes in that term. The noise
+has an independent part per rock and a part common to all rocks of one scan.
 """
 
 from __future__ import annotations
@@ -28,64 +28,64 @@ from lunarsim.onboard.navigation.error_state import POSE, ErrorState, Outcome
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# What a rock's height errs by on measured ground, by itself and with all others, 1 sigma, m.
+# Individual and common standard deviation of a rock's height on measured terrain, m.
 OWN, COMMON = 0.15, 0.15
-# A rock is laid down if its height below the lander has more than this many times the variance.
+# Minimum ratio of the height variance of a rock to the noise variance for a correction.
 _VAGUE = 2.0
-# So many rocks at most, those that are known worst.
+# Maximum number of corrected rocks; those with the largest variance are used.
 _MOST = 100
-# Normalised innovation squared a degree of freedom, beyond which the ground is another's.
+# Maximum normalised innovation squared per degree of freedom.
 _GATE = 10.0
-# Slopes are taken between places so far to either side, m: each is a mean over 2 m.
+# Half distance of the points for a slope, m; each height is a mean over 2 m.
 _ASIDE = 4.0
 
 
 class GroundHeights(Protocol):
-    """Somebody who has measured the ground."""
+    """Source of measured terrain heights."""
 
     def heights(self, xy: Array) -> Array:
-        """Return its heights (n,) at points (n, 2), local frame, m; NaN where it is not known."""
+        """Return the terrain heights (n,) at points (n, 2), local frame, m; NaN if unknown."""
         ...
 
 
 class Rocks(Protocol):
-    """Rocks in an error state, as `RockStates` has them."""
+    """Rocks in an error state; implemented by `RockStates`."""
 
     state: ErrorState
 
     @property
     def xyz(self) -> Array:
-        """Their centres on the ground (n, 3), ENU, m."""
+        """Centres of the rocks on the terrain (n, 3), ENU, m."""
         ...
 
     @property
     def xy(self) -> Array:
-        """East and north (n, 2), m."""
+        """Centres of the rocks (n, 2), east and north, m."""
         ...
 
     def places(self, index: Index | None = None) -> Index:
-        """Return where their coordinates lie in the error state (n, 3)."""
+        """Return the indices of the rocks' coordinates in the error state (n, 3)."""
         ...
 
 
 def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
-    """Let rocks stand on ground that was measured from the lander just now.
+    """Correct rock heights by terrain heights measured from the current pose.
 
-    Of rocks whose height below the lander is known as well nothing is told; they move with the
-    others by what they share. To be called once a scan, whose error is the same each time; called
-    again it tells nothing of rocks that it has laid.
+    Rocks whose relative height is known equally well are not updated directly, but through their
+    correlations. Call this once per scan, since the error of a scan is the same in repeated calls;
+    a second call changes nothing for the corrected rocks.
 
     Parameters
     ----------
     rocks
-        The rocks.
+        Rocks in the error state.
     ground
-        Who has measured it.
+        Source of the measured heights.
 
     Returns
     -------
     outcome
-        Of the heights; one degree of freedom a rock.
+        Outcome for the heights, with one degree of freedom per rock.
     """
     height = ground.heights(rocks.xy)
     index = np.flatnonzero(np.isfinite(height))
@@ -108,16 +108,16 @@ def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
 
 
 def pose_shares(state: ErrorState, point: Array) -> Array:
-    """Return how a rock's height on measured ground at a point (3,) errs with the pose (6,).
+    """Return the Jacobian of a rock's measured height at a point (3,) by the pose (6,).
 
-    However that slopes: what moves it aside moves the rock, seen from the same pose, by as much.
+    The slope has no influence: a horizontal error moves the rock and the terrain alike.
     """
     by_pose, _ = _jacobians(state, point[None], np.zeros((1, 2)))
     return np.asarray(-by_pose[0])
 
 
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:
-    """Return how the innovation errs with the pose (k, 6) and with the rock itself (k, 3)."""
+    """Return the Jacobians of the innovation by the pose (k, 6) and by the rock (k, 3)."""
     body = quat_to_matrix(state.inertial.attitude)
     normal = np.hstack((-gradient, np.ones((len(points), 1))))
     arm = (points - state.inertial.position) @ body
@@ -125,7 +125,7 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
 
 
 def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Array:
-    """Return the variance of what the height of rocks (k,) on the ground errs by (k,), m^2."""
+    """Return the variance of the predicted innovation of rocks (k,), without noise, m^2."""
     p, columns = rocks.state.covariance, rocks.places(index)
     both = np.hstack((by_pose, by_rock))
     at = np.hstack((np.broadcast_to(POSE, (len(index), len(POSE))), columns))
@@ -134,10 +134,10 @@ def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Ar
 
 
 def _shape(ground: GroundHeights, xy: Array) -> tuple[Array, Array]:
-    """Return the gradient of measured ground at points (k, 2), and how far it bends there (k,), m.
+    """Return the gradient (k, 2) and the curvature height (k,), m, of measured terrain.
 
-    The latter is what a rock's height errs by besides if it stands a little beside its place. Where
-    the ground about is not known both are 0.
+    The latter is the height error of a rock at a slightly wrong place. Both are 0 if the terrain
+    around the point is unknown.
     """
     gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
     middle = ground.heights(xy)

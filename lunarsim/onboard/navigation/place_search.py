@@ -169,6 +169,8 @@ class PlaceSearch:
     # --- search ---------------------------------------------------------------------------
 
     def search(
+        self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
+    ) -> Match | None:
         """Compare new tiles, and return the most probable place by all tiles so far.
 
         Parameters

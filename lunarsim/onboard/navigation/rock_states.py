@@ -1,14 +1,14 @@
-"""Rocks behind the blocks of an error state: where they are, how large, and how both err.
+"""Rock states behind the blocks of an error state: positions, radii and their errors.
 
-Rocks do not move and their radius is measured directly, in metres and with errors of its own
-(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
-apart as scalar filters, which is exact.
+Rocks do not move, and their radius is measured directly, in metres and with independent errors
+(paper, III.B). Radii are therefore not correlated with the lander or with each other, and exact
+scalar filters estimate them.
 
-The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
-its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
-their errors, so that what a height is off by counts once, however often the rock is seen. Where
-somebody else has measured the ground, it has the shape of that, laid on the rocks, and each time
-that it is measured rocks of which less is known are laid on it (`measured_heights.py`).
+The paper assumes that all rocks stand on one plane. Here the height of a new rock is interpolated
+from its neighbours and from the terrain height below the lander (`wandering_ground.py`), together
+with their errors, so that a height error counts once in repeated observations. If another sensor
+has measured the terrain, its shape is used, with an offset from the rocks. After each such
+measurement, rocks with a larger height error are corrected by it (`measured_heights.py`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kr
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# East, north and height.
+# Number of coordinates of a rock: east, north and height.
 AXES = 3
-# So many rocks tell how high ground lies that was measured otherwise.
+# Minimum number of rocks to estimate the offset of the measured terrain.
 _LEAST_ROCKS = 5
 
 
@@ -43,27 +43,29 @@ class RockStates:
     Parameters
     ----------
     state
-        Error state of the lander; what stands behind its blocks is the rocks'.
+        Error state of the lander; the rocks are appended behind its blocks.
     level
-        What is known of the ground besides.
+        Prior knowledge of the terrain height.
     capacity
-        Rocks for which room is made at first; it grows as needed.
+        Initial number of rocks to allocate; it grows as needed.
 
     Attributes
     ----------
     state
-        The error state.
+        Error state.
     count
         Number of rocks.
     first
-        Place of the first rock's east in the error state.
+        Index of the first rock's east coordinate in the error state.
     measured
-        Who knows the height of the ground; None: rocks alone tell it.
+        Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
 
     def __init__(self, state: ErrorState, level: LevelGround, capacity: int) -> None:
         if state.tail:
-            raise InputError("navigation.rocks", state.tail, "no errors behind the state's blocks")
+            raise InputError(
+                "navigation.rocks", state.tail, "must be added to an error state without tail"
+            )
         self.state = state
         self.state.reserve(AXES * capacity)
         self.state.listeners.append(self._moved)
@@ -76,11 +78,11 @@ class RockStates:
         self._rests = np.zeros(capacity, bool)
 
     def _moved(self, error: Array) -> None:
-        """Move the rocks by a correction of the whole error state."""
+        """Apply a correction of the error state to the rocks."""
         self.xyz[:] += error[self.first :].reshape(-1, AXES)
 
     def rest(self, rocks: NDArray[np.bool_]) -> None:
-        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
+        """Freeze the marked rocks (n,) until the next call; new rocks are not frozen.
 
         See `RestingErrors.rest`.
         """
@@ -91,28 +93,28 @@ class RockStates:
         self.state.rest(np.repeat(self._rests[: self.count], AXES))
 
     def places(self, index: Index | None = None) -> Index:
-        """Return where rocks' coordinates lie in the error state (n, 3)."""
+        """Return the indices of the rocks' coordinates in the error state (n, 3)."""
         rocks = np.arange(self.count) if index is None else np.asarray(index)
         return np.asarray(self.first + AXES * rocks[:, None] + np.arange(AXES))
 
     @property
     def xyz(self) -> Array:
-        """Rocks' centres on the ground (n, 3), ENU, m."""
+        """Centres of the rocks on the terrain (n, 3), ENU, m."""
         return self._xyz[: self.count]
 
     @property
     def xy(self) -> Array:
-        """Rocks' centres (n, 2), east and north, m."""
+        """Centres of the rocks (n, 2), east and north, m."""
         return self._xyz[: self.count, :2]
 
     @property
     def radius(self) -> Array:
-        """Rocks' radii (n,), m."""
+        """Radii of the rocks (n,), m."""
         return self._r[: self.count, 0]
 
     @property
     def radius_variance(self) -> Array:
-        """Variance of the radii (n,), m^2."""
+        """Variances of the radii (n,), m^2."""
         return self._r[: self.count, 1]
 
     def rock_covariance(self) -> Array:
@@ -121,10 +123,9 @@ class RockStates:
         return np.asarray(self.state.for_rows()[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
-        """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
+        """Return the covariance of each rock's position relative to the lander (n, 3, 3), m^2.
 
-        An error that lander and rocks share moves the map with the lander and misplaces nothing
-        on it.
+        Errors common to lander and rocks shift the map with the lander and cause no error on it.
         """
         own = self.rock_covariance()
         if self.count == 0:
@@ -134,12 +135,12 @@ class RockStates:
         return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
 
     def rise_variance(self, near: Index) -> Array:
-        """Return the variance of the difference in height of rocks and others (n, k), m^2.
+        """Return the variance of height differences between rocks and others (n, k), m^2.
 
         Parameters
         ----------
         near
-            Numbers of the others (n, k).
+            Indices of the other rocks (n, k).
         """
         p, height = self.state.for_rows(), self.places()[:, 2]
         own = p[height, height]
@@ -148,30 +149,30 @@ class RockStates:
 
     @property
     def expected_growth(self) -> float:
-        """By how much the mission expects the variance of heights to grow with a metre, m^2/m.
+        """Prior growth of the variance of terrain heights with distance, m^2/m.
 
-        0 where the ground is taken to lie at one height everywhere.
+        0 if the terrain is modelled as horizontal.
         """
         return self._level.growth if self.state.has(GROUND) else 0.0
 
     @property
     def ground(self) -> float:
-        """Height of the ground under the lander, m."""
+        """Height of the terrain below the lander, m."""
         below = sum(float(self.state.value(name)[at]) for name, at in self._level_parts())
         return self._level.elevation + below
 
     def _level_parts(self) -> list[tuple[str, int]]:
-        """Return of what the ground's height under the lander is made: blocks and places there.
+        """Return the blocks, and the indices in them, that add to the height below the lander.
 
-        Elevations are told in the site frame, which may lie higher or lower in the filter's own.
+        Elevations refer to the site frame, which has a vertical offset from the local frame.
         """
         parts = ((GROUND, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2) (b,), m.
+        """Return the terrain height at points (b, 2): (b,), m.
 
-        What was measured, laid on the rocks; where nobody has measured it, what rocks tell.
+        Uses the measured terrain with the offset of the rocks, and elsewhere the rocks.
         """
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.measured is None:
@@ -183,10 +184,10 @@ class RockStates:
         return height
 
     def _above(self, measured: GroundHeights) -> float:
-        """Return by how much the rocks stand above measured ground, in the median, m.
+        """Return the median height of the rocks above the measured terrain, m.
 
-        In the local frame the lander and its rocks drift up and down by decimetres, and what was
-        measured from it stays as it was: only its shape holds.
+        The heights of the lander and its rocks drift in the local frame by decimetres, while the
+        measured terrain is fixed, so only its shape is used.
         """
         if self.count < _LEAST_ROCKS:
             return 0.0
@@ -196,24 +197,24 @@ class RockStates:
 
     @property
     def rocks_tell_ground(self) -> bool:
-        """Whether the height of the ground is what rocks near by tell."""
+        """Whether terrain heights can be interpolated between rocks."""
         return self.count > 0 and self.state.has(GROUND)
 
     def _told_by_rocks(self, at: Array) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
+        """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
         if not self.rocks_tell_ground:
             return np.full(len(at), self.ground)
         return heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
-        """Return places (n, 2) and heights (n,), m, that tell of others: at lander and rocks."""
+        """Return places (n, 2) and heights (n,), m, of the terrain below lander and rocks."""
         places = np.vstack((self.state.inertial.position[:2], self.xy))
         return places, np.append(self.ground, self.xyz[:, 2])
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
     ) -> None:
-        """Take in the radii alone of rocks seen, as `update_rocks` does."""
+        """Update only the radii of observed rocks, as `update_rocks` does."""
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
         good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
         index, radius, radius_variance = index[good], radius[good], radius_variance[good]
@@ -222,10 +223,10 @@ class RockStates:
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
         self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
 
-    # --- coming and going -----------------------------------------------------------------
+    # --- adding and removing --------------------------------------------------------------
 
     def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
-        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        """Add rocks with known positions (n,) and independent errors."""
         index = self.append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
         level = self.places(index)[:, :2].ravel()
         for rock in index:
@@ -233,7 +234,7 @@ class RockStates:
         self.state.p[level, level] = np.repeat(np.square(sigma), 2)
 
     def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
-        """Make room for rocks (b,) that err by nothing yet; return their numbers."""
+        """Add rocks (b,) with zero covariance; return their indices."""
         index = np.arange(self.count, self.count + len(points))
         self._reserve(self.count + len(points))
         old = self.state.size
@@ -248,9 +249,9 @@ class RockStates:
         return index
 
     def follow_ground(self, rock: int) -> None:
-        """Let a rock's height err as those of its neighbours and the ground under the lander.
+        """Set the error of a rock's height from its neighbours and the height below the lander.
 
-        Where the ground was measured, as those of its neighbours there.
+        On measured terrain, only the neighbours on it are used.
         """
         if not self.state.has(GROUND):
             return
@@ -269,9 +270,9 @@ class RockStates:
         self._follow(rock, sources, shares, float(variance[0]))
 
     def _follow_measured(self, rock: int, others: Index) -> None:
-        """Let a rock's height err as those of its neighbours on measured ground (k,).
+        """Set the error of a rock's height from its neighbours on measured terrain (k,).
 
-        Without any as the ground does, which was measured from where the lander is.
+        Without neighbours, it depends on the lander's pose, from which the terrain was measured.
         """
         near = self._nearest(rock, others)
         if len(near):
@@ -285,27 +286,27 @@ class RockStates:
         self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, shares, variance)
 
     def _nearest(self, rock: int, others: Index) -> Index:
-        """Return which of other rocks (k,) are a rock's neighbours."""
+        """Return the nearest neighbours of a rock among others (k,)."""
         away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
         if len(away) > NEIGHBOURS:
-            # All that are no farther than the last of them: the first count of those as far.
+            # Keep all at the same distance as the last one: the stable sort takes the first ones.
             near = np.flatnonzero(~(away > np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1]))
             away, others = away[near], others[near]
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
-        """Let rocks stand on ground that was measured from the lander just now, see `lay`."""
+        """Correct the rock heights by the terrain measured from the current pose; see `lay`."""
         if self.measured is None or not self.state.has(GROUND) or self.count == 0:
             return Outcome(0.0, 0, False)
         return lay(self, self.measured)
 
     def remove(self, index: Index) -> Index:
-        """Stop tracking rocks; those from the end take their places.
+        """Remove rocks; the last rocks move to their indices.
 
         Returns
         -------
         old
-            Old numbers of the rocks left (n,), in their new order.
+            Old indices of the remaining rocks (n,), in their new order.
         """
         gone = np.zeros(self.count, bool)
         gone[index] = True
@@ -323,7 +324,7 @@ class RockStates:
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
-        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
+        """Add process noise to the radii, relative per sqrt(s): rocks look different from sides."""
         self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
 
     def _reserve(self, count: int) -> None:
