@@ -299,9 +299,7 @@ class ErrorState(RestingErrors):
         """
         error = np.asarray(error, np.float64)
         if error.shape != (self.size,) or not np.isfinite(error).all():
-            raise InputError(
-                "navigation.error", error.shape, f"must be {self.size} finite numbers"
-            )
+            raise InputError("navigation.error", error.shape, f"must be {self.size} finite numbers")
         change = error[VELOCITY]
         if np.abs(change).max() > _TELLING:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
@@ -388,7 +386,7 @@ def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
 def _covariance(name: str, given: ArrayLike) -> Array:
     own = np.atleast_2d(np.asarray(given, dtype=np.float64))
     good = own.ndim == 2 and own.shape[0] == own.shape[1] and np.isfinite(own).all()
-        # Singular covariances are valid; rounding can make their smallest eigenvalue negative.
+    # Singular covariances are valid; rounding can make their smallest eigenvalue negative.
     good = good and own.size > 0 and np.allclose(own, own.T)
     if not (good and np.linalg.eigvalsh(own).min() >= -1e-12 * np.abs(own).max()):
         raise InputError(

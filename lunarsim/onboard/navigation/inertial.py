@@ -62,17 +62,20 @@ def _checked_start(
         raise InputError("navigation.attitude", start[6:].tolist(), "must be a unit quaternion")
     if np.abs(start[:3]).max() > _FARTHEST:
         raise InputError(
-            "navigation.position", start[:3].tolist(),
+            "navigation.position",
+            start[:3].tolist(),
             f"must be at most {_FARTHEST:g} m in magnitude per axis",
         )
     if np.abs(start[3:6]).max() > _FASTEST:
         raise InputError(
-            "navigation.velocity", start[3:6].tolist(),
+            "navigation.velocity",
+            start[3:6].tolist(),
             f"must be at most {_FASTEST:g} m/s in magnitude per axis",
         )
     if not 0.0 < gravity <= _HEAVIEST:
         raise InputError(
-            "navigation.gravity", gravity,
+            "navigation.gravity",
+            gravity,
             f"must be positive (downward) and at most {_HEAVIEST:g} m/s^2",
         )
     if not (np.isfinite(step) and step > 0.0):

@@ -253,7 +253,8 @@ class UnscentedFilter(Navigation):
         for name, part in zip(("angle", "velocity"), samples, strict=True):
             if part.ndim != 2 or part.shape[1] != 3 or len(part) != len(samples[0]):
                 raise InputError(
-                    f"inertial.{name}", np.shape(part),
+                    f"inertial.{name}",
+                    np.shape(part),
                     "must be an array (n, 3), with equal n for angle and velocity",
                 )
         if len(samples[0]) == 0:
