@@ -10,7 +10,7 @@ from lunarsim.onboard.navigation._near_kernels import nearest, on_squares
 
 @kernel(allocates=False)
 def _solve(a, b):
-    """Solve a x = b by Gaussian elimination with partial pivoting; x overwrites b (n,)."""
+    """Solve a x = b by Gaussian elimination with pivoting; x overwrites b (n,)."""
     n = b.size
     for c in range(n):
         best = c
@@ -59,12 +59,12 @@ def _height_at(east, north, squares, known, x, y, count, growth, own):
 
 @kernel(parallel=True)
 def heights(places, known, at, count, growth, own):
-    """Interpolate heights (b,) at points (b, 2) from known heights (n,) at places (n, 2), m.
+    """Interpolate heights (b,) at points (b, 2) from known heights at places, m.
 
     Parameters
     ----------
     places, known, at
-        Places, their heights, and points; n must be at least `count`.
+        Places (n, 2), their heights (n,), and points (b, 2); n must be at least `count`.
     count
         Number of neighbours.
     growth, own
@@ -85,7 +85,7 @@ def heights(places, known, at, count, growth, own):
 
 @kernel()
 def _crossing(at, east, north, squares, known, eye, per_drop, height, search, count, growth, own):
-    """Write the intersection of one line of sight with the terrain (3,); see `crossings`."""
+    """Write the intersection of one line with the terrain (3,); see `crossings`."""
     passes, found, least, most = search
     tried, off, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
@@ -112,10 +112,10 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
 
 @kernel(parallel=True)
 def crossings(places, known, eye, per_drop, height, search, count, growth, own):
-    """Intersect lines from a point (3,) with the terrain interpolated by `heights` (b, 3), m.
+    """Intersect lines from a point (3,) with the interpolated terrain (b, 3), m.
 
-    The iteration equals that of `RockFilter` on measured terrain. Parameters are those of
-    `wandering_ground.crossings`; `count` and `own` as for `heights`.
+    The terrain is that of `heights`. The iteration equals that of `RockFilter`. Parameters are
+    those of `wandering_ground.crossings`; `count` and `own` as for `heights`.
     """
     out = np.empty((len(per_drop), 3))
     east, north = places[:, 0].copy(), places[:, 1].copy()
@@ -130,10 +130,10 @@ def crossings(places, known, eye, per_drop, height, search, count, growth, own):
 
 @kernel()
 def squares_under(points, side, most):
-    """Count the squares that contain points (n, 3), up to `most`; NaN marks missing points.
+    """Count the squares that contain points (n, 3), up to `most`.
 
-    The squares start at the minimum east and north of the points. The result is -1 if the grid of
-    squares would be too large, as for a scan that grazes the terrain.
+    NaN marks missing points. The squares start at the minimum east and north. The result is -1 if
+    the grid of squares would be too large, as for a scan that grazes the terrain.
     """
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for i in range(len(points)):

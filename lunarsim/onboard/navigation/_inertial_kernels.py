@@ -25,7 +25,7 @@ def _rotation(q, out):
 
 @kernel(inline=True)
 def _hold(angle, velocity, n, step, held):
-    """Write rate and specific force (6,) of sample n if it is present; return whether it is."""
+    """Write rate and specific force (6,) of sample n, unless missing; return success."""
     good = True
     for k in range(3):
         good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
@@ -38,10 +38,10 @@ def _hold(angle, velocity, n, step, held):
 
 @kernel(inline=True)
 def _write_transition(r, ra, w, step, phi):
-    """Write the error transition over a step to `phi` (15, 15), which starts as identity.
+    """Write the error transition over a step to `phi` (15, 15).
 
-    `r` is the attitude R (3, 3) in the middle of the step, `ra` is R [a x] with specific force a,
-    and `w` the rate (3,).
+    `phi` starts as the identity. `r` is the attitude R (3, 3) in the middle of the step, `ra` is
+    R [a x] with specific force a, and `w` the rate (3,).
     """
     for i in range(3):
         phi[i, 3 + i] = step

@@ -14,7 +14,7 @@ _MOST, _LEAST = 256, 1e-6
 
 @kernel(allocates=False)
 def _insert(i, d, count, chosen, away):
-    """Insert place i with squared distance d into the sorted neighbours; return their number.
+    """Insert place i at squared distance d into the neighbours; return their number.
 
     At most as many are kept as fit into `chosen` (k,) and `away` (k,); of places at the same
     distance those with lower indices come first.

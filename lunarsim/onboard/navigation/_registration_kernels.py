@@ -80,7 +80,7 @@ def average(points, x0, y0, posting, least):
 
 @kernel()
 def surface(col, row, mean, x0, y0, posting, centre_tolerance):
-    """Extrapolate the averages to the square centres, along the slopes between neighbours.
+    """Extrapolate averages to the square centres along the slopes between neighbours.
 
     Returns
     -------

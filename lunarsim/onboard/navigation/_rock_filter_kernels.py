@@ -9,7 +9,7 @@ from lunarsim._jit import kernel, prange
 
 @kernel(parallel=True)
 def add_few(p, w):
-    """Add w' w to the square matrix p in place, for w (m, n), in one pass over its rows."""
+    """Add w' w to the matrix p (n, n) in place, for w (m, n), in one pass."""
     for i in prange(len(p)):
         for k in range(len(w)):
             a = w[k, i]
@@ -21,10 +21,11 @@ def add_few(p, w):
 
 @kernel(parallel=True)
 def subtract_few(p, w, states):
-    """Subtract w' w from the rows `states` (s,) of the matrix p (n, n) in place, for w (m, n).
+    """Subtract w' w from the rows `states` (s,) of the matrix p (n, n) in place.
 
-    Row by row, which is limited by memory access for small m. The block of `states` stays exactly
-    symmetric: each entry is reduced by the same products in the same order.
+    w is (m, n). This is done row by row, which is limited by memory access for small m. The block
+    of `states` stays exactly symmetric: each entry is reduced by the same products in the same
+    order.
     """
     for k in prange(states.size):
         row = p[states[k]]

@@ -1,4 +1,4 @@
-"""Process ranges, speeds and attitudes, and monitor the innovations of all measurements."""
+"""Process ranges, speeds and attitudes, and monitor all innovations."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def one_each(sensor: str, reading: AltimeterReading) -> None:
 
 
 class Aids:
-    """Process altimeter, velocimeter and star-tracker readings, and monitor all innovations.
+    """Process ranges, speeds and attitudes, and monitor all innovations.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class Aids:
             self.state.widen(at, self.ground.growth * moved)
 
     def doubt_units(self) -> None:
-        """Declare navigation lost if an estimated sensor bias contradicts its specification.
+        """Declare navigation lost if an estimated bias contradicts its specification.
 
         Either the sensor does not meet its specification, or the measurement that the bias was
         estimated with drifts. The first case does not affect velocity and attitude, but in the
@@ -338,7 +338,7 @@ class Aids:
         return np.asarray(height * along[:2] / max(-float(along[2]), LEAST_DOWN))
 
     def _follow_foot(self, sensor: str, beam: Any, number: int) -> int:
-        """Move the terrain-height state of a beam to its current footprint; return its index.
+        """Move a beam's terrain-height state to its current footprint; return its index.
 
         A slanted beam meets the terrain beside the lander, at another height than below it, and
         almost at the same point in the next reading. If this difference were white noise, some

@@ -74,7 +74,7 @@ class Arrivals:
         return cls(briefing.step, report, begin=0.0, unit=units[0])
 
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
-        """Return the measurement with gaps in inertial samples filled; None if it is rejected.
+        """Return a measurement, inertial samples without gaps; None if it is rejected.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Arrivals:
     def carried(
         self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
     ) -> Any:
-        """Propagate to the time of a measurement, and return the measurement for the update.
+        """Propagate to the time of a measurement, and return it for the update.
 
         Returns None for inertial samples, which are used for the propagation, and for rejected
         measurements.
@@ -136,7 +136,7 @@ class Arrivals:
         return given
 
     def overdue(self, time: float) -> tuple[str, InertialSamples] | None:
-        """Return inertial samples that are overdue at `time` (s) as missing samples, if any.
+        """Return inertial samples overdue at `time` (s) as missing samples, if any.
 
         They come with the name of their unit. The state can then be propagated to the time of a
         measurement. If the samples arrive later, they are out of order. Returns None if the start

@@ -46,10 +46,10 @@ def subtract_square(p: Array, w: Array) -> None:
 
 
 def subtract_rows(p: Array, w: Array, states: Index) -> None:
-    """Subtract w' w from the rows `states` (s,) of the symmetric p (n, n) in place, for w (m, n).
+    """Subtract w' w from the rows `states` (s,) of the symmetric p (n, n) in place.
 
-    The block of `states` stays symmetric; their columns in other rows are not changed. The rows are
-    distributed over threads; the result does not depend on the number of threads.
+    w is (m, n). The block of `states` stays symmetric; their columns in other rows are not changed.
+    The rows are distributed over threads; the result does not depend on the number of threads.
     """
     if len(w) <= _FEW:
         with threads_for(4e-4 * len(w) * len(states) * len(p)):

@@ -125,7 +125,7 @@ class ErrorState(RestingErrors):
         return self._blocks[name]
 
     def value(self, name: str) -> Array:
-        """Return the sum of a block's corrections (k,): its value if the initial value is 0."""
+        """Return the sum of a block's corrections (k,), its value if it started at 0."""
         return self._values[name]
 
     def has(self, name: str) -> bool:
@@ -148,7 +148,7 @@ class ErrorState(RestingErrors):
         self._for(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def clone(self, name: str, source: Index) -> None:
-        """Set a block's error equal to other errors, for instance those of the current pose."""
+        """Set a block's errors equal to other errors, such as those of the current pose."""
         p = self._p if int(np.max(source)) < self.head else self.p
         into = self._blocks[name]
         p[into] = p[source]
@@ -165,7 +165,7 @@ class ErrorState(RestingErrors):
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Propagate state and covariance with inertial samples (n, 3); NaN marks missing samples.
+        """Propagate state and covariance with inertial samples (n, 3), NaN if missing.
 
         Raises
         ------
@@ -191,7 +191,7 @@ class ErrorState(RestingErrors):
         noise: ArrayLike,
         gate: float = np.inf,
     ) -> Outcome:
-        """Process a measurement (m,) that depends on a few errors.
+        """Update with a measurement (m,) that depends on a few errors.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class ErrorState(RestingErrors):
     def absorb(
         self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
     ) -> Outcome:
-        """Process an innovation (m,), given its Jacobian times the covariance (m, size).
+        """Update with an innovation (m,) and its Jacobian times the covariance (m, size).
 
         `expected` (m, m) is the innovation covariance. The update overwrites `hp`.
         """
@@ -249,7 +249,7 @@ class ErrorState(RestingErrors):
         *,
         chance: float = 0.0,
     ) -> Outcome:
-        """Process an information matrix (k, k) and vector (k,) on the errors at `part` (k,).
+        """Update with an information matrix (k, k) and vector (k,) on errors `part` (k,).
 
         The update avoids the inverse of the covariance, which is singular while two poses coincide.
         It treats the information as independent measurements of unit variance along its principal
@@ -314,11 +314,11 @@ class ErrorState(RestingErrors):
 
 
 def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
-    """Gate an innovation (m,); return its outcome and the Cholesky factor of its covariance.
+    """Test an innovation (m,); return the outcome and the factor of its covariance.
 
-    The innovation is accepted if its normalised square is at most `gate`. If it is not finite, it
-    is ignored (`nis` is NaN). If the covariance (m, m) is not positive definite, the innovation is
-    rejected with an infinite `nis`.
+    The factor is that of Cholesky. The innovation is accepted if its normalised square is at most
+    `gate`. If it is not finite, it is ignored (`nis` is NaN). If the covariance (m, m) is not
+    positive definite, the innovation is rejected with an infinite `nis`.
     """
     m = len(innovation)
     if not np.isfinite(innovation).all():
@@ -338,12 +338,12 @@ def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, 
 
 
 def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Convert information on errors with covariance (k, k) to independent measurements.
+    """Convert information on errors to independent measurements.
 
-    With the prior P = L L', the information matrix I, M = L' I L and u = L' v, the covariance of u
-    is M + M^2, since I is the covariance of the noise of v. Directions with little information are
-    dropped: small unmodelled errors look like many standard deviations there, and would move the
-    state again with each update.
+    With the prior covariance P = L L', the information matrix I, M = L' I L and u = L' v, the
+    covariance of u is M + M^2, since I is the covariance of the noise of v. Directions with little
+    information are dropped: small unmodelled errors look like many standard deviations there, and
+    would move the state again with each update.
 
     Returns
     -------

@@ -65,7 +65,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class GroundTurn:
-    """Rotation of the mapped terrain that follows from corrections of the lander's tilt.
+    """Rotation of the mapped terrain by corrections of the lander's tilt.
 
     A map built with a tilt error is itself tilted. When the filter corrects the tilt, everything
     mapped before rotates about one point, the anchor of the local frame.
@@ -171,7 +171,10 @@ class ThrustAware(Protocol):
     """Navigation that uses the commanded thrust."""
 
     def commanded(self, thrust: float, seconds: float) -> None:
-        """Record the thrust (N) commanded over the last `seconds`, before their measurements."""
+        """Record the thrust (N) commanded over the last `seconds`.
+
+        It is called before the measurements of that time are processed.
+        """
         ...
 
 

@@ -1,4 +1,4 @@
-"""Find the initial shift of a scan on a map, since a fit converges to the nearest minimum."""
+"""Find the initial shift of a scan on a map for a fit with local convergence."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class FitStart:
 
 
 def fit_start(surface: Surface, features: MapFeatures, covariance: Array) -> FitStart:
-    """Evaluate all shifts by whole posts that the position uncertainty of a scan allows.
+    """Find the most probable shift of a scan within its position uncertainty.
 
-    The method is that of `PlaceSearch` for a single scan.
+    All shifts by whole posts are evaluated, as in `PlaceSearch`, for a single scan.
 
     Parameters
     ----------

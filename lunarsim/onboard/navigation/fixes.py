@@ -33,7 +33,7 @@ class Fixes:
 
 
 class FixNavigation(Navigation):
-    """Return the last fix as the estimate, or the initial estimate before the first fix.
+    """Use the last fix as the estimate, and the initial estimate before the first.
 
     A fix is ignored if it is not finite, its attitude is not a unit quaternion or a variance is
     negative. `Arrivals` rejects fixes that are out of order. Navigation is lost if there is no fix
@@ -99,7 +99,7 @@ class FixNavigation(Navigation):
 
 
 def _tells(fix: NavigationFix) -> bool:
-    """Return whether a fix is finite, with a unit quaternion and non-negative variances."""
+    """Return whether a fix is finite with a unit quaternion and valid variances."""
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
         given = np.shape(getattr(fix, name))

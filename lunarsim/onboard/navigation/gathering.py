@@ -20,7 +20,7 @@ _SQUARES, _ENOUGH = 4, 3
 
 
 class Gathering:
-    """Average scans on squares of the local frame until they cover enough posts for a fit.
+    """Average scans on squares of the local frame until they suffice for a fit.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ class Gathering:
         self._since = -np.inf
 
     def take(self, seen: SeenScan, time: float) -> SeenScan | None:
-        """Return a scan that covers enough posts: this one or the accumulated ones; else None.
+        """Return a scan that covers enough posts, or None while there is none.
 
-        The accumulated points are fixed in the local frame, and are returned as a scan from the
-        current pose.
+        This is the given scan if it is large enough, or else all accumulated points. They are fixed
+        in the local frame, and are returned as a scan from the current pose.
         """
         points = seen.points()
         if posts_under(points, self._posting, self._enough) == self._enough:

@@ -54,7 +54,7 @@ class StartSigmas:
 def _checked_start(
     position: Array, velocity: Array, attitude: Array, gravity: float, step: float
 ) -> Array:
-    """Check the initial state; return position, velocity and attitude as one array (10,)."""
+    """Check the initial state; return it as one array (10,)."""
     start = np.concatenate((position, velocity, attitude)).astype(np.float64)
     if start.shape != (10,) or not np.isfinite(start).all():
         raise InputError("navigation.start", start.tolist(), "must be ten finite numbers")

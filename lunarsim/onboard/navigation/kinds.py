@@ -24,9 +24,10 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class InertialNavigation:
-    """Use all available sensors: IMU, LiDAR scans, altimeter, velocimeter and star tracker.
+    """Use all sensors: IMU, LiDAR, altimeter, velocimeter and star tracker.
 
-    Scans are matched with each other and, if there is one, with a prior map.
+    All but the IMU are optional. Scans are matched with each other and, if there is one, with a
+    prior map.
     """
 
     relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")

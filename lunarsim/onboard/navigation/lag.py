@@ -39,7 +39,7 @@ class Lag:
             _take_over(p, np.flatnonzero(rests), np.flatnonzero(~rests))
 
     def change(self, p: Array, before: Flags, now: Flags) -> None:
-        """Change the frozen errors of the symmetric p (n, n) from `before` (n,) to `now` (n,)."""
+        """Change the frozen errors of the symmetric p (n, n) from `before` to `now` (n,)."""
         if not self.behind:
             return
         begin, cease = np.flatnonzero(~before & now), np.flatnonzero(before & ~now)

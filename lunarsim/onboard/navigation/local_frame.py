@@ -108,9 +108,9 @@ class LocalFrame:
         return np.concatenate((POSE, self.columns))
 
     def pose_jacobian(self) -> Array:
-        """Return the Jacobian of a pose in the site frame with respect to `pose_columns` (6, 10).
+        """Return the Jacobian of the pose in the site frame (6, 10).
 
-        Rows: position (ENU) and small rotation (body axes).
+        Columns: `pose_columns`. Rows: position (ENU) and small rotation (body axes).
         """
         r, own = self.rotation, self.state.inertial
         out = np.zeros((6, 10))
@@ -121,7 +121,10 @@ class LocalFrame:
         return out
 
     def covariance_in_site(self) -> Array:
-        """Return the covariance of position, velocity and rotation (body axes), site (9, 9)."""
+        """Return the covariance of position, velocity, rotation in the site frame (9, 9).
+
+        The rotation is about body axes.
+        """
         r, own = self.rotation, self.state.inertial
         pose = self.pose_jacobian()
         at = np.concatenate((POSE, self.columns, np.arange(VELOCITY.start, VELOCITY.stop)))
@@ -132,7 +135,7 @@ class LocalFrame:
         return np.asarray(out @ self.state.own(at) @ out.T)
 
     def hang(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
-        """Anchor the local frame to a terrain point, and no longer to the initial position.
+        """Anchor the local frame to a terrain point instead of the initial position.
 
         A correction of the attitude then leaves the mapped terrain near this point in place, and
         moves the lander. The step adds no information: it only changes the reference point of the

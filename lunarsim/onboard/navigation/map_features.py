@@ -163,7 +163,7 @@ class MapFeatures:
         return self.prior.sigma**2 + self.settings.model_sigma**2
 
     def likelihood(self, tile: Tile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
-        """Return the log-likelihood ratios of a tile at places (n,), and its covered share (n,).
+        """Return a tile's log-likelihood ratios and covered shares at places (n,), (n,).
 
         A place is the row and column of the map post below the first post of the tile.
         """
@@ -183,7 +183,7 @@ class MapFeatures:
         return ratio / self.together, covered / total
 
     def usual(self, tile: Tile) -> float | None:
-        """Return the logarithm of a tile's mean likelihood ratio over the map; None off the map."""
+        """Return the log of a tile's mean likelihood ratio over the map; None off it."""
         middle = np.array(tile.height.shape) // 2
         ratio, share = self.likelihood(
             tile, self._places[0] - middle[0], self._places[1] - middle[1]
@@ -200,7 +200,7 @@ class MapFeatures:
         return float((tile.weight * fits).sum()) / self.together
 
     def factor(self, ratio: Array, share: Array, usual: float, places: float) -> Array:
-        """Return the log of the factor that a tile applies to the probability of places (n,).
+        """Return the log of a tile's factor on the probability of places (n,).
 
         Unknown parts of the map give no information. The probability of changed terrain limits the
         evidence against a place. The evidence for a place is limited to a factor of the number of

@@ -1,4 +1,4 @@
-"""Match LiDAR scans with a prior map to estimate the site frame in the local frame."""
+"""Match LiDAR scans with a prior map, to locate the site frame."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class MapMatcher:
         )
 
     def _errors(self, sensor: str) -> tuple[Index, Array]:
-        """Return the state indices (k,) of a scan's errors and the Jacobian (11, k), site frame."""
+        """Return state indices (k,) and Jacobian (11, k) of a scan's site-frame errors."""
         own = self.shared.scanner(sensor)
         out = np.zeros((11, 10 + len(own)))
         out[:6, :10] = self.frame.pose_jacobian()
@@ -231,7 +231,7 @@ class MapMatcher:
         self._laid = None
 
     def _lay(self) -> _Laid:
-        """Return the transformation of the search; restart the search after a large rotation."""
+        """Return the transformation of the search; restart it after a large rotation."""
         frame = self.frame
         if self._laid is not None and abs(frame.azimuth - self._laid.azimuth) > _TURNED:
             self._restart()

@@ -44,7 +44,7 @@ class GroundHeights(Protocol):
     """Source of measured terrain heights."""
 
     def heights(self, xy: Array) -> Array:
-        """Return the terrain heights (n,) at points (n, 2), local frame, m; NaN if unknown."""
+        """Return terrain heights (n,) at points (n, 2), local frame, m; NaN if unknown."""
         ...
 
 
@@ -108,16 +108,17 @@ def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
 
 
 def pose_shares(state: ErrorState, point: Array) -> Array:
-    """Return the Jacobian of a rock's measured height at a point (3,) by the pose (6,).
+    """Return the Jacobian of a rock's measured height by the pose (6,).
 
-    The slope has no influence: a horizontal error moves the rock and the terrain alike.
+    `point` (3,) is the position of the rock, m. The terrain slope has no influence: a horizontal
+    error moves the rock and the terrain alike.
     """
     by_pose, _ = _jacobians(state, point[None], np.zeros((1, 2)))
     return np.asarray(-by_pose[0])
 
 
 def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array, Array]:
-    """Return the Jacobians of the innovation by the pose (k, 6) and by the rock (k, 3)."""
+    """Return the Jacobians of the innovation by pose (k, 6) and by rock (k, 3)."""
     body = quat_to_matrix(state.inertial.attitude)
     normal = np.hstack((-gradient, np.ones((len(points), 1))))
     arm = (points - state.inertial.position) @ body
@@ -125,7 +126,7 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
 
 
 def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Array:
-    """Return the variance of the predicted innovation of rocks (k,), without noise, m^2."""
+    """Return the innovation variance of rocks (k,) without noise, m^2."""
     p, columns = rocks.state.covariance, rocks.places(index)
     both = np.hstack((by_pose, by_rock))
     at = np.hstack((np.broadcast_to(POSE, (len(index), len(POSE))), columns))
@@ -134,7 +135,7 @@ def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Ar
 
 
 def _shape(ground: GroundHeights, xy: Array) -> tuple[Array, Array]:
-    """Return the gradient (k, 2) and the curvature height (k,), m, of measured terrain.
+    """Return gradient (k, 2) and curvature height (k,), m, of measured terrain.
 
     The latter is the height error of a rock at a slightly wrong place. Both are 0 if the terrain
     around the point is unknown.

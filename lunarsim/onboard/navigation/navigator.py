@@ -47,14 +47,14 @@ Array = NDArray[np.float64]
 
 
 class Navigator(Navigation):
-    """Error-state Kalman filter with IMU propagation and a list of measurement processors.
+    """Error-state Kalman filter with a list of measurement processors.
 
-    The pose is kept in the local frame. This frame starts at the initial position estimate and is
-    then anchored to the terrain of the first scan; its offset from the site frame is part of the
-    state (`LocalFrame`). Each measurement is offered to the processors in order, and is used once
-    only. A scan is registered on the map; if that fails, it is registered on an earlier scan. Rocks
-    detected by their shadows are states at the end of the error state; the hazard mapper that
-    tracks them provides the observations.
+    Inertial samples propagate it. The pose is kept in the local frame. This frame starts at the
+    initial position estimate and is then anchored to the terrain of the first scan; its offset from
+    the site frame is part of the state (`LocalFrame`). Each measurement is offered to the
+    processors in order, and is used once only. A scan is registered on the map; if that fails, it
+    is registered on an earlier scan. Rocks detected by their shadows are states at the end of the
+    error state; the hazard mapper that tracks them provides the observations.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class Navigator(Navigation):
         return self._ground_turn
 
     def _turn_ground(self, error: Array) -> None:
-        """Add a tilt correction to the rotation of the mapped terrain; azimuth is excluded."""
+        """Add a tilt correction to the rotation of the mapped terrain, without azimuth."""
         if self._ground_turn is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]

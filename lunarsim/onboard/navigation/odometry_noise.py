@@ -37,7 +37,7 @@ def slopes(new: Array, old: Array) -> Array:
 
 
 def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
-    """Estimate the height variance of squares (m,), m^2, from the residuals of a fit (m,).
+    """Estimate height variances of squares (m,), m^2, from residuals of a fit (m,).
 
     The variance grows with the squared slope: at the edges of rocks the measured height depends on
     the viewpoint.
@@ -53,10 +53,11 @@ def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
 
 
 def second_order(prior: Array, ways: Array) -> float:
-    """Return the variance of the linearisation error of a fit, common to all squares, m^2.
+    """Return the variance of the linearisation error of a fit, m^2.
 
-    Attitude errors rotate the displacements (2, 3) of the lander and of the observed terrain
-    between the two scans. The squared angle times the displacement is the second-order error.
+    It is common to all squares. Attitude errors rotate the displacements (2, 3) of the lander and
+    of the observed terrain between the two scans. The squared angle times the displacement is the
+    second-order error.
 
     Parameters
     ----------

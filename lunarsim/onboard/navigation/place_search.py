@@ -213,7 +213,7 @@ class PlaceSearch:
         return self._match(away, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
-        """Extend the posterior to the reach of the prior; new places start without evidence."""
+        """Extend the posterior to the reach of the prior; add places without evidence."""
         posting = self.prior.grid.posting
         far = _DEVIATIONS * np.sqrt(np.diag(covariance)) + 2.0 * posting
         if not self._log.size:
@@ -377,7 +377,7 @@ class PlaceSearch:
     def _under(
         self, tile: _Tile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return the slices of a tile's posts, and the map rows (n, r) and columns (n, c) below.
+        """Return slices of a tile's posts, and map rows (n, r) and columns (n, c) below.
 
         All places must use the same of the four offsets of posts.
         """
@@ -390,7 +390,7 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return the share of agreeing posts, the height difference and its variance at a place.
+        """Return share of agreeing posts, height difference and its variance at a place.
 
         The height difference is map minus scan, m, from the last six tiles.
         """
@@ -464,7 +464,7 @@ def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
 
 
 def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
-    """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN outside of it."""
+    """Return a raster at rows (r,) by columns (c,) or at pairs; NaN outside of it."""
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])
     inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])

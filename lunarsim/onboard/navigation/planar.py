@@ -24,7 +24,7 @@ def largest_eigenvalue(a: Array) -> Array:
 
 
 def squared_distance(offset: Array, a: Array) -> Array:
-    """Return squared Mahalanobis norms (n,) of vectors (n, 2) with covariances (n, 2, 2)."""
+    """Return squared Mahalanobis norms (n,) for covariances (n, 2, 2)."""
     x, y = offset.T
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y

@@ -178,7 +178,7 @@ def solved(found: Fit, covariance: Array) -> Array:
 
 
 def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
-    """Return the normals (m, 3) for a fit, and variances to be added to the residuals (m,), m^2.
+    """Return normals (m, 3) for a fit, and additional residual variances (m,), m^2.
 
     If a `spread` (2, 2) is given, the fit must not determine the horizontal position. All normals
     are then replaced by their mean, and the deviation of each slope adds variance.
@@ -209,7 +209,7 @@ def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array)
 
 
 def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:
-    """Return the initial error of a fit (11,), whether it may only use heights, and the spread.
+    """Return initial error of a fit (11,), a flag for heights only, and the spread.
 
     Slopes give the correct position only within half a post on rough terrain. If the position of
     the scan is less certain, all shifts that its uncertainty allows are compared first. If several

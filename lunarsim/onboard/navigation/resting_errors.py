@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 
 
 class RestingErrors:
-    """Covariance of a head, which all measurements correct, and a tail that can be frozen.
+    """Covariance of a head, which is always corrected, and a tail that can be frozen.
 
     The updates of the tail are deferred (`PutOff`, `Lag`) until its covariance is read.
 
@@ -131,7 +131,7 @@ class RestingErrors:
         self._p = grown
 
     def keep(self, tail: int, to: Index, source: Index) -> None:
-        """Move errors from `source` (k,) to `to` (k,), and truncate the tail to `tail` errors."""
+        """Move errors from `source` (k,) to `to` (k,); truncate the tail to `tail` errors."""
         p, size = self.for_rows(), self.size
         p[to, :size] = p[source, :size]
         p[:size, to] = p[:size, source]
@@ -141,7 +141,7 @@ class RestingErrors:
         self._rests, self.tail = rests[:tail], tail
 
     def put(self, at: Index, rows: Array) -> None:
-        """Set rows (k, size) of the covariance of some errors (k,), and the matching columns.
+        """Set covariance rows (k, size) of some errors (k,), and the matching columns.
 
         In the rows of frozen errors the columns may stay out of date.
         """

@@ -88,7 +88,7 @@ class RockFilter(RockStates):
         ground: LevelGround | None = None,
         capacity: int = 128,
     ) -> RockFilter:
-        """Return a filter with lander and rocks only, in the frame of the initial estimate.
+        """Return a filter of lander and rocks only, in the frame of the initial estimate.
 
         Parameters
         ----------
@@ -114,14 +114,14 @@ class RockFilter(RockStates):
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the lander (15), the blocks, and the coordinates of the rocks (3 n)."""
+        """Covariance of the lander (15), the blocks, and the rock coordinates (3 n)."""
         return self.state.covariance
 
     def ground_points(self, camera: CameraModel, pixel: Array, near: Region | None = None) -> Array:
-        """Intersect lines of sight through undistorted pixels (n, 2) with the terrain (n, 3), m.
+        """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
-        The result is NaN without an intersection, and for points far outside a given region (west,
-        east, south and north limits, m).
+        Returns points (n, 3), m; NaN without an intersection, and for points far outside a
+        given region (west, east, south and north limits, m).
         """
         out = np.full((len(pixel), AXES), np.nan)
         if len(pixel) == 0:
@@ -138,7 +138,7 @@ class RockFilter(RockStates):
         return out
 
     def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
-        """Intersect lines from a point (3,) with the terrain (n, 3), from initial heights (n,)."""
+        """Intersect lines from a point (3,) with the terrain (n, 3), with initial heights."""
         if self.measured is None and self.rocks_tell_ground:
             # The compiled version of the same iteration.
             search = (_PASSES, _FOUND, *_STEPS)
@@ -165,7 +165,7 @@ class RockFilter(RockStates):
         return met
 
     def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
-        """Return the camera position (3,) and the horizontal advance of lines per drop (n, 2).
+        """Return camera position (3,) and horizontal advance of lines per drop (n, 2).
 
         The advance is east and north per metre downwards; NaN for lines that do not descend.
         """
@@ -344,7 +344,7 @@ class RockFilter(RockStates):
         self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
     def _wander_together(self, sigma: Array, axis: Array) -> None:
-        """Add common noise to all rocks along a horizontal axis (2,), m sources sigma (m, n), m."""
+        """Add common noise of m sources, sigma (m, n) in m, along a horizontal axis (2,)."""
         size = self.state.size
         move = np.zeros((len(sigma), self.count, AXES))
         move[..., :2] = sigma[..., None] * axis
@@ -450,7 +450,7 @@ class RockFilter(RockStates):
         return by_pose, by_height, own
 
     def _stand(self, index: Index, by_pose: Array, by_height: Array, own: Array) -> None:
-        """Set the covariance of the east and north of rocks (b,) from the result of `_told`."""
+        """Set the covariance of rocks' east and north from the result of `_told`."""
         b = len(index)
         size, i = self.state.size, self.places(index)
         p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()

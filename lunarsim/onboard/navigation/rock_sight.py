@@ -37,7 +37,7 @@ class Sight:
 
 
 def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
-    """Predict the pixels of rocks at points (n, 3) from the estimated pose (Eqs. 10-11)."""
+    """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation
     seen = (body - np.asarray(camera.offset)) @ camera.mount

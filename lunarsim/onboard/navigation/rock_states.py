@@ -1,4 +1,4 @@
-"""Rock states behind the blocks of an error state: positions, radii and their errors.
+"""Rock states at the end of an error state: positions, radii and their errors.
 
 Rocks do not move, and their radius is measured directly, in metres and with independent errors
 (paper, III.B). Radii are therefore not correlated with the lander or with each other, and exact
@@ -123,7 +123,7 @@ class RockStates:
         return np.asarray(self.state.for_rows()[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
-        """Return the covariance of each rock's position relative to the lander (n, 3, 3), m^2.
+        """Return the covariance of rock positions relative to the lander (n, 3, 3), m^2.
 
         Errors common to lander and rocks shift the map with the lander and cause no error on it.
         """
@@ -162,7 +162,7 @@ class RockStates:
         return self._level.elevation + below
 
     def _level_parts(self) -> list[tuple[str, int]]:
-        """Return the blocks, and the indices in them, that add to the height below the lander.
+        """Return the blocks and indices whose values add up to the height below.
 
         Elevations refer to the site frame, which has a vertical offset from the local frame.
         """
@@ -249,7 +249,7 @@ class RockStates:
         return index
 
     def follow_ground(self, rock: int) -> None:
-        """Set the error of a rock's height from its neighbours and the height below the lander.
+        """Set a rock's height error from its neighbours and the height below the lander.
 
         On measured terrain, only the neighbours on it are used.
         """
@@ -295,7 +295,7 @@ class RockStates:
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
-        """Correct the rock heights by the terrain measured from the current pose; see `lay`."""
+        """Correct rock heights by the terrain measured from the current pose; see `lay`."""
         if self.measured is None or not self.state.has(GROUND) or self.count == 0:
             return Outcome(0.0, 0, False)
         return lay(self, self.measured)
@@ -324,7 +324,7 @@ class RockStates:
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
-        """Add process noise to the radii, relative per sqrt(s): rocks look different from sides."""
+        """Add process noise to the radii (relative, per sqrt(s)), since sides differ."""
         self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
 
     def _reserve(self, count: int) -> None:

@@ -1,4 +1,4 @@
-"""Scan-to-scan odometry: estimate the motion from the overlap with an earlier scan."""
+"""Scan-to-scan odometry: estimate motion from the overlap with an earlier scan."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class ScanOdometry:
         shared.state.listeners.append(self._corrected)
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Compare an unused scan with the reference scan, and replace the latter if necessary."""
+        """Compare an unused scan with the reference scan; replace the latter if needed."""
         if not isinstance(measurement, LidarScan):
             return False
         taken = False
@@ -171,9 +171,10 @@ class ScanOdometry:
 def _differences(
     new: SeenScan, old: SeenScan, points: Array, normals: Array, scanner: NDArray[np.int64]
 ) -> Array:
-    """Return the Jacobian of the difference between points (m, 3) of two scans along vectors.
+    """Return the Jacobian of the difference between points (m, 3) of two scans.
 
-    Columns are the errors of the pose, of the reference pose and of the common scanner (m, d).
+    The difference is taken along vectors (m, 3). Columns are the errors of the pose, of the
+    reference pose and of the common scanner (m, d).
     """
     here, there = new.jacobian(points, normals), old.jacobian(points, normals)
     of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
@@ -204,7 +205,7 @@ def plausible(scan: LidarScan) -> LidarScan:
 
 
 def width_of(scan: LidarScan) -> float:
-    """Return the width of the scanned area across the line of sight, m; NaN without returns."""
+    """Return the width of a scan across the line of sight, m; NaN without returns."""
     if not np.isfinite(scan.range).any():
         return np.nan
     reach = np.nanmedian(scan.range)

@@ -87,7 +87,7 @@ class Submap:
         return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
 
     def posts(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the heights of posts, each the mean of 2 x 2 squares, m, and which are known.
+        """Return heights of posts (means of 2 x 2 squares), m, and which are known.
 
         Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`, so there
         is one at every half post. A height is known if all four squares have points, which makes it

@@ -1,10 +1,11 @@
-"""Unscented Kalman filter on position, velocity, accelerometer bias and mass, for comparison.
+"""Unscented Kalman filter, as an alternative for comparison.
 
-The filter is the `UnscentedKalmanFilter` of filterpy (Wan and van der Merwe 2000) with ten states.
-The attitude is not a state: each star-tracker reading replaces it, and the gyroscopes propagate it
-in between. Errors of the attitude and of the terrain height are treated as measurement noise. Since
-these errors persist over many measurements, their variance is increased accordingly. LiDAR scans
-and the ranges of velocimeters are not used. The main filter is the error-state filter (`kinds.py`).
+The filter is the `UnscentedKalmanFilter` of filterpy (Wan and van der Merwe 2000) with ten states:
+position, velocity, accelerometer bias and mass. The attitude is not a state: each star-tracker
+reading replaces it, and the gyroscopes propagate it in between. Errors of the attitude and of the
+terrain height are treated as measurement noise. Since these errors persist over many measurements,
+their variance is increased accordingly. LiDAR scans and the ranges of velocimeters are not used.
+The main filter is the error-state filter (`kinds.py`).
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ _MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
 
 @dataclass(frozen=True)
 class UnscentedNavigation:
-    """Use an unscented filter (filterpy): position, velocity, accelerometer bias and mass."""
+    """Use an unscented filter of position, velocity, accelerometer bias and mass."""
 
     relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
     mass_sigma: float = quantity(1.0, "kg", gt=0, help="1-sigma error of the initial mass")
@@ -186,7 +187,7 @@ class UnscentedFilter(Navigation):
 
     @property
     def covariance(self) -> Array:
-        """Covariance in the order of `StrapdownState` (15, 15), without attitude correlations."""
+        """Covariance as in `StrapdownState` (15, 15), without attitude correlations."""
         out = np.zeros((INERTIAL, INERTIAL))
         out[_LINEAR, _LINEAR] = self.kalman.P[_LINEAR, _LINEAR]
         out[_TURN, _TURN] = self._turn
@@ -208,7 +209,7 @@ class UnscentedFilter(Navigation):
         return Shift(self._offset.copy())
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state, with the filter's own mass once a thrust was commanded."""
+        """Return the lander's state, with the filter's mass after a thrust command."""
         own = mass if self._thrust is None else self.mass[0]
         found = self.inertial.estimate(self.covariance, time, own)
         lost = any(watch.lost for watch in self._watches.values())

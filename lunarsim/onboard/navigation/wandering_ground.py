@@ -59,7 +59,7 @@ def _lengths(way: Array) -> Array:
 
 
 def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
-    """Interpolate heights at points (b, 2) from known heights (n,) at places (n, 2), m.
+    """Interpolate heights at points (b, 2) from heights (n,) at places (n, 2), m.
 
     Points that are not finite give NaN.
     """

@@ -204,7 +204,7 @@ class Watch:
         return degrees > 0.0 and bool(chdtrc(degrees, total) < s.chance)
 
     def _drifts(self, time: float, outcome: Outcome) -> bool:
-        """Return whether the fading mean of the whitened innovations exceeds the threshold."""
+        """Return whether the fading mean of whitened innovations exceeds the threshold."""
         s = self.settings
         if s.drift_s is None or not outcome.taken:
             return False

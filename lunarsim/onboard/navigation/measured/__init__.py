@@ -1,4 +1,4 @@
-"""Measurement models of the error state: attitudes, slant ranges and Doppler speeds."""
+"""Measurement models for attitudes, slant ranges and Doppler speeds."""
 
 from lunarsim.onboard.navigation.measured.attitude import symmetric, take_attitude
 from lunarsim.onboard.navigation.measured.ranges import LEAST_DOWN, VAGUE, take_range

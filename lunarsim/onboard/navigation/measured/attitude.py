@@ -88,7 +88,7 @@ def symmetric(covariance: np.ndarray) -> bool:
 
 
 def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
-    """Return the covariance (3, 3) of the second-order error of azimuth and tilt, rad^2.
+    """Return the covariance (3, 3) of the second-order attitude error, rad^2.
 
     The update adds both corrections linearly. Half of their cross product remains as an error,
     which exceeds the star-tracker noise if the initial attitude is known to a degree or two only.

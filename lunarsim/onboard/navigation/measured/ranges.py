@@ -1,4 +1,4 @@
-"""Measurement model of a slant range to horizontal terrain (shadow EKF paper, Eq. 9)."""
+"""Measurement model of a slant range to flat terrain (shadow EKF paper, Eq. 9)."""
 
 from __future__ import annotations
 
