@@ -245,7 +245,7 @@ class Aids:
             If time runs backwards, or the arrays of a reading have wrong shapes.
         """
         if not time >= self._time:
-            raise InputError("time", time, f"must be at least the last time, {self._time} s")
+            raise InputError("time", time, f"must be finite and not before the last time ({self._time} s)")
         self._time = time
         if used:
             return False

@@ -158,7 +158,7 @@ class Arrivals:
             If `time` is before the current time, or not finite.
         """
         if not (np.isfinite(time) and time >= self._now):
-            raise InputError("time", time, f"must be at least the last time, {self._now} s")
+            raise InputError("time", time, f"must be finite and not before the last time ({self._now} s)")
         self._now = time
 
     def _filled(

@@ -194,7 +194,7 @@ class PlaceSearch:
         """
         _check_known(mean, covariance, speed_sigma)
         if not (np.isfinite(time) and (self._time is None or time >= self._time)):
-            raise InputError("time", time, f"must be at least the last time, {self._time} s")
+            raise InputError("time", time, f"must be finite and not before the last time ({self._time} s)")
         self._cover(mean, covariance)
         self._blur(time, speed_sigma)
         away = self._away(mean, covariance)

@@ -42,7 +42,7 @@ def scan(time: float) -> LidarScan:
 def test_the_clock_does_not_run_backwards(time):
     arrivals, _ = made()
     arrivals.advance(1.0)
-    with pytest.raises(InputError, match=r"time.*does not run backwards"):
+    with pytest.raises(InputError, match=r"time: must be finite and not before"):
         arrivals.advance(time)
     with pytest.raises(InputError, match="time"):
         arrivals.admit("flash", scan(0.0), time)
@@ -295,5 +295,5 @@ def test_a_scan_whose_rays_are_no_directions_changes_nothing(ray, place):
 
 def test_a_reading_of_several_ranges_is_refused():
     navigation = flown(lambda k: [("imu", samples(0.1 * k))])
-    with pytest.raises(InputError, match=r"down.range = \(2,\): one number"):
+    with pytest.raises(InputError, match=r"down\.range: must be one number, got \(2,\)"):
         navigation.take("down", AltimeterReading(2.0, np.ones(2), np.ones(2)), 2.0)
