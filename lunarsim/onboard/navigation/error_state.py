@@ -20,7 +20,7 @@ from scipy.special import chdtrc
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.doubt import inflate
+from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
     INERTIAL,
@@ -28,7 +28,7 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
-from lunarsim.onboard.navigation.resting_errors import RestingErrors
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import RestingErrors
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -133,7 +133,7 @@ class ErrorState(RestingErrors):
         return name in self._blocks
 
     def inflate(self, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
-        """Multiply the variances of errors (k,) by a factor; see `doubt.inflate`."""
+        """Multiply the variances of errors (k,) by a factor; see `covariance_inflation.inflate`."""
         inflate(self.covariance, columns, factor, most)
 
     def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:

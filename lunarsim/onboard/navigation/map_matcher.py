@@ -13,16 +13,16 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.gathering import Gathering
+from lunarsim.onboard.navigation.scan_accumulator import Gathering
 from lunarsim.onboard.navigation.inertial import VELOCITY
 from lunarsim.onboard.navigation.local_frame import LocalFrame
 from lunarsim.onboard.navigation.map_features import MapFeatures
-from lunarsim.onboard.navigation.parts import Shared
+from lunarsim.onboard.navigation.measurement_processor import Shared
 from lunarsim.onboard.navigation.place_search import Match, PlaceSearch
 from lunarsim.onboard.navigation.registration import register, solved
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import LET_GO, SeenScan
-from lunarsim.onboard.navigation.watch import Verdict
+from lunarsim.onboard.navigation.innovation_monitor import Verdict
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,7 +13,7 @@ from lunarsim._blas import one_blas_thread
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
+from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.error_state import KEY, ErrorState
 from lunarsim.onboard.navigation.estimate import (
@@ -31,7 +31,7 @@ from lunarsim.onboard.navigation.inertial import (
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks
+from lunarsim.onboard.navigation.measurement_processor import Part, Shared, most_of, scanner_blocks
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
@@ -41,7 +41,7 @@ from lunarsim.onboard.navigation.scan_odometry import (
     plausible,
     width_of,
 )
-from lunarsim.onboard.navigation.watch import Watch
+from lunarsim.onboard.navigation.innovation_monitor import Watch
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from enum import Enum
 
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch, WatchSettings
 
 # Errors of rock positions persist over many images, so about 40 innovations count as one. The rocks
 # may be reset once; a wrong Sun direction cannot be explained.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.fit_start import fit_start
+from lunarsim.onboard.navigation.initial_shift import fit_start
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 from lunarsim.onboard.navigation.surface import Surface, surface_of

@@ -17,7 +17,7 @@ from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
 from lunarsim.onboard.navigation._rock_filter_kernels import add_few, measured_rows
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
+from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
 from lunarsim.onboard.navigation.error_state import KEY, MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround

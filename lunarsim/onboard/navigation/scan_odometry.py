@@ -12,7 +12,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation import odometry_noise as noise
 from lunarsim.onboard.navigation.error_state import KEY, POSE
-from lunarsim.onboard.navigation.parts import Shared
+from lunarsim.onboard.navigation.measurement_processor import Shared
 from lunarsim.onboard.navigation.registration import fit, solved, together
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan

@@ -40,9 +40,9 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, gate_of, one_each
+from lunarsim.onboard.navigation.aiding_measurements import WATCHED, gate_of, one_each
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.doubt import inflate
+from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.error_state import Outcome, compared
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
@@ -54,7 +54,7 @@ from lunarsim.onboard.navigation.inertial import (
 )
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.measured import LEAST_DOWN, VAGUE, speed_errors, symmetric
-from lunarsim.onboard.navigation.watch import Verdict, Watch
+from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]

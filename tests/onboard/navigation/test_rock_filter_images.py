@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
+from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
 from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround

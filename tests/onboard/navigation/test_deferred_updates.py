@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lunarsim.onboard.navigation.error_state import POSE
-from lunarsim.onboard.navigation.put_off import PutOff
+from lunarsim.onboard.navigation.deferred_updates import PutOff
 from tests.onboard.navigation.states import alike, made
 
 TAIL = 12

@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch, WatchSettings
 
 
 def verdicts(watch: Watch, outcomes, step=0.1) -> list[Verdict]:

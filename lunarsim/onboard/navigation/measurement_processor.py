@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation.aids import Aids
+from lunarsim.onboard.navigation.aiding_measurements import Aids
 from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.gathering import Gathering, posts_under
+from lunarsim.onboard.navigation.scan_accumulator import Gathering, posts_under
 from lunarsim.onboard.navigation.seen_scan import SeenScan
 
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim._blas import one_blas_thread
 from lunarsim.onboard.navigation.covariance_update import subtract_square
-from lunarsim.onboard.navigation.lag import Lag
-from lunarsim.onboard.navigation.put_off import PutOff
+from lunarsim.onboard.navigation.deferred_columns import Lag
+from lunarsim.onboard.navigation.deferred_updates import PutOff
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,7 +13,7 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import Aids, blocks_of, gate_of
+from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of, gate_of
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import ACCELEROMETER, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround

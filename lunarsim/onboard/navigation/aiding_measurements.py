@@ -32,7 +32,7 @@ from lunarsim.onboard.navigation.measured import (
     take_speeds,
 )
 from lunarsim.onboard.navigation.seen_scan import scanner_block, scanner_covariance
-from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch, WatchSettings
 
 Array = NDArray[np.float64]
 
