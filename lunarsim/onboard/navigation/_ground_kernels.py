@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-from lunarsim.onboard.navigation._near_kernels import nearest, on_squares
+from lunarsim.onboard.navigation._near_kernels import nearest, sort_by_square
 
 
 @kernel(allocates=False)
@@ -34,7 +34,7 @@ def _solve(a, b):
 
 @kernel()
 def _height_at(east, north, squares, known, x, y, count, growth, own):
-    """Return the interpolated height at one point; see `heights`."""
+    """Return the interpolated height at one point; see `interpolate_heights`."""
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
     system = np.empty((count + 1, count + 1))
@@ -58,7 +58,7 @@ def _height_at(east, north, squares, known, x, y, count, growth, own):
 
 
 @kernel(parallel=True)
-def heights(places, known, at, count, growth, own):
+def interpolate_heights(places, known, at, count, growth, own):
     """Interpolate heights (b,) at points (b, 2) from known heights at places, m.
 
     Parameters
@@ -73,7 +73,7 @@ def heights(places, known, at, count, growth, own):
     """
     out = np.empty(len(at))
     east, north = places[:, 0].copy(), places[:, 1].copy()
-    squares = on_squares(east, north)
+    squares = sort_by_square(east, north)
     for b in prange(len(at)):
         x, y = at[b, 0], at[b, 1]
         if np.isfinite(x) and np.isfinite(y):
@@ -84,12 +84,17 @@ def heights(places, known, at, count, growth, own):
 
 
 @kernel()
-def _crossing(at, east, north, squares, known, eye, per_drop, height, search, count, growth, own):
-    """Write the intersection of one line with the terrain (3,); see `crossings`."""
+def _crossing(
+    at, east, north, squares, known, origin, per_drop, height, search, count, growth, own
+):
+    """Write the intersection of one line with the terrain (3,); see `intersect_lines`."""
     passes, found, least, most = search
     tried, off, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
-        x, y = eye[0] + per_drop[0] * (eye[2] - height), eye[1] + per_drop[1] * (eye[2] - height)
+        x, y = (
+            origin[0] + per_drop[0] * (origin[2] - height),
+            origin[1] + per_drop[1] * (origin[2] - height),
+        )
         here = np.nan
         if np.isfinite(x) and np.isfinite(y):
             here = _height_at(east, north, squares, known, x, y, count, growth, own)
@@ -111,19 +116,20 @@ def _crossing(at, east, north, squares, known, eye, per_drop, height, search, co
 
 
 @kernel(parallel=True)
-def crossings(places, known, eye, per_drop, height, search, count, growth, own):
+def intersect_lines(places, known, origin, per_drop, height, search, count, growth, own):
     """Intersect lines from a point (3,) with the interpolated terrain (b, 3), m.
 
-    The terrain is that of `heights`. The iteration equals that of `RockFilter`. Parameters are
-    those of `wandering_ground.crossings`; `count` and `own` as for `heights`.
+    The terrain is that of `interpolate_heights`. The iteration equals that of `RockFilter`.
+    Parameters are those of `wandering_ground.intersect_lines`; `count` and `own` as for
+    `interpolate_heights`.
     """
     out = np.empty((len(per_drop), 3))
     east, north = places[:, 0].copy(), places[:, 1].copy()
-    squares = on_squares(east, north)
+    squares = sort_by_square(east, north)
     for b in prange(len(per_drop)):
         _crossing(
-            out[b], east, north, squares, known, eye, per_drop[b], height[b], search, count, growth,
-            own,
+            out[b], east, north, squares, known, origin, per_drop[b], height[b], search, count,
+            growth, own,
         )  # fmt: skip
     return out
 

@@ -24,7 +24,7 @@ def _rotation(q, out):
 
 
 @kernel(inline=True)
-def _hold(angle, velocity, n, step, held):
+def _read_sample(angle, velocity, n, step, held):
     """Write rate and specific force (6,) of sample n, unless missing; return success."""
     good = True
     for k in range(3):
@@ -124,7 +124,7 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
     half = np.empty(4)
     accel = np.empty(3)
     for n in range(angle.shape[0]):
-        good = _hold(angle, velocity, n, step, held)
+        good = _read_sample(angle, velocity, n, step, held)
         w = held[:3] - x[13:16]
         a = held[3:] - x[6:9]
         half[:] = x[9:13]

@@ -7,9 +7,9 @@ import numpy as np
 from lunarsim._jit import kernel
 
 # Mean number of places per square, and number of places up to which there is only one square.
-_A_SQUARE, _FEW = 2.0, 48
+_PLACES_PER_SQUARE, _MAX_UNDIVIDED = 2.0, 48
 # Maximum number of rows and of columns of the grid, and minimum extent to be divided, m.
-_MOST, _LEAST = 256, 1e-6
+_MAX_ROWS, _MIN_EXTENT_M = 256, 1e-6
 
 
 @kernel(allocates=False)
@@ -31,7 +31,7 @@ def _insert(i, d, count, chosen, away):
 
 
 @kernel()
-def on_squares(east, north):
+def sort_by_square(east, north):
     """Sort places (n,) by the grid squares that contain them.
 
     Returns
@@ -48,8 +48,8 @@ def on_squares(east, north):
     west, south = east.min(), north.min()
     wide, high = east.max() - west, north.max() - south
     box = np.array([west, south, np.inf, 1.0, 1.0])
-    if n > _FEW and _LEAST < wide < np.inf and _LEAST < high < np.inf:
-        side = max(np.sqrt(wide * high * _A_SQUARE / n), max(wide, high) / _MOST)
+    if n > _MAX_UNDIVIDED and _MIN_EXTENT_M < wide < np.inf and _MIN_EXTENT_M < high < np.inf:
+        side = max(np.sqrt(wide * high * _PLACES_PER_SQUARE / n), max(wide, high) / _MAX_ROWS)
         box[2], box[3], box[4] = side, np.floor(high / side) + 1.0, np.floor(wide / side) + 1.0
     rows, cols = int(box[3]), int(box[4])
     first = np.zeros(rows * cols + 1, np.int64)
@@ -71,7 +71,7 @@ def on_squares(east, north):
 
 
 @kernel(allocates=False)
-def _look_through(row, col, cols, east, north, x, y, order, first, count, chosen, away):
+def _search_square(row, col, cols, east, north, x, y, order, first, count, chosen, away):
     """Insert the places of one square into the neighbours; return their number."""
     square = row * cols + col
     for at in range(first[square], first[square + 1]):
@@ -87,8 +87,8 @@ def nearest(east, north, x, y, squares, chosen, away):
 
     As many are written as fit into `chosen` (k,) and `away` (k,), the squared distances; of places
     at the same distance those with lower indices come first. `squares` is the result of
-    `on_squares`. Squares are searched in rings about the point's square, or the one nearest to it;
-    places in ring n are at least n - 1 sides away.
+    `sort_by_square`. Squares are searched in rings about the point's square, or the one nearest to
+    it; places in ring n are at least n - 1 sides away.
     """
     order, first, box = squares
     side, rows, cols = box[2], int(box[3]), int(box[4])
@@ -106,7 +106,7 @@ def nearest(east, north, x, y, squares, chosen, away):
             step = 1 if edge else max(2 * ring, 1)
             for j in range(col - ring, col + ring + 1, step):
                 if 0 <= j < cols:
-                    count = _look_through(
+                    count = _search_square(
                         i, j, cols, east, north, x, y, order, first, count, chosen, away
                     )
     return count

@@ -8,12 +8,12 @@ from lunarsim._jit import kernel
 
 
 @kernel(finite=True)
-def evidence(shown, rarity, known, height, weight, sharpness, level, floor, row, col):
+def evidence(shown, negative_log_density, known, height, weight, sharpness, level, floor, row, col):
     """Compute the log-likelihood ratios of a tile at places on a map.
 
     Parameters
     ----------
-    shown, rarity, known
+    shown, negative_log_density, known
         Map (rows, cols): heights above the local planes, m; negative logarithm of the density of
         such heights, density in 1/m; 1 where known, else 0.
     height, weight, sharpness, level
@@ -43,7 +43,11 @@ def evidence(shown, rarity, known, height, weight, sharpness, level, floor, row,
                 break
             here = slice(col[i] + first, col[i] + last)
             # Row views with non-negative indices let the compiler vectorise the loop.
-            s, b, k = shown[row[i] + r, here], rarity[row[i] + r, here], known[row[i] + r, here]
+            s, b, k = (
+                shown[row[i] + r, here],
+                negative_log_density[row[i] + r, here],
+                known[row[i] + r, here],
+            )
             h, w = height[r, first:last], weight[r, first:last]
             q, p = sharpness[r, first:last], level[r, first:last]
             for c in range(last - first):

@@ -8,7 +8,7 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel(parallel=True)
-def add_few(p, w):
+def add_outer_products(p, w):
     """Add w' w to the matrix p (n, n) in place, for w (m, n), in one pass."""
     for i in prange(len(p)):
         for k in range(len(w)):
@@ -45,7 +45,7 @@ def subtract_from_rows(p, product, states):
 
 
 @kernel(parallel=True)
-def take_over_columns(p, rows, columns):
+def mirror_columns(p, rows, columns):
     """Set p[rows, columns] to p[columns, rows]'; rows and columns are disjoint.
 
     Blocks of eight rows use full cache lines if the rows are adjacent.
@@ -60,7 +60,7 @@ def take_over_columns(p, rows, columns):
 
 
 @kernel(parallel=True)
-def take_over_earlier(p, states):
+def mirror_lower(p, states):
     """Set p[states[i], states[k]] to p[states[k], states[i]] for k < i."""
     for block in prange((states.size + 7) // 8):
         first = 8 * block

@@ -14,11 +14,11 @@ from lunarsim.messages.measurements import InertialSamples, Picture
 from lunarsim.models.instruments import InertialInstrument
 
 # Tolerance for time stamps after the current time, from rounding of summed steps, s.
-_ROUNDING = 1e-6
+_TIME_TOLERANCE_S = 1e-6
 # Longer gaps in the inertial samples are filled only up to this time, s.
-_LONGEST_GAP = 60.0
+_MAX_GAP_S = 60.0
 # Maximum age of a measurement, s: at 30 m/s the lander moves about one metre in this time.
-_STALE = 0.03
+_MAX_AGE_S = 0.03
 
 
 class Arrivals:
@@ -60,7 +60,7 @@ class Arrivals:
         self._now = -np.inf
         self._last: dict[str, float] = {}
         # Name of the inertial unit, and end time of its admitted samples.
-        self._unit, self._flown = unit, begin
+        self._unit, self._propagated_until = unit, begin
 
     @classmethod
     def of(
@@ -93,24 +93,28 @@ class Arrivals:
         last = self._last.get(sensor, -np.inf)
         inertial = isinstance(measurement, InertialSamples)
         if inertial:
-            measurement = _whole(measurement)
+            measurement = _check_samples(measurement)
         # Increments that arrive twice must not be integrated twice.
-        again = inertial and stamp <= last and len(measurement.angle) > 0
-        if again or not last <= stamp <= time + _ROUNDING:
+        is_repeated = inertial and stamp <= last and len(measurement.angle) > 0
+        if is_repeated or not last <= stamp <= time + _TIME_TOLERANCE_S:
             self._report(time, "out-of-order", {"sensor": sensor, "stamp": stamp, "last": last})
             return None
         self._last[sensor] = stamp
         if not inertial:
-            now = min(time, self._flown) if np.isfinite(self._flown) else time
-            if stamp < now - _STALE and not isinstance(measurement, Picture):
+            now = min(time, self._propagated_until) if np.isfinite(self._propagated_until) else time
+            if stamp < now - _MAX_AGE_S and not isinstance(measurement, Picture):
                 self._report(time, "stale", {"sensor": sensor, "stamp": stamp})
                 return None
             return measurement
         # Samples of another unit may end earlier; the propagated time does not go back.
-        elapsed, self._unit, self._flown = stamp - self._flown, sensor, max(self._flown, stamp)
-        return self._filled(sensor, measurement, elapsed, time)
+        elapsed, self._unit, self._propagated_until = (
+            stamp - self._propagated_until,
+            sensor,
+            max(self._propagated_until, stamp),
+        )
+        return self._fill_gaps(sensor, measurement, elapsed, time)
 
-    def carried(
+    def admit_and_propagate(
         self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
     ) -> Any:
         """Propagate to the time of a measurement, and return it for the update.
@@ -142,12 +146,15 @@ class Arrivals:
         measurement. If the samples arrive later, they are out of order. Returns None if the start
         of the samples is unknown, or if `time` is not finite.
         """
-        if not (np.isfinite(self._flown) and time - self._flown >= 0.5 * self._step):
+        if not (
+            np.isfinite(self._propagated_until)
+            and time - self._propagated_until >= 0.5 * self._step
+        ):
             return None
         none = InertialSamples(time, np.zeros((0, 3)), np.zeros((0, 3)))
-        elapsed, self._flown = time - self._flown, time
+        elapsed, self._propagated_until = time - self._propagated_until, time
         self._last[self._unit] = time
-        return self._unit, self._filled(self._unit, none, elapsed, time)
+        return self._unit, self._fill_gaps(self._unit, none, elapsed, time)
 
     def advance(self, time: float) -> None:
         """Set the current time (s).
@@ -158,10 +165,12 @@ class Arrivals:
             If `time` is before the current time, or not finite.
         """
         if not (np.isfinite(time) and time >= self._now):
-            raise InputError("time", time, f"must be finite and not before the last time ({self._now} s)")
+            raise InputError(
+                "time", time, f"must be finite and not before the last time ({self._now} s)"
+            )
         self._now = time
 
-    def _filled(
+    def _fill_gaps(
         self, sensor: str, samples: InertialSamples, elapsed: float, time: float
     ) -> InertialSamples:
         """Insert missing samples before the given ones, or drop surplus ones."""
@@ -173,7 +182,7 @@ class Arrivals:
             return replace(
                 samples, angle=samples.angle[surplus:], velocity=samples.velocity[surplus:]
             )
-        missing = round(min(elapsed, _LONGEST_GAP) / self._step) - len(samples.angle)
+        missing = round(min(elapsed, _MAX_GAP_S) / self._step) - len(samples.angle)
         if missing <= 0:
             return samples
         self._report(time, "samples-missing", {"sensor": sensor, "count": missing})
@@ -185,7 +194,7 @@ class Arrivals:
         )
 
 
-def _whole(samples: InertialSamples) -> InertialSamples:
+def _check_samples(samples: InertialSamples) -> InertialSamples:
     """Check inertial samples, and return them as arrays (n, 3)."""
     angle, velocity = (np.asarray(of, np.float64) for of in (samples.angle, samples.velocity))
     for name, of in (("angle", angle), ("velocity", velocity)):

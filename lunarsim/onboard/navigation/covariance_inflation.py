@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Relative variance added so that the correlation of nearly equal errors is positive definite.
-_SINGULAR = 1e-9
+_REGULARISATION = 1e-9
 
 
 def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
@@ -45,23 +45,23 @@ def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> Non
     if not (np.asarray(most) >= 0.0).all():
         raise InputError("most", most, "must be non-negative standard deviations")
     at = np.asarray(columns, dtype=np.int64)
-    told = _told_by_others(p, at)
+    explained = _explained_covariance(p, at)
     own = p[np.ix_(at, at)]
-    rest = own - told
+    rest = own - explained
     # If rounding made a variance negative, all updates are rejected anyway; do not worsen it here.
     variance = np.maximum(rest.diagonal(), 0.0)
-    room = np.square(most) - np.maximum(told.diagonal(), 0.0)
+    room = np.square(most) - np.maximum(explained.diagonal(), 0.0)
     times = np.sqrt(np.clip(room / np.maximum(variance, 1e-300), 1.0, factor))
     p[np.ix_(at, at)] = own + (np.outer(times, times) - 1.0) * rest
 
 
-def _told_by_others(p: Array, at: Index) -> Array:
+def _explained_covariance(p: Array, at: Index) -> Array:
     """Return the covariance of some errors explained by all other errors (k, k)."""
     others = np.setdiff1d(np.arange(len(p)), at)
     unit = np.sqrt(np.maximum(p.diagonal()[others], 1e-300))
     cross = p[np.ix_(at, others)] / unit
     correlation = p[np.ix_(others, others)] / np.outer(unit, unit)
-    correlation.flat[:: len(others) + 1] += _SINGULAR
+    correlation.flat[:: len(others) + 1] += _REGULARISATION
     try:
         found = cross @ cho_solve(cho_factor(correlation), cross.T)
     except (np.linalg.LinAlgError, ValueError):

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import (
+    mirror_lower,
     subtract_few,
     subtract_from_rows,
-    take_over_earlier,
 )
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
 
     _share(subtract, range(0, len(states), _ROWS))
     with threads_for(1e-3 * len(states) ** 2):
-        take_over_earlier(p, states)
+        mirror_lower(p, states)
 
 
 def _share(job: Callable[[int], None], starts: range) -> None:

@@ -16,54 +16,54 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Maximum number of deferred rows: a larger number does not reduce the cost per row.
-_MOST = 256
+_MAX_ROWS = 256
 
 
-class PutOff:
+class DeferredUpdates:
     """Matrix squares that are still to be subtracted from a symmetric matrix.
 
-    The covariance block of frozen rows does not change; see `RestingErrors.rest`.
+    The covariance block of frozen rows does not change; see `SchmidtKalmanCovariance.rest`.
     """
 
     def __init__(self) -> None:
-        self._of_all: list[Array] = []
-        self._of_awake: list[Array] = []
-        self._awake: Index | None = None
+        self._full_rows: list[Array] = []
+        self._active_rows: list[Array] = []
+        self._active: Index | None = None
 
     @property
     def rows(self) -> int:
         """Number of deferred rows."""
-        return sum(len(w) for w in (*self._of_all, *self._of_awake))
+        return sum(len(w) for w in (*self._full_rows, *self._active_rows))
 
     @property
-    def full(self) -> bool:
+    def is_full(self) -> bool:
         """Whether the deferred rows must be subtracted before more are added."""
-        return self.rows >= _MOST
+        return self.rows >= _MAX_ROWS
 
-    def add(self, w: Array, awake: Index | None) -> None:
+    def add(self, w: Array, active: Index | None) -> None:
         """Defer the subtraction of w' w, for w (m, n).
 
         Parameters
         ----------
         w
             One row for each scalar measurement.
-        awake
-            Indices of the rows that are not frozen (k,), constant until `settle`; None for all.
+        active
+            Indices of the rows that are not frozen (k,), constant until `apply`; None for all.
         """
         if len(w) == 0:
             return
-        if awake is None:
-            self._of_all.append(w)
+        if active is None:
+            self._full_rows.append(w)
         else:
-            self._of_awake.append(w)
-            self._awake = awake
+            self._active_rows.append(w)
+            self._active = active
 
     @property
-    def of_all(self) -> bool:
+    def affects_frozen(self) -> bool:
         """Whether a deferred update applies to all rows, including frozen ones."""
-        return bool(self._of_all)
+        return bool(self._full_rows)
 
-    def settle(self, p: Array) -> bool:
+    def apply(self, p: Array) -> bool:
         """Subtract all deferred squares from the first n rows and columns of p, in place.
 
         Returns
@@ -72,13 +72,13 @@ class PutOff:
             Whether the columns of active rows are out of date in the frozen rows.
         """
         lags = False
-        if self._of_all:
-            w = np.concatenate(self._of_all)
+        if self._full_rows:
+            w = np.concatenate(self._full_rows)
             n = w.shape[1]
             subtract_square(p[:n, :n], w)
-        if self._of_awake and self._awake is not None:
-            w, n = np.concatenate(self._of_awake), self._of_awake[0].shape[1]
-            subtract_rows(p[:n, :n], w, self._awake)
-            lags = 0 < len(self._awake) < n
-        self._of_all, self._of_awake, self._awake = [], [], None
+        if self._active_rows and self._active is not None:
+            w, n = np.concatenate(self._active_rows), self._active_rows[0].shape[1]
+            subtract_rows(p[:n, :n], w, self._active)
+            lags = 0 < len(self._active) < n
+        self._full_rows, self._active_rows, self._active = [], [], None
         return lags

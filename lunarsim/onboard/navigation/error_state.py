@@ -28,7 +28,7 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
-from lunarsim.onboard.navigation.schmidt_kalman_covariance import RestingErrors
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -39,13 +39,13 @@ POSE = np.r_[0:3, 9:12]
 # (rad). Without this block the two frames are identical.
 MAP = "map"
 # Name of the block of the lander's pose at the reference scan of the odometry.
-KEY = "key"
+REFERENCE_POSE = "key"
 # Relative variance added so that the correlation of nearly equal errors is positive definite.
-_SINGULAR = 1e-9
+_REGULARISATION = 1e-9
 # Velocity corrections below this are too small to transform the velocity covariance, m/s.
-_TELLING = 0.01
+_MIN_VELOCITY_CORRECTION_M_S = 0.01
 # Minimum information in a direction, relative to the prior information; less is ignored.
-_LEAST_TOLD = 1e-3
+_MIN_RELATIVE_INFORMATION = 1e-3
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Outcome:
     white: Array = field(default_factory=lambda: np.zeros(0))
 
 
-class ErrorState(RestingErrors):
+class ErrorState(SchmidtKalmanCovariance):
     """Error covariance of the filter with its time and measurement updates.
 
     Parameters
@@ -136,16 +136,16 @@ class ErrorState(RestingErrors):
         """Multiply the variances of errors (k,) by a factor; see `covariance_inflation.inflate`."""
         inflate(self.covariance, columns, factor, most)
 
-    def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:
+    def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:
         """Raise the standard deviations of errors (k,) to at least `sigma` (k,)."""
         at = np.asarray(columns)
-        p = self._for(at)
+        p = self._readable(at)
         p[at, at] = np.maximum(p[at, at], np.square(sigma))
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
         """Add process noise (k, k) to the covariance of errors (k,)."""
         at = np.asarray(columns)
-        self._for(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
+        self._readable(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def clone(self, name: str, source: Index) -> None:
         """Set a block's errors equal to other errors, such as those of the current pose."""
@@ -156,7 +156,7 @@ class ErrorState(RestingErrors):
 
     def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
         """Set an error to a weighted sum of errors (k,) plus noise of a given variance."""
-        p = self._for(at, sources)
+        p = self._readable(at, sources)
         row = weights @ p[sources]
         own = float(row[sources] @ weights) + variance
         p[at], p[:, at] = row, row
@@ -174,7 +174,7 @@ class ErrorState(RestingErrors):
         """
         turns, pushes = _samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
-        p, n = self._for(INERTIAL - 1), INERTIAL
+        p, n = self._readable(INERTIAL - 1), INERTIAL
         with one_blas_thread():
             p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
             p[:n, n:] = transition @ p[:n, n:]
@@ -216,46 +216,46 @@ class ErrorState(RestingErrors):
         if not (np.isfinite(r).all() and np.linalg.eigvalsh(r).min() > 0.0):
             return Outcome(np.nan, len(y), False)
         hp = h @ self._rows(at)
-        return self.absorb(hp, hp[:, at] @ h.T + r, y, gate)
+        return self.update_with_innovation(hp, hp[:, at] @ h.T + r, y, gate)
 
-    def absorb(
+    def update_with_innovation(
         self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
     ) -> Outcome:
         """Update with an innovation (m,) and its Jacobian times the covariance (m, size).
 
         `expected` (m, m) is the innovation covariance. The update overwrites `hp`.
         """
-        outcome, lower = compared(innovation, expected, gate)
+        outcome, lower = gate_innovation(innovation, expected, gate)
         if not outcome.taken:
             return outcome
         # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran order.
         w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
         error = outcome.white @ w
-        awake = self._awake()
-        if awake is not None:
-            error[self.head :][self._rests] = 0.0
+        active = self._active()
+        if active is not None:
+            error[self.head :][self._frozen] = 0.0
         if not np.isfinite(error).all():
             return Outcome(np.inf, len(innovation), False)
-        self._take_off(w, awake)
+        self._subtract(w, active)
         self.correct(error)
         return outcome
 
-    def inform(
+    def update_with_information(
         self,
         part: Index,
         information: Array,
         vector: Array,
         gate: float = np.inf,
         *,
-        chance: float = 0.0,
+        min_probability: float = 0.0,
     ) -> Outcome:
         """Update with an information matrix (k, k) and vector (k,) on errors `part` (k,).
 
         The update avoids the inverse of the covariance, which is singular while two poses coincide.
         It treats the information as independent measurements of unit variance along its principal
-        axes; it subtracts a matrix square, so that the covariance stays symmetric.
-        `nis` of the outcome is the squared Mahalanobis distance of the correction. A correction is
-        rejected if `nis` exceeds `gate`, or if its chi-squared tail probability is below `chance`.
+        axes; it subtracts a matrix square, so that the covariance stays symmetric. `nis` of the
+        outcome is the squared Mahalanobis distance of the correction. A correction is rejected if
+        `nis` exceeds `gate`, or if its chi-squared tail probability is below `min_probability`.
         Information that is not finite is ignored, and `nis` is NaN. If the covariance is no longer
         positive definite, it is rejected with an infinite `nis`.
         """
@@ -271,14 +271,14 @@ class ErrorState(RestingErrors):
             # Rounding errors have made the covariance indefinite: reject everything from now on.
             return Outcome(np.inf, k, False)
         distance, degrees = float(white @ white), len(measured)
-        if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= chance):
+        if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= min_probability):
             return Outcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
         if not np.isfinite(error).all():
             return Outcome(np.inf, degrees, False)
         with one_blas_thread():
-            self._take_off(w, None)
+            self._subtract(w, None)
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 
@@ -301,9 +301,9 @@ class ErrorState(RestingErrors):
         if error.shape != (self.size,) or not np.isfinite(error).all():
             raise InputError("navigation.error", error.shape, f"must be {self.size} finite numbers")
         change = error[VELOCITY]
-        if np.abs(change).max() > _TELLING:
+        if np.abs(change).max() > _MIN_VELOCITY_CORRECTION_M_S:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
-            p = self._for(POSE)
+            p = self._readable(POSE)
             p[VELOCITY] -= lever @ p[ATTITUDE]
             p[:, VELOCITY] -= p[:, ATTITUDE] @ lever.T
         self.inertial.correct(error[:INERTIAL])
@@ -313,7 +313,7 @@ class ErrorState(RestingErrors):
             listener(error)
 
 
-def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
+def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
     """Test an innovation (m,); return the outcome and the factor of its covariance.
 
     The factor is that of Cholesky. The innovation is accepted if its normalised square is at most
@@ -354,14 +354,14 @@ def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Arr
     """
     unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
     correlation = own / np.outer(unit, unit)
-    lower = np.linalg.cholesky(correlation + _SINGULAR * np.eye(len(own))) * unit[:, None]
-    told, axes = np.linalg.eigh(lower.T @ information @ lower)
-    kept = told > _LEAST_TOLD
-    told, axes = told[kept], axes[:, kept]
-    root = np.sqrt(told)
+    lower = np.linalg.cholesky(correlation + _REGULARISATION * np.eye(len(own))) * unit[:, None]
+    gain, axes = np.linalg.eigh(lower.T @ information @ lower)
+    kept = gain > _MIN_RELATIVE_INFORMATION
+    gain, axes = gain[kept], axes[:, kept]
+    root = np.sqrt(gain)
     measured = axes.T @ (lower.T @ vector) / root
     rows = solve_triangular(lower, axes * root, trans="T", lower=True, check_finite=False).T
-    return rows, measured, axes @ (measured / np.sqrt(1.0 + told))
+    return rows, measured, axes @ (measured / np.sqrt(1.0 + gain))
 
 
 def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:

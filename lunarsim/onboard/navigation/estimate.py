@@ -64,7 +64,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class GroundTurn:
+class MapRotation:
     """Rotation of the mapped terrain by corrections of the lander's tilt.
 
     A map built with a tilt error is itself tilted. When the filter corrects the tilt, everything
@@ -161,7 +161,7 @@ class Navigation(ABC):
         return measurement, now
 
     @property
-    def ground_turn(self) -> GroundTurn | None:
+    def ground_turn(self) -> MapRotation | None:
         """Rotation of the mapped terrain by tilt corrections; None if not estimated."""
         return None
 

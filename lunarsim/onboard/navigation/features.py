@@ -10,10 +10,10 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Minimum known fraction of the square around a post.
-_LEAST = 0.6
+_MIN_KNOWN_SHARE = 0.6
 
 
-def above_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
+def subtract_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
     """Subtract the plane fitted to the known posts in the square around each post.
 
     This removes long undulations and the tilt by an attitude error, and leaves local features. A
@@ -54,8 +54,8 @@ def above_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
     a, b, c = xx * yy - xy * xy, x * yy - y * xy, x * xy - y * xx
     det = n * a - x * b + y * c
     # Limit the variance of the plane: it is large if all known posts lie on one side.
-    kept = known & (n >= _LEAST * side * side)
-    kept &= a <= 4.0 * det / (_LEAST * side * side)
+    kept = known & (n >= _MIN_KNOWN_SHARE * side * side)
+    kept &= a <= 4.0 * det / (_MIN_KNOWN_SHARE * side * side)
     safe = np.where(kept, det, 1.0)
     plane = (z * a - xz * b + yz * c) / safe
     return np.where(kept, filled - plane, 0.0), kept

@@ -15,7 +15,7 @@ from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 
 # Maximum age of a fix before navigation is lost, s.
-_LONGEST = 2.0
+_MAX_FIX_AGE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class FixNavigation(Navigation):
 
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
-        self._arrivals = Arrivals(step, self._note)
+        self._arrivals = Arrivals(step, self._add_event)
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
@@ -69,7 +69,7 @@ class FixNavigation(Navigation):
         """The identity: the local frame is the site frame of the fixes."""
         return Shift()
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
@@ -82,7 +82,7 @@ class FixNavigation(Navigation):
         """
         measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, NavigationFix):
-            if _tells(measurement):
+            if _is_valid(measurement):
                 self._fix = measurement
         elif isinstance(measurement, InertialSamples):
             angle = measurement.angle[np.isfinite(measurement.angle).all(axis=1)]
@@ -92,13 +92,13 @@ class FixNavigation(Navigation):
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the last fix with the given mass (kg)."""
         f = self._fix
-        lost = time - f.time > _LONGEST
+        lost = time - f.time > _MAX_FIX_AGE_S
         return Estimate(
             time, f.position, f.velocity, f.attitude, self._rate, mass, f.covariance, lost
         )
 
 
-def _tells(fix: NavigationFix) -> bool:
+def _is_valid(fix: NavigationFix) -> bool:
     """Return whether a fix is finite with a unit quaternion and valid variances."""
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():

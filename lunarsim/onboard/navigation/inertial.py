@@ -15,7 +15,11 @@ from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadError
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.navigation.sample_guard import CONFIRM, SampleGuard, SampleLimits
+from lunarsim.onboard.navigation.sample_guard import (
+    CONFIRMATION_COUNT,
+    ImuOutlierDetector,
+    SampleLimits,
+)
 
 Array = NDArray[np.float64]
 
@@ -25,7 +29,7 @@ ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
 # Plausibility limits of the initial state: distance from the terrain centre (m), speed (m/s) and
 # gravity (m/s^2).
-_FARTHEST, _FASTEST, _HEAVIEST = 1e6, 2e4, 100.0
+_MAX_DISTANCE_M, _MAX_SPEED_M_S, _MAX_GRAVITY_M_S2 = 1e6, 2e4, 100.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class StartSigmas:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
 
 
-def _checked_start(
+def _check_start(
     position: Array, velocity: Array, attitude: Array, gravity: float, step: float
 ) -> Array:
     """Check the initial state; return it as one array (10,)."""
@@ -60,23 +64,23 @@ def _checked_start(
         raise InputError("navigation.start", start.tolist(), "must be ten finite numbers")
     if not is_rotation(start[6:]):
         raise InputError("navigation.attitude", start[6:].tolist(), "must be a unit quaternion")
-    if np.abs(start[:3]).max() > _FARTHEST:
+    if np.abs(start[:3]).max() > _MAX_DISTANCE_M:
         raise InputError(
             "navigation.position",
             start[:3].tolist(),
-            f"must be at most {_FARTHEST:g} m in magnitude per axis",
+            f"must be at most {_MAX_DISTANCE_M:g} m in magnitude per axis",
         )
-    if np.abs(start[3:6]).max() > _FASTEST:
+    if np.abs(start[3:6]).max() > _MAX_SPEED_M_S:
         raise InputError(
             "navigation.velocity",
             start[3:6].tolist(),
-            f"must be at most {_FASTEST:g} m/s in magnitude per axis",
+            f"must be at most {_MAX_SPEED_M_S:g} m/s in magnitude per axis",
         )
-    if not 0.0 < gravity <= _HEAVIEST:
+    if not 0.0 < gravity <= _MAX_GRAVITY_M_S2:
         raise InputError(
             "navigation.gravity",
             gravity,
-            f"must be positive (downward) and at most {_HEAVIEST:g} m/s^2",
+            f"must be positive (downward) and at most {_MAX_GRAVITY_M_S2:g} m/s^2",
         )
     if not (np.isfinite(step) and step > 0.0):
         raise InputError("navigation.step", step, "must be a positive number of seconds")
@@ -118,12 +122,12 @@ class StrapdownState:
         accelerometers: TriadErrors = ACCELEROMETERS,
         limits: SampleLimits | None = None,
     ) -> None:
-        start = _checked_start(position, velocity, attitude, gravity, step)
+        start = _check_start(position, velocity, attitude, gravity, step)
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
-        self._guard = SampleGuard(limits or SampleLimits.unknown(), step)
-        self._told: list[tuple[str, dict[str, Any]]] = []
+        self._outlier_detector = ImuOutlierDetector(limits or SampleLimits.unknown(), step)
+        self._pending_events: list[tuple[str, dict[str, Any]]] = []
         self._density = np.array(
             [
                 accelerometers.random_walk,
@@ -133,13 +137,13 @@ class StrapdownState:
             ]
         )
         # Random walk while samples are missing: 1 m/s^2 of thrust and 2 deg of rotation in 1 s.
-        self._blind = np.array([1.0, 0.035])
-        self._held = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
+        self._missing_density = np.array([1.0, 0.035])
+        self._last_sample = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
         # Variance of the attitude per squared rotation, by scale factors and misalignments.
         off = np.full((3, 3), gyroscopes.misalignment**2)
         np.fill_diagonal(off, gyroscopes.scale_factor**2)
-        self._of_turn = off
-        self._turned = np.zeros(3)
+        self._variance_per_rotation = off
+        self._rotation_since_start = np.zeros(3)
         # Scale factor and misalignment act as biases under constant thrust, here 3 m/s^2.
         self._bias_sigma = (
             float(
@@ -218,7 +222,7 @@ class StrapdownState:
     @property
     def rate(self) -> Array:
         """Body rate of the last sample (3,), rad/s."""
-        return np.asarray(self._held[:3] - self._x[13:16])
+        return np.asarray(self._last_sample[:3] - self._x[13:16])
 
     def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
         """Return the estimate of the lander's state.
@@ -242,9 +246,9 @@ class StrapdownState:
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """Propagate the state with samples (n, 3); NaN marks missing samples.
 
-        Samples that exceed the lander's dynamics count as missing (`SampleGuard`). If rate or
-        specific force jump beyond these limits and stay there, the bias variances are increased by
-        the squared jump.
+        Samples that exceed the lander's dynamics count as missing (`ImuOutlierDetector`). If rate
+        or specific force jump beyond these limits and stay there, the bias variances are increased
+        by the squared jump.
 
         Returns
         -------
@@ -252,40 +256,48 @@ class StrapdownState:
             Transition matrix and process noise of the error state over all samples (15, 15).
         """
         angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
-        judged = self._guard.judge(angle, velocity)
-        if judged.refused:
-            self._told.append(("samples-refused", {"count": judged.refused}))
-        gone = judged.gone.reshape(-1, 1)
-        if gone.any():
-            angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
+        screened = self._outlier_detector.screen(angle, velocity)
+        if screened.rejected:
+            self._pending_events.append(("samples-refused", {"count": screened.rejected}))
+        is_missing = screened.is_missing.reshape(-1, 1)
+        if is_missing.any():
+            angle, velocity = (
+                np.where(is_missing, np.nan, angle),
+                np.where(is_missing, np.nan, velocity),
+            )
         self._x, transition, noise = kernels.propagate(
-            self._x, self._held, angle, velocity, self.step,
-            self._gravity, self._density, self._blind,
+            self._x, self._last_sample, angle, velocity, self.step,
+            self._gravity, self._density, self._missing_density,
         )  # fmt: skip
         turn = np.nansum(angle, axis=0)
-        before, self._turned = self._turned, self._turned + turn
+        before, self._rotation_since_start = (
+            self._rotation_since_start,
+            self._rotation_since_start + turn,
+        )
         # A reverse rotation would cancel the error; the filter takes no credit for that.
-        grown = np.maximum(self._of_turn @ (self._turned**2 - before**2), 0.0)
-        noise[ATTITUDE, ATTITUDE] += np.diag(grown)
-        if judged.jump.any():
-            rate, force = float(judged.jump[:3].max()), float(judged.jump[3:].max())
-            self._told.append(("samples-jumped", {"rate": rate, "force": force}))
-            self._let_biases_go(noise, judged.jump, len(angle))
+        growth = np.maximum(
+            self._variance_per_rotation @ (self._rotation_since_start**2 - before**2), 0.0
+        )
+        noise[ATTITUDE, ATTITUDE] += np.diag(growth)
+        if screened.jump.any():
+            rate, force = float(screened.jump[:3].max()), float(screened.jump[3:].max())
+            self._pending_events.append(("samples-jumped", {"rate": rate, "force": force}))
+            self._add_bias_jump(noise, screened.jump, len(angle))
         return transition, noise
 
-    def _let_biases_go(self, noise: Array, jump: Array, samples: int) -> None:
+    def _add_bias_jump(self, noise: Array, jump: Array, samples: int) -> None:
         """Add a jump of rate and specific force (6,) to the process noise (15, 15)."""
-        seconds = (samples + CONFIRM) * self.step
-        for bias, carried, of in (
+        seconds = (samples + CONFIRMATION_COUNT) * self.step
+        for bias, admit_and_propagate, of in (
             (GYROSCOPE, ATTITUDE, jump[:3]), (ACCELEROMETER, VELOCITY, jump[3:])
         ):  # fmt: skip
             noise[bias, bias] += np.diag(of**2)
-            noise[carried, carried] += np.diag((seconds * of) ** 2)
+            noise[admit_and_propagate, admit_and_propagate] += np.diag((seconds * of) ** 2)
 
-    def tell(self) -> list[tuple[str, dict[str, Any]]]:
+    def pop_events(self) -> list[tuple[str, dict[str, Any]]]:
         """Return name and details of the rejections since the last call."""
-        told, self._told = self._told, []
-        return told
+        events, self._pending_events = self._pending_events, []
+        return events
 
     def correct(self, error: Array) -> None:
         """Add an estimated error (15,); the attitude by Eq. 8, which preserves its norm.

@@ -12,12 +12,12 @@ from lunarsim.messages.briefing import Briefing
 # Name of the block of the terrain height relative to the target elevation, and the length (m) that
 # scales its random walk: over this distance heights differ by the slope times this length.
 GROUND = "ground"
-_CORRELATION = 10.0
+_LENGTH_SCALE_M = 10.0
 # Exponent of the height difference over a distance in metres, for a slope measured over 1 m: lunar
 # mare up to a kilometre (Rosenburg et al. 2011; highland is rougher, 0.95).
-_HURST = 0.76
+_HURST_EXPONENT = 0.76
 # Minimum standard deviation of the terrain height, m.
-_LEAST_GROUND = 0.1
+_MIN_HEIGHT_SIGMA_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,11 @@ class LevelGround:
         slope over 1 m.
         """
         away = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
-        rise = relief * away**_HURST
+        rise = relief * away**_HURST_EXPONENT
         sigma = float(np.hypot(briefing.start.ground_sigma, rise))
-        return cls(float(briefing.target[2]), max(sigma, _LEAST_GROUND), relief)
+        return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief)
 
     @property
     def growth(self) -> float:
         """Growth of the variance of a height difference with distance, m^2/m."""
-        return self.relief**2 * _CORRELATION
+        return self.relief**2 * _LENGTH_SCALE_M

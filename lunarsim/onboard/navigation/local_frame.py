@@ -37,7 +37,7 @@ Index = NDArray[np.int64]
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def blank_block() -> dict[str, Array]:
+def empty_map_block() -> dict[str, Array]:
     """Return an empty block for an error state; `LocalFrame` sets its covariance."""
     return {MAP: np.zeros((4, 4))}
 
@@ -60,7 +60,7 @@ class LocalFrame:
         self.pivot = state.inertial.position.copy()
         block = state.block(MAP)
         self.columns = np.arange(block.start, block.stop)
-        _begin(state, self.columns)
+        _move_initial_errors(state, self.columns)
 
     # --- estimate -------------------------------------------------------------------------
 
@@ -134,7 +134,7 @@ class LocalFrame:
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
         return np.asarray(out @ self.state.own(at) @ out.T)
 
-    def hang(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
+    def anchor(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
         """Anchor the local frame to a terrain point instead of the initial position.
 
         A correction of the attitude then leaves the mapped terrain near this point in place, and
@@ -159,7 +159,7 @@ class LocalFrame:
         p[:] = change @ p @ change.T
 
 
-def _begin(state: ErrorState, columns: Index) -> None:
+def _move_initial_errors(state: ErrorState, columns: Index) -> None:
     """Set the block's covariance from the errors of the initial position and azimuth.
 
     The initial errors z = (position, velocity, body rotation, ...) refer to the site frame. The
@@ -169,13 +169,13 @@ def _begin(state: ErrorState, columns: Index) -> None:
     own: StrapdownState = state.inertial
     p = state.covariance
     up = quat_to_matrix(own.attitude)[2]
-    from_told = np.zeros((state.size, state.size))
-    np.fill_diagonal(from_told, 1.0)
-    from_told[columns] = 0.0
+    transform = np.zeros((state.size, state.size))
+    np.fill_diagonal(transform, 1.0)
+    transform[columns] = 0.0
     # The position of the lander in the site frame has the error -d; see `LocalFrame`.
-    from_told[columns[:3], POSITION] = -np.eye(3)
-    from_told[POSITION] = 0.0
-    from_told[columns[3], ATTITUDE] = up
-    from_told[ATTITUDE, ATTITUDE] -= np.outer(up, up)
-    from_told[VELOCITY, ATTITUDE] -= np.outer(np.cross(_UP, own.velocity), up)
-    p[:] = from_told @ p @ from_told.T
+    transform[columns[:3], POSITION] = -np.eye(3)
+    transform[POSITION] = 0.0
+    transform[columns[3], ATTITUDE] = up
+    transform[ATTITUDE, ATTITUDE] -= np.outer(up, up)
+    transform[VELOCITY, ATTITUDE] -= np.outer(np.cross(_UP, own.velocity), up)
+    p[:] = transform @ p @ transform.T

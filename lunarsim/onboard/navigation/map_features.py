@@ -11,15 +11,15 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation import _place_kernels as k
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # Up to this posting rocks and small craters are visible, m; a scan covers many of them.
-_FINE = 1.0
+_MAX_FINE_POSTING_M = 1.0
 # Number of places that represent the entire map in the mean likelihood of a tile.
-_SAMPLE = 2048
+_SAMPLE_PLACES = 2048
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class FeatureSettings:
     width
         Maximum width of a feature, m. The half width is limited to 4 to 8 posts; with widely spaced
         posts the features are undulations, which the swept area must cover.
-    changed
+    changed_probability
         Probability that the terrain below a tile has changed since the map was made.
     outlier
         Fraction of disagreeing posts in a matching tile, from rock shadows and single changes.
     model_sigma
         Standard deviation of the difference between a scan's mean over the square of a post and the
         post, apart from the map's noise, m.
-    alike
+    correlation_length
         Correlation length of the agreement of posts, m: a rock hides the terrain behind it.
 
     Raises
@@ -48,16 +48,16 @@ class FeatureSettings:
     """
 
     width: float = 50.0
-    changed: float = 0.2
+    changed_probability: float = 0.2
     outlier: float = 0.05
     model_sigma: float = 0.03
-    alike: float = 0.7
+    correlation_length: float = 0.7
 
     def __post_init__(self) -> None:
-        for name in ("changed", "outlier"):
+        for name in ("changed_probability", "outlier"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InputError(f"features.{name}", getattr(self, name), "must be between 0 and 1")
-        for name in ("width", "model_sigma", "alike"):
+        for name in ("width", "model_sigma", "correlation_length"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(
                     f"features.{name}", getattr(self, name), "must be a positive number"
@@ -111,7 +111,7 @@ class _Density:
         density += 1e-3 / (2.0 * top)
         return cls(0.5 * (edges[1:] + edges[:-1]), -np.log(density))
 
-    def rarity(self, height: Array) -> Array:
+    def negative_log_density(self, height: Array) -> Array:
         """Return the negative logarithm of the density at given heights, density in 1/m."""
         return np.asarray(np.interp(height, self.height, self.rare))
 
@@ -146,15 +146,15 @@ class MapFeatures:
         self.settings = settings or FeatureSettings()
         posting = prior.grid.posting
         half = 0.5 * self.settings.width / posting
-        self.reach = 4 if posting <= _FINE else int(np.clip(round(half), 4, 8))
-        self.together = max(1.0, (self.settings.alike / posting) ** 2, prior.together)
-        shown, kept = above_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
+        self.reach = 4 if posting <= _MAX_FINE_POSTING_M else int(np.clip(round(half), 4, 8))
+        self.together = max(1.0, (self.settings.correlation_length / posting) ** 2, prior.together)
+        shown, kept = subtract_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
         self.shown = np.ascontiguousarray(shown, np.float32)
         self.kept = np.ascontiguousarray(kept, np.float32)
         self._density = _Density.of(shown[kept], prior.sigma)
-        self._rarity = np.ascontiguousarray(self._density.rarity(shown), np.float32)
+        self._rarity = np.ascontiguousarray(self._density.negative_log_density(shown), np.float32)
         row, col = np.nonzero(kept)
-        some = slice(None, None, max(1, len(row) // _SAMPLE))
+        some = slice(None, None, max(1, len(row) // _SAMPLE_PLACES))
         self._places = row[some], col[some]
 
     @property
@@ -182,7 +182,7 @@ class MapFeatures:
         )  # fmt: skip
         return ratio / self.together, covered / total
 
-    def usual(self, tile: Tile) -> float | None:
+    def mean_log_ratio(self, tile: Tile) -> float | None:
         """Return the log of a tile's mean likelihood ratio over the map; None off it."""
         middle = np.array(tile.height.shape) // 2
         ratio, share = self.likelihood(
@@ -196,10 +196,12 @@ class MapFeatures:
 
     def exact(self, tile: Tile) -> float:
         """Return the log-likelihood ratio of a tile at a place where it fits exactly."""
-        fits = self._density.rarity(tile.height) - 0.5 * np.log(2.0 * np.pi * tile.variance)
+        fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
+            2.0 * np.pi * tile.variance
+        )
         return float((tile.weight * fits).sum()) / self.together
 
-    def factor(self, ratio: Array, share: Array, usual: float, places: float) -> Array:
+    def factor(self, ratio: Array, share: Array, mean_log_ratio: float, places: float) -> Array:
         """Return the log of a tile's factor on the probability of places (n,).
 
         Unknown parts of the map give no information. The probability of changed terrain limits the
@@ -210,11 +212,11 @@ class MapFeatures:
         ----------
         ratio, share
             Log-likelihood ratios and covered shares (n,), from `likelihood`.
-        usual
-            Logarithm of the mean likelihood ratio, from `usual`.
+        mean_log_ratio
+            Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
         places
             Number of possible places.
         """
-        changed = self.settings.changed
-        top = max(usual, float(ratio.max(initial=-np.inf)) - float(np.log(places)))
+        changed = self.settings.changed_probability
+        top = max(mean_log_ratio, float(ratio.max(initial=-np.inf)) - float(np.log(places)))
         return np.asarray(np.logaddexp(ratio - share * top + np.log1p(-changed), np.log(changed)))

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 # Number of scales, in doublings of a post; minimum size of a feature in standard deviations of the
 # noise (one in 16,000 posts exceeds it without a feature).
-_SCALES, _SURE = 4, 4.0
+_SCALES, _THRESHOLD_SIGMAS = 4, 4.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def can_lock(
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
     ground, added, shown = (
         _window(of, prior, middle, swept, reach)
-        for of in (*_denoised(features), features.shown * features.kept)
+        for of in (*_extract_features(features), features.shown * features.kept)
     )
     inner = (slice(reach, ground.shape[0] - reach),) * 2
     template = ground[inner]
@@ -101,7 +101,7 @@ def can_lock(
     # Noise that passes the threshold correlates with itself.
     gap = alike[reach, reach] - float(added[inner].sum()) - alike
     told = 0.5 * np.maximum(gap, 0.0) / (features.variance * features.together)
-    expected = (1.0 - features.settings.changed) * told
+    expected = (1.0 - features.settings.changed_probability) * told
     n = np.arange(-reach, reach + 1)
     far = np.hypot(*np.meshgrid(n, n)) > 3.0
     # A more distant wrong place has a lower prior probability.
@@ -140,7 +140,7 @@ def _window(
     return out
 
 
-def _denoised(features: MapFeatures) -> tuple[Array, Array]:
+def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
     """Return the features of a map above the noise threshold (rows, cols), m.
 
     The second array is the mean product of the retained noise with the map's noise (rows, cols),
@@ -154,7 +154,7 @@ def _denoised(features: MapFeatures) -> tuple[Array, Array]:
     if alike > 0.0:
         impulse = np.asarray(ndimage.gaussian_filter(impulse, min(alike, 16.0)), np.float64)
         impulse /= np.sqrt((impulse**2).sum())
-    limit = _SURE * np.sqrt(features.variance)
+    limit = _THRESHOLD_SIGMAS * np.sqrt(features.variance)
     out, added, whole = np.zeros(left.shape), np.zeros(left.shape), impulse
     for scale in range(_SCALES + 1):
         last = scale == _SCALES

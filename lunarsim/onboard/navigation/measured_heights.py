@@ -29,18 +29,18 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Individual and common standard deviation of a rock's height on measured terrain, m.
-OWN, COMMON = 0.15, 0.15
+INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M = 0.15, 0.15
 # Minimum ratio of the height variance of a rock to the noise variance for a correction.
-_VAGUE = 2.0
+_MIN_VARIANCE_RATIO = 2.0
 # Maximum number of corrected rocks; those with the largest variance are used.
-_MOST = 100
+_MAX_ROCKS = 100
 # Maximum normalised innovation squared per degree of freedom.
 _GATE = 10.0
 # Half distance of the points for a slope, m; each height is a mean over 2 m.
-_ASIDE = 4.0
+_SLOPE_BASE_M = 4.0
 
 
-class GroundHeights(Protocol):
+class TerrainHeights(Protocol):
     """Source of measured terrain heights."""
 
     def heights(self, xy: Array) -> Array:
@@ -48,7 +48,7 @@ class GroundHeights(Protocol):
         ...
 
 
-class Rocks(Protocol):
+class RockErrors(Protocol):
     """Rocks in an error state; implemented by `RockStates`."""
 
     state: ErrorState
@@ -68,7 +68,7 @@ class Rocks(Protocol):
         ...
 
 
-def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
+def correct_heights(rocks: RockErrors, ground: TerrainHeights) -> Outcome:
     """Correct rock heights by terrain heights measured from the current pose.
 
     Rocks whose relative height is known equally well are not updated directly, but through their
@@ -89,25 +89,27 @@ def lay(rocks: Rocks, ground: GroundHeights) -> Outcome:
     """
     height = ground.heights(rocks.xy)
     index = np.flatnonzero(np.isfinite(height))
-    gradient, bend = _shape(ground, rocks.xy[index])
+    gradient, bend = _slope_and_curvature(ground, rocks.xy[index])
     by_pose, by_rock = _jacobians(rocks.state, rocks.xyz[index], gradient)
-    own = OWN**2 + bend**2
-    excess = _variances(rocks, index, by_pose, by_rock) / (own + COMMON**2)
-    order = np.argsort(-excess, kind="stable")[:_MOST]
-    told = order[excess[order] > _VAGUE]
-    if not len(told):
+    own = INDIVIDUAL_SIGMA_M**2 + bend**2
+    nis_ratio = _variances(rocks, index, by_pose, by_rock) / (own + COMMON_SIGMA_M**2)
+    order = np.argsort(-nis_ratio, kind="stable")[:_MAX_ROCKS]
+    selected = order[nis_ratio[order] > _MIN_VARIANCE_RATIO]
+    if not len(selected):
         return Outcome(0.0, 0, False)
-    index, by_pose, by_rock = index[told], by_pose[told], by_rock[told]
+    index, by_pose, by_rock = index[selected], by_pose[selected], by_rock[selected]
     state, columns = rocks.state, rocks.places(index)
     p = state.covariance
     with one_blas_thread():
         hp = by_pose @ p[POSE] + np.einsum("ka,kas->ks", by_rock, p[columns])
         s = hp[:, POSE] @ by_pose.T + np.einsum("jka,ka->jk", hp[:, columns], by_rock)
-    s = 0.5 * (s + s.T) + np.diag(own[told]) + COMMON**2
-    return state.absorb(hp, s, height[index] - rocks.xyz[index, 2], _GATE * len(index))
+    s = 0.5 * (s + s.T) + np.diag(own[selected]) + COMMON_SIGMA_M**2
+    return state.update_with_innovation(
+        hp, s, height[index] - rocks.xyz[index, 2], _GATE * len(index)
+    )
 
 
-def pose_shares(state: ErrorState, point: Array) -> Array:
+def height_jacobian(state: ErrorState, point: Array) -> Array:
     """Return the Jacobian of a rock's measured height by the pose (6,).
 
     `point` (3,) is the position of the rock, m. The terrain slope has no influence: a horizontal
@@ -125,7 +127,7 @@ def _jacobians(state: ErrorState, points: Array, gradient: Array) -> tuple[Array
     return np.hstack((-normal, -np.cross(arm, normal @ body))), normal
 
 
-def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Array:
+def _variances(rocks: RockErrors, index: Index, by_pose: Array, by_rock: Array) -> Array:
     """Return the innovation variance of rocks (k,) without noise, m^2."""
     p, columns = rocks.state.covariance, rocks.places(index)
     both = np.hstack((by_pose, by_rock))
@@ -134,7 +136,7 @@ def _variances(rocks: Rocks, index: Index, by_pose: Array, by_rock: Array) -> Ar
     return np.asarray(np.einsum("ka,kab,kb->k", both, own, both))
 
 
-def _shape(ground: GroundHeights, xy: Array) -> tuple[Array, Array]:
+def _slope_and_curvature(ground: TerrainHeights, xy: Array) -> tuple[Array, Array]:
     """Return gradient (k, 2) and curvature height (k,), m, of measured terrain.
 
     The latter is the height error of a rock at a slightly wrong place. Both are 0 if the terrain
@@ -143,9 +145,9 @@ def _shape(ground: GroundHeights, xy: Array) -> tuple[Array, Array]:
     gradient, bend = np.zeros((len(xy), 2)), np.zeros(len(xy))
     middle = ground.heights(xy)
     for axis in range(2):
-        step = _ASIDE * np.eye(2)[axis]
+        step = _SLOPE_BASE_M * np.eye(2)[axis]
         more, less = ground.heights(xy + step), ground.heights(xy - step)
         known = np.isfinite(more - less)
-        gradient[known, axis] = (more - less)[known] / (2.0 * _ASIDE)
+        gradient[known, axis] = (more - less)[known] / (2.0 * _SLOPE_BASE_M)
         bend[known] = np.hypot(bend, 0.5 * (more + less) - middle)[known]
     return gradient, bend

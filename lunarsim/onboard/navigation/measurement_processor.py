@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation.aiding_measurements import Aids
-from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import NavigationEvent
 from lunarsim.onboard.navigation.inertial import ATTITUDE, POSITION, VELOCITY
 from lunarsim.onboard.navigation.seen_scan import (
-    LET_GO,
+    DRIFTED_SCANNER_SIGMAS,
     SeenScan,
     scanner_block,
     scanner_covariance,
@@ -25,27 +25,27 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Maximum standard deviation of a rock coordinate after covariance inflation, m.
-_MOST_PLACE = 100.0
+_MAX_POSITION_SIGMA_M = 100.0
 
 
 @dataclass(frozen=True)
-class Shared:
+class FilterContext:
     """State and helpers that the measurement processors share.
 
     Attributes
     ----------
     state
         Error state.
-    aids
+    aiding
         Processor of ranges, speeds and attitudes, with all innovation monitors.
     events
         List that receives the events.
     most
-        Maximum standard deviations (head,) after covariance inflation; see `most_of`.
+        Maximum standard deviations (head,) after covariance inflation; see `maximum_sigmas`.
     """
 
     state: ErrorState
-    aids: Aids
+    aiding: AidingMeasurements
     events: list[NavigationEvent]
     most: Array
 
@@ -63,12 +63,12 @@ class Shared:
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
         return SeenScan.of(scan, self.state.inertial, value)
 
-    def local_errors(self, sensor: str) -> tuple[Index, Array]:
+    def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
         """Return the state indices (k,) that a scan depends on, and its Jacobian (11, k)."""
         own = self.scanner(sensor)
         return np.concatenate((POSE, own)), np.eye(11, 6 + len(own))
 
-    def judge(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
+    def record_outcome(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
         """Monitor the outcome of a scan update.
 
         After an alarm the entire state is inflated. The error can be in the current pose, the
@@ -76,9 +76,15 @@ class Shared:
         not grow would pull the others back. After a drift the scanner's errors are widened.
         """
         own, every = self.scanner(sensor), np.arange(self.state.size)
-        most = np.concatenate((self.most, np.full(self.state.tail, _MOST_PLACE)))
-        self.aids.judge(
-            sensor, kind, outcome, every, most, time, drifting=(own, LET_GO[: len(own)])
+        most = np.concatenate((self.most, np.full(self.state.tail, _MAX_POSITION_SIGMA_M)))
+        self.aiding.record_outcome(
+            sensor,
+            kind,
+            outcome,
+            every,
+            most,
+            time,
+            drifting=(own, DRIFTED_SCANNER_SIGMAS[: len(own)]),
         )
 
 
@@ -91,7 +97,7 @@ def scanner_blocks(instruments: Mapping[str, Any]) -> dict[str, Array]:
     }
 
 
-def most_of(state: ErrorState) -> Array:
+def maximum_sigmas(state: ErrorState) -> Array:
     """Return the maximum standard deviations (head,) after covariance inflation.
 
     These are three times the initial ones; for the pose of the lander and the reference scan, they
@@ -99,12 +105,12 @@ def most_of(state: ErrorState) -> Array:
     """
     out = 3.0 * np.sqrt(state.covariance.diagonal()[: state.head])
     out[POSITION], out[VELOCITY], out[ATTITUDE] = 30.0, 3.0, 0.2
-    if state.has(KEY):
-        out[state.block(KEY)] = np.repeat([30.0, 0.2], 3)
+    if state.has(REFERENCE_POSE):
+        out[state.block(REFERENCE_POSE)] = np.repeat([30.0, 0.2], 3)
     return np.asarray(out)
 
 
-class Part(Protocol):
+class MeasurementProcessor(Protocol):
     """Processor of measurements in the navigator."""
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:

@@ -13,12 +13,12 @@ from lunarsim._blas import one_blas_thread
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import KEY, ErrorState
+from lunarsim.onboard.navigation.error_state import REFERENCE_POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import (
     Estimate,
-    GroundTurn,
+    MapRotation,
     Navigation,
     NavigationEvent,
 )
@@ -28,20 +28,25 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
+from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
+from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.measurement_processor import Part, Shared, most_of, scanner_blocks
+from lunarsim.onboard.navigation.measurement_processor import (
+    FilterContext,
+    MeasurementProcessor,
+    maximum_sigmas,
+    scanner_blocks,
+)
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
+from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
 from lunarsim.onboard.navigation.scan_odometry import (
     ScanOdometry,
-    key_block,
-    plausible,
-    width_of,
+    reference_pose_block,
+    remove_implausible_ranges,
+    scan_width,
 )
-from lunarsim.onboard.navigation.innovation_monitor import Watch
 
 Array = NDArray[np.float64]
 
@@ -102,22 +107,27 @@ class Navigator(Navigation):
     ) -> None:
         level, known, limits = ground or LevelGround(), instruments or {}, settings
         limits = limits or RegistrationSettings()
-        blocks = key_block() | blocks_of(known, level) | blank_block() | scanner_blocks(known)
+        blocks = (
+            reference_pose_block()
+            | aiding_blocks(known, level)
+            | empty_map_block()
+            | scanner_blocks(known)
+        )
         self.state = ErrorState(inertial, errors, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
-        self._aids = Aids(self.state, known, level, self.events)
-        self._arrivals = Arrivals(inertial.step, self._note)
-        shared = Shared(self.state, self._aids, self.events, most_of(self.state))
+        self._aiding = AidingMeasurements(self.state, known, level, self.events)
+        self._arrivals = Arrivals(inertial.step, self._add_event)
+        shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
-        self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
-        self.parts += [ScanOdometry(shared, limits), self._aids]
-        self.rocks = RockFilter(self.state, self._aids) if rocks else None
-        self._shared = shared
-        self._hangs = False
+        self.parts: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
+        self.parts += [ScanOdometry(shared, limits), self._aiding]
+        self.rocks = RockFilter(self.state, self._aiding) if rocks else None
+        self._context = shared
+        self._is_anchored = False
         self._noisy: set[str] = set()
-        self._ground_turn: GroundTurn | None = None
-        self.state.listeners.append(self._turn_ground)
+        self._map_rotation: MapRotation | None = None
+        self.state.listeners.append(self._rotate_map)
 
     # --- state ----------------------------------------------------------------------------
 
@@ -132,15 +142,15 @@ class Navigator(Navigation):
         return self.state.covariance
 
     @property
-    def watches(self) -> dict[str, Watch]:
+    def watches(self) -> dict[str, InnovationMonitor]:
         """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
         seen = {} if self.rocks is None else self.rocks.pictures.watches
-        return {**self._aids.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
+        return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
 
     @property
     def lost(self) -> bool:
         """Whether measurements or rock observations contradict the estimate."""
-        return self._aids.lost or (self.rocks is not None and self.rocks.lost)
+        return self._aiding.lost or (self.rocks is not None and self.rocks.lost)
 
     @property
     def locked(self) -> bool:
@@ -159,12 +169,12 @@ class Navigator(Navigation):
 
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the state of the lander in the local frame."""
-        found = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
+        local = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
         # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
         covariance = turn @ self.frame.covariance_in_site() @ turn.T
-        return replace(found, covariance=covariance, lost=self.lost)
+        return replace(local, covariance=covariance, lost=self.lost)
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
         """Return the state of the lander in the site frame."""
@@ -175,7 +185,7 @@ class Navigator(Navigation):
         """Estimated transformation from the site frame to the local frame."""
         return self.frame.shift
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
@@ -186,30 +196,32 @@ class Navigator(Navigation):
         InputError
             If `time` (s) is before the time of an earlier call.
         """
-        measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
-        for name, details in self.inertial.tell():
+        measurement = self._arrivals.admit_and_propagate(sensor, measurement, time, self.propagate)
+        for name, details in self.inertial.pop_events():
             self.events.append(NavigationEvent(time, name, details))
         if measurement is None:
             return
         scan = isinstance(measurement, LidarScan)
         if scan:
-            measurement = without_spikes(plausible(measurement))
-            if not np.isfinite(width_of(measurement)) or self._drowns(sensor, measurement, time):
+            measurement = remove_spikes(remove_implausible_ranges(measurement))
+            if not np.isfinite(scan_width(measurement)) or self._check_noise(
+                sensor, measurement, time
+            ):
                 return
-            self._hang(sensor, measurement)
+            self._anchor_frame(sensor, measurement)
         with one_blas_thread():
-            self._offer(sensor, measurement, time)
+            self._offer_to_processors(sensor, measurement, time)
 
-    def _drowns(self, sensor: str, scan: LidarScan, time: float) -> bool:
+    def _check_noise(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Return whether a scan is too noisy; report when this begins and ends."""
         noisy = is_noisy(scan)
         if noisy != (sensor in self._noisy):
             (self._noisy.add if noisy else self._noisy.discard)(sensor)
             name = "scans-refused" if noisy else "scans-accepted"
-            self._note(time, name, {"sensor": sensor, "noise": noise_of(scan)})
+            self._add_event(time, name, {"sensor": sensor, "noise": range_noise(scan)})
         return noisy
 
-    def _offer(self, sensor: str, measurement: Any, time: float) -> None:
+    def _offer_to_processors(self, sensor: str, measurement: Any, time: float) -> None:
         """Offer a measurement to the processors in order."""
         used = False
         for part in self.parts:
@@ -219,40 +231,42 @@ class Navigator(Navigation):
         """Return a measurement and its pose, corrected for the estimated sensor errors."""
         if not isinstance(measurement, LidarScan):
             return measurement, now
-        seen = self._shared.seen(sensor, measurement)
+        seen = self._context.seen(sensor, measurement)
         return seen.scan, replace(now, position=seen.position, attitude=seen.attitude)
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
         self.state.propagate(angle, velocity)
-        self._aids.travel()
-        self._aids.doubt_units()
+        self._aiding.add_terrain_noise()
+        self._aiding.check_sensor_biases()
 
     @property
-    def ground_turn(self) -> GroundTurn | None:
+    def ground_turn(self) -> MapRotation | None:
         """Rotation of the mapped terrain since the first scan, by tilt corrections."""
-        return self._ground_turn
+        return self._map_rotation
 
-    def _turn_ground(self, error: Array) -> None:
+    def _rotate_map(self, error: Array) -> None:
         """Add a tilt correction to the rotation of the mapped terrain, without azimuth."""
-        if self._ground_turn is None:
+        if self._map_rotation is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
         turn = quat_to_matrix(quat_from_rotation_vector(tilt))
-        self._ground_turn = replace(self._ground_turn, rotation=turn @ self._ground_turn.rotation)
+        self._map_rotation = replace(
+            self._map_rotation, rotation=turn @ self._map_rotation.rotation
+        )
 
-    def _hang(self, sensor: str, scan: LidarScan) -> None:
+    def _anchor_frame(self, sensor: str, scan: LidarScan) -> None:
         """Anchor the local frame to the terrain of the first scan."""
-        if self._hangs:
+        if self._is_anchored:
             return
-        self._hangs = True
-        seen = self._shared.seen(sensor, scan)
-        columns, jacobian = self._shared.local_errors(sensor)
+        self._is_anchored = True
+        seen = self._context.seen(sensor, scan)
+        columns, jacobian = self._context.local_jacobian(sensor)
         middle = np.nanmean(seen.points(), axis=0)
-        self._ground_turn = GroundTurn(np.eye(3), middle)
-        places = [self.state.block(KEY).start]
+        self._map_rotation = MapRotation(np.eye(3), middle)
+        places = [self.state.block(REFERENCE_POSE).start]
         if self.rocks is not None:
             places += self.rocks.places()[:, 0].tolist()
-        self.frame.hang(
+        self.frame.anchor(
             seen.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
         )

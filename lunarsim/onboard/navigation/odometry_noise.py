@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Factor on the noise variance of a slope below which the slope is set to the median.
-_STANDS_OUT = 6.0
+_MIN_SLOPE_RATIO = 6.0
 # Minimum standard deviation of the height of a square, m.
-_LEAST = 3e-4
+_MIN_SIGMA_M = 3e-4
 
 
-def slopes(new: Array, old: Array) -> Array:
+def comparison_normals(new: Array, old: Array) -> Array:
     """Return the normals (m, 3) for the comparison of two scans.
 
     Measured slopes contain the scan noise, which dominates on smooth terrain and would look like
@@ -30,13 +30,15 @@ def slopes(new: Array, old: Array) -> Array:
     middle = np.median(slope, axis=0)
     off = slope - middle
     noise = (1.4826 * float(np.median(np.abs(new[:, :2] - old[:, :2])))) ** 2 / 4.0
-    stands = np.maximum(1.0 - _STANDS_OUT * noise / np.maximum(np.sum(off**2, axis=1), 1e-300), 0.0)
+    stands = np.maximum(
+        1.0 - _MIN_SLOPE_RATIO * noise / np.maximum(np.sum(off**2, axis=1), 1e-300), 0.0
+    )
     out = np.ones_like(new)
     out[:, :2] = middle + stands[:, None] * off
     return out
 
 
-def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
+def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
     """Estimate height variances of squares (m,), m^2, from residuals of a fit (m,).
 
     The variance grows with the squared slope: at the edges of rocks the measured height depends on
@@ -45,14 +47,14 @@ def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
     square = left**2
     steep = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
     flat = used & (steep <= np.median(steep[used]))
-    least = max(float(np.mean(square[flat])), _LEAST**2)
+    least = max(float(np.mean(square[flat])), _MIN_SIGMA_M**2)
     rest = used & ~flat
     more = float(np.sum(steep[rest]))
     growth = max(float(np.sum(square[rest])) - least * int(rest.sum()), 0.0)
     return np.asarray(least + (growth / more if more > 0.0 else 0.0) * steep)
 
 
-def second_order(prior: Array, ways: Array) -> float:
+def linearisation_variance(prior: Array, ways: Array) -> float:
     """Return the variance of the linearisation error of a fit, m^2.
 
     It is common to all squares. Attitude errors rotate the displacements (2, 3) of the lander and

@@ -10,14 +10,18 @@ from enum import Enum
 
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import (
+    InnovationMonitor,
+    InnovationMonitorSettings,
+    MonitorResult,
+)
 
 # Errors of rock positions persist over many images, so about 40 innovations count as one. The rocks
 # may be reset once; a wrong Sun direction cannot be explained.
-_WATCHED = {
-    "places": WatchSettings(correlation=40.0, patience=2),
-    "expected": WatchSettings(patience=2),
-    "shadows": WatchSettings(patience=None, window_s=3.0),
+_MONITOR_SETTINGS = {
+    "places": InnovationMonitorSettings(correlated_count=40.0, max_inflations=2),
+    "expected": InnovationMonitorSettings(max_inflations=2),
+    "shadows": InnovationMonitorSettings(max_inflations=None, window_s=3.0),
 }
 
 
@@ -29,7 +33,7 @@ class Remedy(Enum):
     RENEW = "renew"
 
 
-class PictureWatch:
+class ImageInnovationMonitor:
     """Monitor the rock observations of camera images.
 
     Parameters
@@ -40,15 +44,17 @@ class PictureWatch:
 
     def __init__(self, events: list[NavigationEvent]) -> None:
         self._events = events
-        self.watches = {kind: Watch(settings) for kind, settings in _WATCHED.items()}
-        self._doubted = {kind: -float("inf") for kind in _WATCHED}
+        self.watches = {
+            kind: InnovationMonitor(settings) for kind, settings in _MONITOR_SETTINGS.items()
+        }
+        self._last_alarm = {kind: -float("inf") for kind in _MONITOR_SETTINGS}
 
     @property
     def lost(self) -> bool:
         """Whether the observations contradict the estimate."""
-        return any(watch.lost for watch in self.watches.values())
+        return any(monitor.lost for monitor in self.watches.values())
 
-    def note(self, kind: str, time: float, outcome: Outcome) -> Remedy:
+    def record(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Add the outcome of an image; return the corrective action.
 
         Parameters
@@ -60,21 +66,21 @@ class PictureWatch:
         outcome
             Outcome of the update.
         """
-        watch = self.watches[kind]
-        before, verdict = watch.lost, watch.note(time, outcome)
-        if verdict is Verdict.WELL:
-            if before and not watch.lost:
-                self._note(time, "believed", kind)
+        monitor = self.watches[kind]
+        before, result = monitor.lost, monitor.record(time, outcome)
+        if result is MonitorResult.CONSISTENT:
+            if before and not monitor.lost:
+                self._add_event(time, "believed", kind)
             return Remedy.NONE
-        if verdict is Verdict.LOST:
+        if result is MonitorResult.LOST:
             if not before:
-                self._note(time, "lost", kind)
+                self._add_event(time, "lost", kind)
             return Remedy.RENEW
         # The first alarm inflates the covariance; another one soon after it resets the rocks.
-        again = time - self._doubted[kind] < 3.0 * watch.settings.window_s
-        self._doubted[kind] = time
-        self._note(time, "renewed" if again else "doubted", kind)
+        again = time - self._last_alarm[kind] < 3.0 * monitor.settings.window_s
+        self._last_alarm[kind] = time
+        self._add_event(time, "renewed" if again else "doubted", kind)
         return Remedy.RENEW if again else Remedy.DOUBT
 
-    def _note(self, time: float, name: str, kind: str) -> None:
+    def _add_event(self, time: float, name: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"measurement": f"rocks' {kind}"}))

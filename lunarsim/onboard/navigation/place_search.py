@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
 from lunarsim.onboard.navigation.submap import Submap
 
@@ -19,15 +19,15 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # Places with a log probability this far below the maximum are not evaluated further.
-_HOPELESS = 14.0
+_MAX_LOG_DEFICIT = 14.0
 # Number of places for the estimate of the height.
-_SAMPLE = 2048
+_HEIGHT_SAMPLE_PLACES = 2048
 # Standard deviations of the prior within which places are searched.
-_DEVIATIONS = 3.5
+_SEARCH_SIGMAS = 3.5
 # Maximum number of places with a spacing of half a post, else a whole post; maximum per side.
-_BY_HALVES, _WIDEST = 250_000, 2000
+_MAX_HALF_POST_PLACES, _MAX_PLACES_PER_SIDE = 250_000, 2000
 # Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
-_LEAST_TOLD = 5.0
+_MIN_TILE_INFORMATION = 5.0
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class SearchSettings:
     ----------
     tile
         Side of a tile, m; limited to 4 to 16 posts.
-    deaf_s
+    idle_s
         Time without new posts after which an incomplete tile is compared, s.
-    held_s
+    drift_correlation_s
         Correlation time of the velocity error that lets the shift drift, s.
 
     Raises
@@ -50,8 +50,8 @@ class SearchSettings:
     """
 
     tile: float = 8.0
-    deaf_s: float = 1.0
-    held_s: float = 4.0
+    idle_s: float = 1.0
+    drift_correlation_s: float = 4.0
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -88,7 +88,7 @@ class Match:
 
 
 @dataclass(frozen=True)
-class _Tile:
+class _SampledTile:
     """Tile sampled at every half post.
 
     Attributes
@@ -141,10 +141,10 @@ class PlaceSearch:
         g = self.prior.grid
         corner = (g.x0 - 0.5 * g.posting, g.y0 - 0.5 * g.posting)
         self._submap = Submap(*corner, 0.5 * g.posting)
-        self._tiles: list[_Tile] = []
+        self._tiles: list[_SampledTile] = []
         self._used: set[tuple[int, int]] = set()
-        self._fresh: dict[tuple[int, int], tuple[int, float]] = {}
-        self._ways, self._unit = 2, 0.5 * g.posting
+        self._growing: dict[tuple[int, int], tuple[int, float]] = {}
+        self._offsets, self._unit = 2, 0.5 * g.posting
         self._origin = (0, 0)
         self._log = np.zeros((0, 0))
         self._time: float | None = None
@@ -192,34 +192,36 @@ class PlaceSearch:
         InputError
             If time runs backwards, or an argument is not finite or out of range.
         """
-        _check_known(mean, covariance, speed_sigma)
+        _check_prior(mean, covariance, speed_sigma)
         if not (np.isfinite(time) and (self._time is None or time >= self._time)):
-            raise InputError("time", time, f"must be finite and not before the last time ({self._time} s)")
+            raise InputError(
+                "time", time, f"must be finite and not before the last time ({self._time} s)"
+            )
         self._cover(mean, covariance)
         self._blur(time, speed_sigma)
-        away = self._away(mean, covariance)
-        due = self._due(time)
-        usual = [self.features.usual(tile.lay(0, 0)) for tile in due]
-        told = [
+        prior_distance = self._prior_distance(mean, covariance)
+        complete = self._complete_tiles(time)
+        mean_log_ratios = [self.features.mean_log_ratio(tile.lay(0, 0)) for tile in complete]
+        information = [
             0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
-            for tile, mean in zip(due, usual, strict=True)
+            for tile, mean in zip(complete, mean_log_ratios, strict=True)
         ]
-        least = _LEAST_TOLD * min(1.0, self._log.size / _BY_HALVES)
+        least = _MIN_TILE_INFORMATION * min(1.0, self._log.size / _MAX_HALF_POST_PLACES)
         # Tiles with the most information first: the others need fewer places then.
-        for n in np.argsort(np.negative(told), kind="stable"):
-            if usual[n] is not None and told[n] >= least:
-                self._compare(due[n], away, usual[n])
-        self._tiles += due
-        return self._match(away, mean, covariance) if self._tiles else None
+        for n in np.argsort(np.negative(information), kind="stable"):
+            if mean_log_ratios[n] is not None and information[n] >= least:
+                self._add_evidence(complete[n], prior_distance, mean_log_ratios[n])
+        self._tiles += complete
+        return self._best_match(prior_distance, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
         """Extend the posterior to the reach of the prior; add places without evidence."""
         posting = self.prior.grid.posting
-        far = _DEVIATIONS * np.sqrt(np.diag(covariance)) + 2.0 * posting
+        far = _SEARCH_SIGMAS * np.sqrt(np.diag(covariance)) + 2.0 * posting
         if not self._log.size:
-            self._ways = 2 if np.prod(4.0 * far / posting) <= _BY_HALVES else 1
-            self._unit = posting / self._ways
-        far = np.minimum(far, 0.5 * _WIDEST * self._unit)
+            self._offsets = 2 if np.prod(4.0 * far / posting) <= _MAX_HALF_POST_PLACES else 1
+            self._unit = posting / self._offsets
+        far = np.minimum(far, 0.5 * _MAX_PLACES_PER_SIDE * self._unit)
         low = np.floor((np.asarray(mean) - far) / self._unit).astype(int)[::-1]
         high = np.ceil((np.asarray(mean) + far) / self._unit).astype(int)[::-1]
         if self._log.size:
@@ -240,13 +242,15 @@ class PlaceSearch:
         before, self._time = self._time, time
         if before is None or time <= before or not self._tiles:
             return
-        sigma = speed_sigma * np.sqrt((time - before) * self.settings.held_s) / self._unit
+        sigma = (
+            speed_sigma * np.sqrt((time - before) * self.settings.drift_correlation_s) / self._unit
+        )
         if sigma > 0.0:
             best = self._log.max()
             p = ndimage.gaussian_filter(np.exp(self._log - best), sigma, mode="nearest")
             self._log = best + np.log(np.maximum(p, 1e-300))
 
-    def _away(self, mean: Array, covariance: Array) -> Array:
+    def _prior_distance(self, mean: Array, covariance: Array) -> Array:
         """Return half the squared Mahalanobis distance of every place from the prior mean."""
         rows, cols = self._log.shape
         y = self._unit * (self._origin[0] + np.arange(rows))[:, None] - mean[1]
@@ -258,7 +262,7 @@ class PlaceSearch:
 
     # --- scanned terrain ------------------------------------------------------------------
 
-    def _due(self, time: float) -> list[_Tile]:
+    def _complete_tiles(self, time: float) -> list[_SampledTile]:
         """Return the new tiles that are complete or no longer grow."""
         height, known = self._submap.posts()
         if not known.any():
@@ -266,7 +270,7 @@ class PlaceSearch:
         first = self._submap.first
         # Count only whole posts, the first of the four offsets of posts over the half-post squares.
         skip = (first[0] % 2, first[1] % 2)
-        whole = above_plane(
+        whole = subtract_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
             self.features.reach,
         )[1]  # fmt: skip
@@ -276,22 +280,22 @@ class PlaceSearch:
         place, count = np.unique(
             np.column_stack((row // self._wide, col // self._wide)), axis=0, return_counts=True
         )
-        due = []
+        complete = []
         full = self._wide**2
         for key, n in zip(map(tuple, place.tolist()), count.tolist(), strict=True):
             if key in self._used:
                 continue
-            seen, since = self._fresh.get(key, (0, time))
+            seen, since = self._growing.get(key, (0, time))
             if n > seen:
-                self._fresh[key] = (n, time)
+                self._growing[key] = (n, time)
                 since = time
-            old = time - since >= self.settings.deaf_s - 1e-9
+            old = time - since >= self.settings.idle_s - 1e-9
             if n >= 0.95 * full or (old and n >= 0.25 * full):
                 self._used.add(key)
-                due.append(key)
-        return [self._cut(key, height, known) for key in due]
+                complete.append(key)
+        return [self._cut(key, height, known) for key in complete]
 
-    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
+    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _SampledTile:
         """Cut a tile at every half post out of the scanned terrain."""
         # Margin of half a post per side for the four offsets, and of two posts for slopes.
         side, room = 2 * self._wide, 2 * self.features.reach + 2
@@ -301,7 +305,7 @@ class PlaceSearch:
         above, kept = np.zeros(z.shape), np.zeros(z.shape, np.bool_)
         for a in (0, 1):
             for b in (0, 1):
-                above[a::2, b::2], kept[a::2, b::2] = above_plane(
+                above[a::2, b::2], kept[a::2, b::2] = subtract_plane(
                     z[a::2, b::2], seen[a::2, b::2], self.features.reach
                 )
         # The true place can differ from a sampled one by half the spacing.
@@ -309,20 +313,22 @@ class PlaceSearch:
         for axis in (0, 1):
             rise = np.gradient(above, axis=axis)
             near = ndimage.minimum_filter1d(kept, 3, axis=axis)
-            spread += (2.0 / self._ways * np.where(near, rise, 0.0)) ** 2 / 12.0
+            spread += (2.0 / self._offsets * np.where(near, rise, 0.0)) ** 2 / 12.0
         inner = (slice(room, room + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
         whole = Tile(above[inner], weight[inner], variance[inner])
-        return _Tile((side * key[0], side * key[1]), whole, z[inner])
+        return _SampledTile((side * key[0], side * key[1]), whole, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
 
-    def _compare(self, tile: _Tile, away: Array, usual: float) -> None:
+    def _add_evidence(
+        self, tile: _SampledTile, prior_distance: Array, mean_log_ratios: float
+    ) -> None:
         """Multiply the posterior by the likelihood of a tile."""
-        log = self._log - away
-        row, col = np.nonzero(log >= log.max() - _HOPELESS)
+        log = self._log - prior_distance
+        row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)
         ratio, share = np.zeros(len(row)), np.zeros(len(row))
-        north, east, ways = row + self._origin[0], col + self._origin[1], self._ways
+        north, east, ways = row + self._origin[0], col + self._origin[1], self._offsets
         for a in range(ways):
             for b in range(ways):
                 # A shift by an odd number of half posts uses the posts with an offset of a half.
@@ -331,22 +337,22 @@ class PlaceSearch:
                     tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
                     (east[mine] + b) // ways + tile.first[1] // 2,
                 )  # fmt: skip
-        self._log[row, col] += self.features.factor(ratio, share, usual, log.size)
+        self._log[row, col] += self.features.factor(ratio, share, mean_log_ratios, log.size)
 
     # --- outcome --------------------------------------------------------------------------
 
-    def _match(self, away: Array, mean: Array, covariance: Array) -> Match:
+    def _best_match(self, prior_distance: Array, mean: Array, covariance: Array) -> Match:
         """Normalise the posterior, with the prior probability of all places beyond it."""
-        log = self._log - away
+        log = self._log - prior_distance
         best = log.max()
         p = np.exp(log - best)
         every = 2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / self._unit**2
         with np.errstate(divide="ignore"):
-            beyond = float(np.log(every * self._beyond(mean, covariance)) - best)
+            beyond = float(np.log(every * self._prior_beyond(mean, covariance)) - best)
         p /= p.sum() + np.exp(min(beyond, 700.0))
         row, col = np.unravel_index(int(np.argmax(p)), p.shape)
         rows, cols = np.indices(p.shape)
-        near = np.hypot(rows - row, cols - col) <= 1.5 * self._ways + 1e-9
+        near = np.hypot(rows - row, cols - col) <= 1.5 * self._offsets + 1e-9
         certainty = float(p[near].sum())
         q = p[near] / certainty
         north = self._unit * (rows[near] + self._origin[0])
@@ -356,13 +362,13 @@ class PlaceSearch:
         spread = np.array([q @ (east - middle[0]) ** 2, q @ (north - middle[1]) ** 2])
         spread += (0.5 * self.prior.grid.posting) ** 2
         share, rise, error = self._agreement(int(row), int(col))
-        up, up_variance = self._level(p)
+        up, up_variance = self._vertical_shift(p)
         return Match(
             np.array([*middle, up if rise is None else rise]),
             np.diag([*spread, error]), certainty, share, up, up_variance,
         )  # fmt: skip
 
-    def _beyond(self, mean: Array, covariance: Array) -> float:
+    def _prior_beyond(self, mean: Array, covariance: Array) -> float:
         """Return an upper bound of the prior probability beyond the searched places.
 
         It sums the tails past each side. The sum over the searched places would be inaccurate for a
@@ -374,15 +380,15 @@ class PlaceSearch:
         past = ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma)
         return min(float(past.sum()), 1.0)
 
-    def _under(
-        self, tile: _Tile, row: IntArray, col: IntArray
+    def _posts_below(
+        self, tile: _SampledTile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
         """Return slices of a tile's posts, and map rows (n, r) and columns (n, c) below.
 
         All places must use the same of the four offsets of posts.
         """
         north, east = row + self._origin[0], col + self._origin[1]
-        ways = self._ways
+        ways = self._offsets
         a, b = int(-north[0] % ways), int(-east[0] % ways)
         n = np.arange(self._wide)
         r = ((north + a) // ways + tile.first[0] // 2)[:, None] + n
@@ -394,28 +400,30 @@ class PlaceSearch:
 
         The height difference is map minus scan, m, from the last six tiles.
         """
-        agreed, offered, rises = 0, 0, []
+        agreed, compared, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
-            cut, r, c = self._under(tile, np.array([row]), np.array([col]))
+            cut, r, c = self._posts_below(tile, np.array([row]), np.array([col]))
             shown, elevation = (
                 _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
             )
             both = (tile.whole.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
             gap = shown - tile.whole.height[cut]
             agree = both & (gap**2 <= 9.0 * tile.whole.variance[cut])
-            agreed, offered = agreed + int(agree.sum()), offered + int(both.sum())
+            agreed, compared = agreed + int(agree.sum()), compared + int(both.sum())
             if n < 6:
                 rises.append((elevation - tile.level[cut])[agree])
         rise = np.concatenate(rises)
         posting, sigma = self.prior.grid.posting, self.prior.sigma
         error = sigma**2 * self.prior.together / max(len(rise), 1) + (0.4 * posting) ** 2
         found = float(np.median(rise)) if len(rise) else None
-        return agreed / offered if offered else 0.0, found, float(error)
+        return agreed / compared if compared else 0.0, found, float(error)
 
-    def _level(self, p: Array) -> tuple[float, float]:
+    def _vertical_shift(self, p: Array) -> tuple[float, float]:
         """Return mean and variance of the vertical shift, weighted by the posterior."""
         # Use the places with one offset of posts only, and thin them for speed.
-        every = self._ways * max(1, int(np.sqrt(p.size / self._ways**2 / _SAMPLE)))
+        every = self._offsets * max(
+            1, int(np.sqrt(p.size / self._offsets**2 / _HEIGHT_SAMPLE_PLACES))
+        )
         best = np.unravel_index(int(np.argmax(p)), p.shape)
         row, col = (np.arange(int(b) % every, n, every) for b, n in zip(best, p.shape, strict=True))
         block = (every, every)
@@ -424,7 +432,7 @@ class PlaceSearch:
         keep = mass > 1e-6 * mass.max()
         row, col, mass = row[keep], col[keep], mass[keep]
         tile = self._tiles[-1]
-        cut, r, c = self._under(tile, row, col)
+        cut, r, c = self._posts_below(tile, row, col)
         ours = tile.whole.weight[cut] > 0.0
         i, j = np.nonzero(ours)
         some = slice(None, None, max(1, len(i) // 32))
@@ -441,7 +449,7 @@ class PlaceSearch:
         return up, float(weight @ (mean - up) ** 2)
 
 
-def _check_known(mean: Array, covariance: Array, speed_sigma: float) -> None:
+def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
     """Check the prior of a search."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
         raise InputError("mean", mean, "must be two finite numbers, m")

@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.initial_shift import fit_start
+from lunarsim.onboard.navigation.initial_shift import find_initial_shift
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.seen_scan import SeenScan
-from lunarsim.onboard.navigation.surface import Surface, surface_of
+from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # The scan position is unambiguous if this number of standard deviations is below half a post, or if
 # the best shift has this probability.
-_DEVIATIONS, _CERTAIN = 3.5, 0.9995
+_UNAMBIGUOUS_SIGMAS, _MIN_CERTAINTY = 3.5, 0.9995
 # Side of the blocks for the correlation of residuals, in posts; minimum number of blocks.
-_BLOCK, _FEWEST_BLOCKS = 6, 4
+_BLOCK_POSTS, _MIN_BLOCKS = 6, 4
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Fit:
         J' W J (d, d).
     vector
         J' W y (d,).
-    used, offered
+    used, compared
         Number of squares that agree with the map, and of all compared squares.
     misfit
         Mean square of the residuals of agreeing squares, in units of their variance.
@@ -42,13 +42,13 @@ class Fit:
     information: Array
     vector: Array
     used: int
-    offered: int
+    compared: int
     misfit: float
 
     @property
     def share(self) -> float:
         """Fraction of the squares that agree."""
-        return self.used / self.offered if self.offered else 0.0
+        return self.used / self.compared if self.compared else 0.0
 
 
 def fit(
@@ -104,7 +104,7 @@ def fit(
     )
 
 
-def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
+def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
     """Return which squares of a scan lie on known posts of a map (m,)."""
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
@@ -144,11 +144,11 @@ def register(
         Rows and columns of the compared posts.
     """
     prior = features.prior
-    error, level_only, spread = _begin(seen, features, covariance)
+    error, level_only, spread = _initial_error(seen, features, covariance)
     for _ in range(passes):
         moved = seen.moved(error)
-        surface = surface_of(moved.points(), prior.grid)
-        inside = _on_known_ground(surface, prior)
+        surface = average_scan(moved.points(), prior.grid)
+        inside = _is_on_map(surface, prior)
         posts = surface.row[inside], surface.col[inside]
         normal, added = _normals(surface.normal[inside], spread if level_only else None)
         jacobian = moved.jacobian(surface.position[inside], normal)
@@ -157,13 +157,13 @@ def register(
         result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
         if result.used == 0:
             break
-        step = solved(result, covariance) - error
+        step = solve_error(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
         if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
     if result.used:
-        alike = together(posts, residual - jacobian @ error, expected)
+        alike = residual_correlation(posts, residual - jacobian @ error, expected)
         share = max(alike, prior.together, 1.0)
         result = replace(
             result, information=result.information / share, vector=result.vector / share
@@ -171,7 +171,7 @@ def register(
     return result, posts
 
 
-def solved(found: Fit, covariance: Array) -> Array:
+def solve_error(found: Fit, covariance: Array) -> Array:
     """Return the maximum a posteriori error of a fit with its prior covariance (d,)."""
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
@@ -190,25 +190,29 @@ def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
     return np.broadcast_to(normal.mean(axis=0), normal.shape), added
 
 
-def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
+def residual_correlation(
+    posts: tuple[IntArray, IntArray], residual: Array, variance: Array
+) -> float:
     """Return the variance inflation that accounts for the correlation of residuals.
 
     It compares sums over blocks of a few posts with their variance for independent residuals. Map
     errors with a correlation length of some metres and small terrain changes add up in these sums.
     The result is 1 if there are too few blocks.
     """
-    row, col = (part // _BLOCK for part in posts)
+    row, col = (part // _BLOCK_POSTS for part in posts)
     keep = residual**2 <= 9.0 * variance
     block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
     total = np.bincount(block[keep], residual[keep])
     expected = np.bincount(block[keep], variance[keep])
     full = expected > 0.0
-    if full.sum() < _FEWEST_BLOCKS:
+    if full.sum() < _MIN_BLOCKS:
         return 1.0
     return float(np.mean(total[full] ** 2 / expected[full]))
 
 
-def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:
+def _initial_error(
+    seen: SeenScan, features: MapFeatures, covariance: Array
+) -> tuple[Array, bool, Array]:
     """Return initial error of a fit (11,), a flag for heights only, and the spread.
 
     Slopes give the correct position only within half a post on rough terrain. If the position of
@@ -221,9 +225,9 @@ def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Ar
         return error, False, none
     across = seen.point_jacobian(surface.position.mean(axis=0))[:2]
     place = across @ covariance @ across.T
-    if _DEVIATIONS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
+    if _UNAMBIGUOUS_SIGMAS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
         return error, False, none
-    start = fit_start(surface, features, place)
-    if start.certainty < _CERTAIN:
+    start = find_initial_shift(surface, features, place)
+    if start.certainty < _MIN_CERTAINTY:
         return error, True, start.spread
     return covariance @ across.T @ np.linalg.solve(place, start.shift), False, none

@@ -19,32 +19,32 @@ class RegistrationSettings:
     model_sigma
         Standard deviation of the difference between a scan's mean over the square of a post and the
         post, apart from the map's noise, m. Causes are occlusion by rocks and uneven sampling.
-    least_squares
+    min_squares
         Minimum number of squares for a registration.
-    least_share
+    min_agreement
         Minimum fraction of squares that agree with the map.
-    greatest_misfit
+    max_misfit
         Maximum mean square of their residuals, in units of their variance.
-    chance, map_chance
-        Probability to reject a valid correction, from a reference scan or a search (`chance`) and
-        from a fit to the map (`map_chance`). Partly changed terrain biases the latter by a few
-        standard deviations.
+    rejection_probability, map_rejection_probability
+        Probability to reject a valid correction, from a reference scan or a search
+        (`rejection_probability`) and from a fit to the map (`map_rejection_probability`). Partly
+        changed terrain biases the latter by a few standard deviations.
     certainty
         Minimum probability of the best place of a search.
-    level_sigma
+    height_sigma
         Standard deviation of a height that is derived before the place is known, m.
     search_s
         Time between two searches, s.
     lost_s
         Time without agreement of a large enough scan after which the lock is lost, s.
-    gather_s
+    max_accumulation_s
         Maximum time over which small scans are accumulated, s.
     odometry_postings
         Minimum and maximum side of the squares for scan-to-scan odometry, m. Between these limits
         it is 1/24 of the width of a scan.
     odometry_sigma
         Standard deviation of the height difference of two scans in a square, m.
-    key_share
+    min_overlap
         Minimum overlap with the reference scan; below it the reference scan is replaced.
 
     Raises
@@ -54,19 +54,19 @@ class RegistrationSettings:
     """
 
     model_sigma: float = 0.03
-    least_squares: int = 12
-    least_share: float = 0.7
-    greatest_misfit: float = 1.6
-    chance: float = 4e-5
-    map_chance: float = 1e-3
+    min_squares: int = 12
+    min_agreement: float = 0.7
+    max_misfit: float = 1.6
+    rejection_probability: float = 4e-5
+    map_rejection_probability: float = 1e-3
     certainty: float = 0.99999
-    level_sigma: float = 0.5
+    height_sigma: float = 0.5
     search_s: float = 0.5
     lost_s: float = 2.0
-    gather_s: float = 5.0
+    max_accumulation_s: float = 5.0
     odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
-    key_share: float = 0.8
+    min_overlap: float = 0.8
 
     def __post_init__(self) -> None:
         if not (
@@ -78,12 +78,18 @@ class RegistrationSettings:
                 self.odometry_postings,
                 "must be two positive lengths in ascending order",
             )
-        for name in ("least_share", "chance", "map_chance", "certainty", "key_share"):
+        for name in (
+            "min_agreement",
+            "rejection_probability",
+            "map_rejection_probability",
+            "certainty",
+            "min_overlap",
+        ):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise InputError(f"navigation.{name}", value, "must be above 0 and at most 1")
-        for name in ("model_sigma", "least_squares", "greatest_misfit", "level_sigma", "search_s",
-                     "lost_s", "gather_s", "odometry_sigma"):  # fmt: skip
+        for name in ("model_sigma", "min_squares", "max_misfit", "height_sigma", "search_s",
+                     "lost_s", "max_accumulation_s", "odometry_sigma"):  # fmt: skip
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
@@ -91,7 +97,7 @@ class RegistrationSettings:
     def believes(self, found: Fit) -> bool:
         """Return whether enough squares agree, with small enough residuals."""
         return (
-            found.used >= self.least_squares
-            and found.share >= self.least_share
-            and found.misfit <= self.greatest_misfit
+            found.used >= self.min_squares
+            and found.share >= self.min_agreement
+            and found.misfit <= self.max_misfit
         )

@@ -16,36 +16,36 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import add_few, measured_rows
-from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
-from lunarsim.onboard.navigation.error_state import KEY, MAP, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation._rock_filter_kernels import add_outer_products, measured_rows
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
+from lunarsim.onboard.navigation.error_state import MAP, POSE, REFERENCE_POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
+from lunarsim.onboard.navigation.picture_watch import ImageInnovationMonitor, Remedy
 from lunarsim.onboard.navigation.planar import inverse, positive
-from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
-from lunarsim.onboard.navigation.rock_states import AXES, RockStates
-from lunarsim.onboard.navigation.wandering_ground import crossings
+from lunarsim.onboard.navigation.rock_sight import Sight, project_points
+from lunarsim.onboard.navigation.rock_states import ROCK_DIM, RockStates
+from lunarsim.onboard.navigation.wandering_ground import intersect_lines
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Minimum rotation of the view (rad), or relative change of the range, for a process-noise step.
-_LEAST_TURN = 0.02
+_MIN_VIEW_CHANGE = 0.02
 # Minimum distance of a rock from the camera in the process noise, m.
-_NEAREST = 0.1
+_MIN_RANGE_M = 0.1
 # Maximum number of iterations for the intersection of a line of sight with sloping terrain, and the
 # height change at which they stop, m.
-_PASSES, _FOUND = 8, 0.01
+_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M = 8, 0.01
 # Limits of the height step, as a factor on the height difference at the last iterate.
-_STEPS = (0.2, 3.0)
+_STEP_LIMITS = (0.2, 3.0)
 # Margin around a region for points found on horizontal terrain, m, and maximum slope (tangent) of
 # the terrain from the centre of the region.
-_BESIDE, _STEEPEST = 10.0, 0.36
+_REGION_MARGIN_M, _MAX_SLOPE = 10.0, 0.36
 # Limits of the factor of a covariance inflation, and maximum standard deviations after it: position
 # of rocks and lander (m), velocity (m/s), attitude (rad).
-_LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
-_MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
+_MIN_GROWTH, _MAX_GROWTH = 4.0, 1e3
+_MAX_POSITION_SIGMA_M, _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD = 100.0, 10.0, 0.1
 
 # Limits of a region: west, east, south and north, m.
 Region = tuple[float, float, float, float]
@@ -58,7 +58,7 @@ class RockFilter(RockStates):
     ----------
     state
         Error state of the lander; the rocks are appended behind its blocks.
-    aids
+    aiding
         Processor of the other measurements, with the prior terrain height.
     capacity
         Initial number of rocks to allocate; it grows as needed.
@@ -68,15 +68,17 @@ class RockFilter(RockStates):
     pictures
         Monitor of the image observations.
     events
-        Events of this filter and of `aids`.
+        Events of this filter and of `aiding`.
     """
 
-    def __init__(self, state: ErrorState, aids: Aids, *, capacity: int = 128) -> None:
-        super().__init__(state, aids.ground, capacity)
-        self.events = aids.events
-        self.pictures = PictureWatch(self.events)
-        self._aids = aids
-        self._eye: Array | None = None
+    def __init__(
+        self, state: ErrorState, aiding: AidingMeasurements, *, capacity: int = 128
+    ) -> None:
+        super().__init__(state, aiding.ground, capacity)
+        self.events = aiding.events
+        self.pictures = ImageInnovationMonitor(self.events)
+        self._aiding = aiding
+        self._last_camera_position: Array | None = None
         self._pixel = 0.0
 
     @classmethod
@@ -102,8 +104,8 @@ class RockFilter(RockStates):
             Initial number of rocks to allocate.
         """
         level = ground or LevelGround(0.0, None)
-        state = ErrorState(inertial, errors, blocks=blocks_of({}, level))
-        return cls(state, Aids(state, {}, level, []), capacity=capacity)
+        state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
+        return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
     @property
     def inertial(self) -> StrapdownState:
@@ -123,48 +125,48 @@ class RockFilter(RockStates):
         Returns points (n, 3), m; NaN without an intersection, and for points far outside a
         given region (west, east, south and north limits, m).
         """
-        out = np.full((len(pixel), AXES), np.nan)
+        out = np.full((len(pixel), ROCK_DIM), np.nan)
         if len(pixel) == 0:
             return out
-        eye, per_drop = self._lines(camera, pixel)
+        origin, per_drop = self._sight_lines(camera, pixel)
         middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
         out[:, 2] = self.ground if middle is None else self.ground_at(middle)[0]
-        out[:, :2] = eye[:2] + per_drop * (eye[2] - out[:, 2:])
+        out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
         lie = np.isfinite(out[:, :2]).all(1)
         if near is not None:
-            lie &= _beside(out[:, :2], per_drop, near)
+            lie &= _is_near_region(out[:, :2], per_drop, near)
             out[~lie] = np.nan
-        out[lie] = self._met(eye, per_drop[lie], out[lie, 2])
+        out[lie] = self._intersect(origin, per_drop[lie], out[lie, 2])
         return out
 
-    def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
+    def _intersect(self, origin: Array, per_drop: Array, height: Array) -> Array:
         """Intersect lines from a point (3,) with the terrain (n, 3), with initial heights."""
-        if self.measured is None and self.rocks_tell_ground:
+        if self.measured is None and self.can_interpolate_height:
             # The compiled version of the same iteration.
-            search = (_PASSES, _FOUND, *_STEPS)
+            search = (_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M, *_STEP_LIMITS)
             known = self._known_heights()
-            return crossings(*known, eye, per_drop, height, self._level.growth, search)
+            return intersect_lines(*known, origin, per_drop, height, self._level.growth, search)
         left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
-        least, met = np.full(len(height), np.inf), np.empty((len(height), AXES))
-        for _ in range(_PASSES):
-            xy = eye[:2] + per_drop[left] * (eye[2] - height)[:, None]
+        least, met = np.full(len(height), np.inf), np.empty((len(height), ROCK_DIM))
+        for _ in range(_MAX_ITERATIONS):
+            xy = origin[:2] + per_drop[left] * (origin[2] - height)[:, None]
             found = self.ground_at(xy)
             now = found - height
             # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
             nearer = ~(np.abs(now) >= least[left])
             met[left[nearer]] = np.column_stack((xy, found))[nearer]
             least[left[nearer]] = np.abs(now[nearer])
-            on = np.abs(now) > _FOUND
+            on = np.abs(now) > _HEIGHT_TOLERANCE_M
             if not on.any():
                 break
             # Secant step: intersect the line with the terrain slope between the last two iterates.
             with np.errstate(invalid="ignore", divide="ignore"):
-                step = now / np.clip((off - now) / (height - tried), *_STEPS)
+                step = now / np.clip((off - now) / (height - tried), *_STEP_LIMITS)
             onward = np.where(np.isfinite(step), height + step, found)
             left, tried, off, height = left[on], height[on], now[on], onward[on]
         return met
 
-    def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
+    def _sight_lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return camera position (3,) and horizontal advance of lines per drop (n, 2).
 
         The advance is east and north per metre downwards; NaN for lines that do not descend.
@@ -184,21 +186,21 @@ class RockFilter(RockStates):
     @property
     def lost(self) -> bool:
         """Whether measurements or rock observations contradict the estimate."""
-        return self._aids.lost or self.pictures.lost
+        return self._aiding.lost or self.pictures.lost
 
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
         self.state.propagate(angle, velocity)
-        self._aids.travel()
-        self._aids.doubt_units()
+        self._aiding.add_terrain_noise()
+        self._aiding.check_sensor_biases()
 
     # --- rocks ----------------------------------------------------------------------------
 
     def sight(self, camera: CameraModel, points: Array | None = None) -> Sight:
         """Predict the pixels of points (n, 3), or of the tracked rocks (Eqs. 10-11)."""
-        return sight_of(self.inertial, camera, self.xyz if points is None else points)
+        return project_points(self.inertial, camera, self.xyz if points is None else points)
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
@@ -283,14 +285,14 @@ class RockFilter(RockStates):
             p = self.state.for_rows(POSE, columns)
             hp = measured_rows(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
-        own = hp[:, columns.ravel()].reshape(2 * m, m, AXES)
+        own = hp[:, columns.ravel()].reshape(2 * m, m, ROCK_DIM)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
         s[::2, ::2] += common**2
         s[1::2, 1::2] += common**2
         innovation = (pixel - sight.pixel[index]).ravel()
-        return self.state.absorb(hp, s, innovation, 2 * m * gate)
+        return self.state.update_with_innovation(hp, s, innovation, 2 * m * gate)
 
     def turn(
         self, sun: Array, along: float, across: float, shared: float, *,
@@ -317,39 +319,39 @@ class RockFilter(RockStates):
         pixel
             Footprint of a pixel at a range of 1 m, m.
         """
-        eye = self.inertial.position.copy()
+        origin = self.inertial.position.copy()
         other, coarser = 0.0, pixel
         if min(pixel, self._pixel) > 0.0:
             other, coarser = abs(float(np.log(pixel / self._pixel))), max(pixel, self._pixel)
-        if self._eye is None or self.count == 0:
-            self._eye, self._pixel = eye, pixel
+        if self._last_camera_position is None or self.count == 0:
+            self._last_camera_position, self._pixel = origin, pixel
             return
-        old, new = self.xyz - self._eye, self.xyz - eye
+        old, new = self.xyz - self._last_camera_position, self.xyz - origin
         angle = np.arctan2(
             np.linalg.norm(np.cross(old, new), axis=1), np.einsum("ij,ij->i", old, new)
         )
-        far = np.maximum(np.linalg.norm(new, axis=1), _NEAREST)
-        nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _NEAREST)))
-        if max(np.median(angle), np.median(nearer), other) < _LEAST_TURN:
+        far = np.maximum(np.linalg.norm(new, axis=1), _MIN_RANGE_M)
+        nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _MIN_RANGE_M)))
+        if max(np.median(angle), np.median(nearer), other) < _MIN_VIEW_CHANGE:
             return
-        self._eye, self._pixel = eye, pixel
+        self._last_camera_position, self._pixel = origin, pixel
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
         range_ = closing * np.sqrt(nearer + other) * coarser * far
-        self._wander_together(np.stack((shared * root, range_)), level)
+        self._add_common_noise(np.stack((shared * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
         own = 0.5 * (own + own.T)  # symmetric to the last bit
         self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
-    def _wander_together(self, sigma: Array, axis: Array) -> None:
+    def _add_common_noise(self, sigma: Array, axis: Array) -> None:
         """Add common noise of m sources, sigma (m, n) in m, along a horizontal axis (2,)."""
         size = self.state.size
-        move = np.zeros((len(sigma), self.count, AXES))
+        move = np.zeros((len(sigma), self.count, ROCK_DIM))
         move[..., :2] = sigma[..., None] * axis
         with threads_for(4e-3 * size**2):
-            add_few(
+            add_outer_products(
                 self.state.for_rows()[self.first : size, self.first : size],
                 move.reshape(len(sigma), -1),
             )
@@ -357,22 +359,23 @@ class RockFilter(RockStates):
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
         """Monitor the outcome of an image, and inflate the state after an alarm.
 
-        The caller must reset the rocks if the returned action asks for it; see `PictureWatch`.
+        The caller must reset the rocks if the returned action asks for it; see
+        `ImageInnovationMonitor`.
         """
-        remedy = self.pictures.note(kind, time, outcome)
+        remedy = self.pictures.record(kind, time, outcome)
         if remedy is not Remedy.NONE and kind != "shadows":
-            excess = self.pictures.watches[kind].excess
-            growth = float(np.clip(excess, _LEAST_GROWTH, _MOST_GROWTH))
+            nis_ratio = self.pictures.watches[kind].nis_ratio
+            growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
-            most = np.full(size, _MOST_PLACE)
-            most[VELOCITY], most[ATTITUDE] = _MOST_SPEED, _MOST_TURN
+            most = np.full(size, _MAX_POSITION_SIGMA_M)
+            most[VELOCITY], most[ATTITUDE] = _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD
             columns = np.r_[0:6, 9:12, self.first : size]
             # If only the pose were inflated, scans would pull it back to the reference pose and to
             # the estimated map offset.
-            for name in (KEY, MAP):
+            for name in (REFERENCE_POSE, MAP):
                 if self.state.has(name):
                     block = self.state.block(name)
-                    most[block.start + 3 : block.stop] = _MOST_TURN
+                    most[block.start + 3 : block.stop] = _MAX_ATTITUDE_SIGMA_RAD
                     columns = np.r_[columns, block]
             self.state.inflate(columns, growth, most[columns])
         return remedy
@@ -396,11 +399,11 @@ class RockFilter(RockStates):
         index
             Indices of the new rocks (b,).
         """
-        told = self._told(camera, points, pixel_covariance)
+        jacobians = self._position_jacobians(camera, points, pixel_covariance)
         index = self.append(points, radius, radius_variance)
         for rock in index:
-            self.follow_ground(rock)
-        self._stand(index, *told)
+            self.correlate_height(rock)
+        self._set_position_covariance(index, *jacobians)
         return index
 
     def begin_anew(
@@ -422,15 +425,15 @@ class RockFilter(RockStates):
         InputError
             If a line of sight does not meet the terrain; nothing is changed then.
         """
-        eye, per_drop = self._lines(camera, pixel)
+        origin, per_drop = self._sight_lines(camera, pixel)
         height = self.xyz[index, 2]
-        points = np.column_stack((eye[:2] + per_drop * (eye[2] - height)[:, None], height))
-        told = self._told(camera, points, pixel_covariance)
+        points = np.column_stack((origin[:2] + per_drop * (origin[2] - height)[:, None], height))
+        jacobians = self._position_jacobians(camera, points, pixel_covariance)
         self._xyz[index] = points
         self._r[index] = np.column_stack((radius, radius_variance))
-        self._stand(index, *told)
+        self._set_position_covariance(index, *jacobians)
 
-    def _told(
+    def _position_jacobians(
         self, camera: CameraModel, points: Array, pixel_covariance: Array
     ) -> tuple[Array, Array, Array]:
         """Return the Jacobians of rock positions (b, 2) with respect to pose and height.
@@ -449,14 +452,16 @@ class RockFilter(RockStates):
             )
         return by_pose, by_height, own
 
-    def _stand(self, index: Index, by_pose: Array, by_height: Array, own: Array) -> None:
-        """Set the covariance of rocks' east and north from the result of `_told`."""
+    def _set_position_covariance(
+        self, index: Index, by_pose: Array, by_height: Array, own: Array
+    ) -> None:
+        """Set the covariance of rocks' east and north from the result of `_position_jacobians`."""
         b = len(index)
         size, i = self.state.size, self.places(index)
         p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
         rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
-        self.state.put(level, rows)
+        self.state.set_rows(level, rows)
         block = rows[:, POSE] @ by_pose.reshape(2 * b, 6).T
         block += rows[:, i[:, 2]].repeat(2, 1) * by_height.ravel()
         at = np.arange(2 * b).reshape(b, 2)
@@ -464,14 +469,14 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _beside(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
+def _is_near_region(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
     """Return which points (n, 2) can lie inside a region or its margin.
 
     The points were found on horizontal terrain at the height of the region's centre, along lines
     with an advance of `per_drop` (n, 2) per metre of drop.
     """
     west, east, south, north = near
-    rise = _STEEPEST * 0.5 * max(east - west, north - south)
-    off = _BESIDE + rise * np.linalg.norm(per_drop, axis=1)
+    rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)
+    off = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T
     return np.asarray((x > west - off) & (x < east + off) & (y > south - off) & (y < north + off))

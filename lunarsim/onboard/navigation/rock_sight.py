@@ -36,7 +36,7 @@ class Sight:
     by_rock: Array
 
 
-def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
+def project_points(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
     """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation

@@ -20,21 +20,25 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.measured_heights import (
-    COMMON,
-    OWN,
-    GroundHeights,
-    lay,
-    pose_shares,
+    COMMON_SIGMA_M,
+    INDIVIDUAL_SIGMA_M,
+    TerrainHeights,
+    correct_heights,
+    height_jacobian,
 )
-from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
+from lunarsim.onboard.navigation.wandering_ground import (
+    NEIGHBOURS,
+    interpolate_heights,
+    kriging_weights,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Number of coordinates of a rock: east, north and height.
-AXES = 3
+ROCK_DIM = 3
 # Minimum number of rocks to estimate the offset of the measured terrain.
-_LEAST_ROCKS = 5
+_MIN_ROCKS = 5
 
 
 class RockStates:
@@ -67,35 +71,35 @@ class RockStates:
                 "navigation.rocks", state.tail, "must be added to an error state without tail"
             )
         self.state = state
-        self.state.reserve(AXES * capacity)
-        self.state.listeners.append(self._moved)
+        self.state.reserve(ROCK_DIM * capacity)
+        self.state.listeners.append(self._apply_correction)
         self.first = self.state.head
         self.count = 0
-        self.measured: GroundHeights | None = None
+        self.measured: TerrainHeights | None = None
         self._level = level
-        self._xyz = np.zeros((capacity, AXES))
+        self._xyz = np.zeros((capacity, ROCK_DIM))
         self._r = np.zeros((capacity, 2))
-        self._rests = np.zeros(capacity, bool)
+        self._frozen = np.zeros(capacity, bool)
 
-    def _moved(self, error: Array) -> None:
+    def _apply_correction(self, error: Array) -> None:
         """Apply a correction of the error state to the rocks."""
-        self.xyz[:] += error[self.first :].reshape(-1, AXES)
+        self.xyz[:] += error[self.first :].reshape(-1, ROCK_DIM)
 
     def rest(self, rocks: NDArray[np.bool_]) -> None:
         """Freeze the marked rocks (n,) until the next call; new rocks are not frozen.
 
-        See `RestingErrors.rest`.
+        See `SchmidtKalmanCovariance.rest`.
         """
-        self._rests[: self.count] = rocks
-        self._note_rests()
+        self._frozen[: self.count] = rocks
+        self._update_frozen()
 
-    def _note_rests(self) -> None:
-        self.state.rest(np.repeat(self._rests[: self.count], AXES))
+    def _update_frozen(self) -> None:
+        self.state.rest(np.repeat(self._frozen[: self.count], ROCK_DIM))
 
     def places(self, index: Index | None = None) -> Index:
         """Return the indices of the rocks' coordinates in the error state (n, 3)."""
         rocks = np.arange(self.count) if index is None else np.asarray(index)
-        return np.asarray(self.first + AXES * rocks[:, None] + np.arange(AXES))
+        return np.asarray(self.first + ROCK_DIM * rocks[:, None] + np.arange(ROCK_DIM))
 
     @property
     def xyz(self) -> Array:
@@ -131,8 +135,8 @@ class RockStates:
         if self.count == 0:
             return own
         p = self.state.for_rows()
-        cross = np.moveaxis(p[np.arange(AXES)[:, None, None], self.places()[None]], 0, 1)
-        return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
+        cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.places()[None]], 0, 1)
+        return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
     def rise_variance(self, near: Index) -> Array:
         """Return the variance of height differences between rocks and others (n, k), m^2.
@@ -158,10 +162,10 @@ class RockStates:
     @property
     def ground(self) -> float:
         """Height of the terrain below the lander, m."""
-        below = sum(float(self.state.value(name)[at]) for name, at in self._level_parts())
+        below = sum(float(self.state.value(name)[at]) for name, at in self._height_blocks())
         return self._level.elevation + below
 
-    def _level_parts(self) -> list[tuple[str, int]]:
+    def _height_blocks(self) -> list[tuple[str, int]]:
         """Return the blocks and indices whose values add up to the height below.
 
         Elevations refer to the site frame, which has a vertical offset from the local frame.
@@ -176,35 +180,35 @@ class RockStates:
         """
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.measured is None:
-            return self._told_by_rocks(at)
-        height = self.measured.heights(at) + self._above(self.measured)
+            return self._interpolate_height(at)
+        height = self.measured.heights(at) + self._median_offset(self.measured)
         unknown = np.isnan(height)
         if unknown.any():
-            height[unknown] = self._told_by_rocks(at[unknown])
+            height[unknown] = self._interpolate_height(at[unknown])
         return height
 
-    def _above(self, measured: GroundHeights) -> float:
+    def _median_offset(self, measured: TerrainHeights) -> float:
         """Return the median height of the rocks above the measured terrain, m.
 
         The heights of the lander and its rocks drift in the local frame by decimetres, while the
         measured terrain is fixed, so only its shape is used.
         """
-        if self.count < _LEAST_ROCKS:
+        if self.count < _MIN_ROCKS:
             return 0.0
         above = self.xyz[:, 2] - measured.heights(self.xy)
         above = above[np.isfinite(above)]
-        return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
+        return float(np.median(above)) if len(above) >= _MIN_ROCKS else 0.0
 
     @property
-    def rocks_tell_ground(self) -> bool:
+    def can_interpolate_height(self) -> bool:
         """Whether terrain heights can be interpolated between rocks."""
         return self.count > 0 and self.state.has(GROUND)
 
-    def _told_by_rocks(self, at: Array) -> Array:
+    def _interpolate_height(self, at: Array) -> Array:
         """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
-        if not self.rocks_tell_ground:
+        if not self.can_interpolate_height:
             return np.full(len(at), self.ground)
-        return heights(*self._known_heights(), at, self._level.growth)
+        return interpolate_heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
         """Return places (n, 2) and heights (n,), m, of the terrain below lander and rocks."""
@@ -230,7 +234,7 @@ class RockStates:
         index = self.append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
         level = self.places(index)[:, :2].ravel()
         for rock in index:
-            self.follow_ground(rock)
+            self.correlate_height(rock)
         self.state.p[level, level] = np.repeat(np.square(sigma), 2)
 
     def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
@@ -238,17 +242,17 @@ class RockStates:
         index = np.arange(self.count, self.count + len(points))
         self._reserve(self.count + len(points))
         old = self.state.size
-        self._counted(self.count + len(points))
+        self._set_count(self.count + len(points))
         p, size = self.state.for_rows(), self.state.size
         p[old:size, :size] = 0.0
         p[:size, old:size] = 0.0
         self._xyz[index] = points
         self._r[index] = np.column_stack((radius, radius_variance))
-        self._rests[index] = False
-        self._note_rests()
+        self._frozen[index] = False
+        self._update_frozen()
         return index
 
-    def follow_ground(self, rock: int) -> None:
+    def correlate_height(self, rock: int) -> None:
         """Set a rock's height error from its neighbours and the height below the lander.
 
         On measured terrain, only the neighbours on it are used.
@@ -258,18 +262,18 @@ class RockStates:
         if self.measured is not None:
             known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
             if known[rock]:
-                self._follow_measured(rock, np.flatnonzero(known[:rock]))
+                self._correlate_with_measured(rock, np.flatnonzero(known[:rock]))
                 return
         at = self._xyz[rock, :2]
         near = self._nearest(rock, np.arange(rock))
         places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
-        weights, variance = kriging(places[None], at[None], self._level.growth)
-        below = [self.state.block(name).start + at for name, at in self._level_parts()]
+        weights, variance = kriging_weights(places[None], at[None], self._level.growth)
+        below = [self.state.block(name).start + at for name, at in self._height_blocks()]
         sources = np.concatenate((below, self.places(near)[:, 2]))
         shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
-        self._follow(rock, sources, shares, float(variance[0]))
+        self._set_height_error(rock, sources, shares, float(variance[0]))
 
-    def _follow_measured(self, rock: int, others: Index) -> None:
+    def _correlate_with_measured(self, rock: int, others: Index) -> None:
         """Set the error of a rock's height from its neighbours on measured terrain (k,).
 
         Without neighbours, it depends on the lander's pose, from which the terrain was measured.
@@ -277,12 +281,12 @@ class RockStates:
         near = self._nearest(rock, others)
         if len(near):
             shares = np.full(len(near), 1.0 / len(near))
-            self._follow(rock, self.places(near)[:, 2], shares, OWN**2)
+            self._set_height_error(rock, self.places(near)[:, 2], shares, INDIVIDUAL_SIGMA_M**2)
         else:
-            shares = pose_shares(self.state, self._xyz[rock])
-            self._follow(rock, POSE, shares, OWN**2 + COMMON**2)
+            shares = height_jacobian(self.state, self._xyz[rock])
+            self._set_height_error(rock, POSE, shares, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
-    def _follow(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
+    def _set_height_error(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
         self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, shares, variance)
 
     def _nearest(self, rock: int, others: Index) -> Index:
@@ -295,10 +299,10 @@ class RockStates:
         return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
-        """Correct rock heights by the terrain measured from the current pose; see `lay`."""
+        """Correct rock heights by measured terrain; see `correct_heights`."""
         if self.measured is None or not self.state.has(GROUND) or self.count == 0:
             return Outcome(0.0, 0, False)
-        return lay(self, self.measured)
+        return correct_heights(self, self.measured)
 
     def remove(self, index: Index) -> Index:
         """Remove rocks; the last rocks move to their indices.
@@ -308,19 +312,21 @@ class RockStates:
         old
             Old indices of the remaining rocks (n,), in their new order.
         """
-        gone = np.zeros(self.count, bool)
-        gone[index] = True
-        left = self.count - int(gone.sum())
-        holes = np.flatnonzero(gone[:left])
-        movers = left + np.flatnonzero(~gone[left:])
+        is_missing = np.zeros(self.count, bool)
+        is_missing[index] = True
+        left = self.count - int(is_missing.sum())
+        holes = np.flatnonzero(is_missing[:left])
+        movers = left + np.flatnonzero(~is_missing[left:])
         old = np.arange(left)
         old[holes] = movers
-        self.state.keep(AXES * left, self.places(holes).ravel(), self.places(movers).ravel())
+        self.state.move_and_truncate(
+            ROCK_DIM * left, self.places(holes).ravel(), self.places(movers).ravel()
+        )
         self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
-        self._rests[holes] = self._rests[movers]
-        self._counted(left)
-        self._note_rests()
+        self._frozen[holes] = self._frozen[movers]
+        self._set_count(left)
+        self._update_frozen()
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
@@ -332,12 +338,12 @@ class RockStates:
         if count <= capacity:
             return
         capacity = max(count, 2 * capacity)
-        self.state.reserve(AXES * capacity)
-        for name in ("_xyz", "_r", "_rests"):
+        self.state.reserve(ROCK_DIM * capacity)
+        for name in ("_xyz", "_r", "_frozen"):
             old = getattr(self, name)
             more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
 
-    def _counted(self, count: int) -> None:
-        self.count, self.state.tail = count, AXES * count
+    def _set_count(self, count: int) -> None:
+        self.count, self.state.tail = count, ROCK_DIM * count

@@ -21,14 +21,14 @@ from lunarsim.models.lander import Lander
 Array = NDArray[np.float64]
 
 # Maximum specific force and rate of any lander, m/s^2 and rad/s.
-_MOST_FORCE, _MOST_RATE = 500.0, 50.0
+_MAX_FORCE_M_S2, _MAX_RATE_RAD_S = 500.0, 50.0
 # Margin on the rates of change that follow from the specification of the lander.
-_MARGIN = 1.25
+_DYNAMICS_MARGIN = 1.25
 # Maximum difference of two samples by noise, in standard deviations: with six axes at 100 Hz about
 # one sample in 3 hours is rejected because of its noise.
-_DEVIATIONS = 6.0
+_NOISE_SIGMAS = 6.0
 # Number of samples in a row that must agree with each other to be accepted after a jump.
-CONFIRM = 3
+CONFIRMATION_COUNT = 3
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SampleLimits:
     @classmethod
     def unknown(cls) -> SampleLimits:
         """Return the limits of an unknown lander."""
-        most = np.repeat([_MOST_RATE, _MOST_FORCE], 3)
+        most = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
         return cls(np.full(6, np.inf), np.zeros(6), most)
 
     @classmethod
@@ -91,38 +91,38 @@ class SampleLimits:
         turn = np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
         push = lander.thrust_max / lander.dry_mass
         follows = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
-        change = _MARGIN * np.concatenate((turn, np.full(3, push * follows)))
+        change = _DYNAMICS_MARGIN * np.concatenate((turn, np.full(3, push * follows)))
         noise = np.repeat([_noise(unit, step) for unit in (gyroscopes, accelerometers)], 3)
-        most = np.repeat([_MOST_RATE, 2.0 * push + noise[3]], 3)
+        most = np.repeat([_MAX_RATE_RAD_S, 2.0 * push + noise[3]], 3)
         return cls(change, noise, np.minimum(most, cls.unknown().most))
 
 
 def _noise(unit: TriadErrors, step: float) -> float:
     """Return the maximum difference of two samples by noise and quantisation, units/s."""
-    return _DEVIATIONS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
+    return _NOISE_SIGMAS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
 
 
 @dataclass(frozen=True)
-class Judged:
+class ScreenedSamples:
     """Result of the outlier rejection.
 
     Attributes
     ----------
-    gone
+    is_missing
         Whether each sample is missing or rejected (n,).
-    refused
+    rejected
         Number of rejected samples.
     jump
         Confirmed jump of rate and specific force (6,) beyond the dynamics of the lander, rad/s and
         m/s^2; 0 for none.
     """
 
-    gone: NDArray[np.bool_]
-    refused: int
+    is_missing: NDArray[np.bool_]
+    rejected: int
     jump: Array
 
 
-class SampleGuard:
+class ImuOutlierDetector:
     """Detect outliers in a stream of inertial samples.
 
     Parameters
@@ -149,56 +149,63 @@ class SampleGuard:
         self._step = step
         # Last accepted sample and the number of steps since; last rejected sample and the number
         # of samples in a row that agree with it.
-        self._last: Array | None = None
-        self._away = 0
-        self._other = np.full(6, np.nan)
-        self._alike = 0
+        self._last_accepted: Array | None = None
+        self._steps_since_last = 0
+        self._last_rejected = np.full(6, np.nan)
+        self._agreeing = 0
 
-    def judge(self, angle: Array, velocity: Array) -> Judged:
+    def screen(self, angle: Array, velocity: Array) -> ScreenedSamples:
         """Check increments (n, 3) and (n, 3), rad and m/s; NaN marks missing samples."""
-        given = np.hstack((angle, velocity)) / self._step
+        samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
-            wild = np.asarray((np.abs(given) > self.limits.most).any(axis=1))
-        here: NDArray[np.bool_] = np.asarray(np.isfinite(given).all(axis=1) & ~wild)
-        refused, jump = int(wild.sum()), np.zeros(6)
+            is_implausible = np.asarray((np.abs(samples) > self.limits.most).any(axis=1))
+        is_present: NDArray[np.bool_] = np.asarray(
+            np.isfinite(samples).all(axis=1) & ~is_implausible
+        )
+        rejected, jump = int(is_implausible.sum()), np.zeros(6)
         if not np.isfinite(self.limits.step).any():
-            return Judged(~here, refused, jump)
-        if self._last is None:
-            if not here.any():
-                return Judged(~here, refused, jump)
+            return ScreenedSamples(~is_present, rejected, jump)
+        if self._last_accepted is None:
+            if not is_present.any():
+                return ScreenedSamples(~is_present, rejected, jump)
             # A spike among the first samples shows only in comparison with the others.
-            self._last, self._away = np.median(given[here], axis=0), len(given)
-        if here.all() and self._plain(given, self._last):
-            return Judged(~here, refused, jump)
-        gone = ~here
-        for n in range(len(given)):
-            if not here[n]:
-                self._away += 1
+            self._last_accepted, self._steps_since_last = (
+                np.median(samples[is_present], axis=0),
+                len(samples),
+            )
+        if is_present.all() and self._accept_all(samples, self._last_accepted):
+            return ScreenedSamples(~is_present, rejected, jump)
+        is_missing = ~is_present
+        for n in range(len(samples)):
+            if not is_present[n]:
+                self._steps_since_last += 1
                 continue
-            change = np.abs(given[n] - self._last)
-            believed = (change <= self.limits.step * (1 + self._away) + self.limits.noise).all()
-            if believed or self._confirmed(given[n]):
-                if not believed:
+            change = np.abs(samples[n] - self._last_accepted)
+            is_accepted = (
+                change <= self.limits.step * (1 + self._steps_since_last) + self.limits.noise
+            ).all()
+            if is_accepted or self._is_confirmed(samples[n]):
+                if not is_accepted:
                     jump = np.maximum(jump, change)
-                self._last, self._away, self._alike = given[n], 0, 0
+                self._last_accepted, self._steps_since_last, self._agreeing = samples[n], 0, 0
             else:
-                gone[n] = True
-                refused += 1
-                self._away += 1
-        return Judged(gone, refused, jump)
+                is_missing[n] = True
+                rejected += 1
+                self._steps_since_last += 1
+        return ScreenedSamples(is_missing, rejected, jump)
 
-    def _plain(self, given: Array, last: Array) -> bool:
+    def _accept_all(self, samples: Array, last: Array) -> bool:
         """Accept samples at once if none is missing and none differs much from the last."""
-        if len(given):
-            change = np.abs(np.diff(given, axis=0, prepend=last[None]))
+        if len(samples):
+            change = np.abs(np.diff(samples, axis=0, prepend=last[None]))
             if (change > self.limits.step + self.limits.noise).any():
                 return False
-            self._last, self._away, self._alike = given[-1], 0, 0
+            self._last_accepted, self._steps_since_last, self._agreeing = samples[-1], 0, 0
         return True
 
-    def _confirmed(self, sample: Array) -> bool:
+    def _is_confirmed(self, sample: Array) -> bool:
         """Return whether enough rejected samples in a row agree with this one."""
-        agrees = np.abs(sample - self._other) <= self.limits.step + self.limits.noise
-        self._alike = self._alike + 1 if self._alike and bool(agrees.all()) else 1
-        self._other = sample
-        return self._alike >= CONFIRM
+        agrees = np.abs(sample - self._last_rejected) <= self.limits.step + self.limits.noise
+        self._agreeing = self._agreeing + 1 if self._agreeing and bool(agrees.all()) else 1
+        self._last_rejected = sample
+        return self._agreeing >= CONFIRMATION_COUNT

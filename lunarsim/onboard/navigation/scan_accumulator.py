@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 # Squares per side of a post in which scans are averaged. The second number is the ratio of covered
 # posts to posts that must agree; posts at the edge have no slope.
-_SQUARES, _ENOUGH = 4, 3
+_SQUARES_PER_POST, _POSTS_RATIO = 4, 3
 
 
-class Gathering:
+class ScanAccumulator:
     """Average scans on squares of the local frame until they suffice for a fit.
 
     Parameters
@@ -34,8 +34,8 @@ class Gathering:
 
     def __init__(self, posting: float, least: int, longest: float) -> None:
         self._posting = posting
-        self._enough = _ENOUGH * least
-        self._longest = longest
+        self._min_posts = _POSTS_RATIO * least
+        self._max_time = longest
         self._submap: Submap | None = None
         self._since = -np.inf
 
@@ -46,15 +46,15 @@ class Gathering:
         in the local frame, and are returned as a scan from the current pose.
         """
         points = seen.points()
-        if posts_under(points, self._posting, self._enough) == self._enough:
+        if count_posts_below(points, self._posting, self._min_posts) == self._min_posts:
             return seen
-        if self._submap is None or time - self._since > self._longest:
-            self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES), time
+        if self._submap is None or time - self._since > self._max_time:
+            self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES_PER_POST), time
         self._submap.add(points)
-        if self._submap.count < self._enough * _SQUARES**2:
+        if self._submap.count < self._min_posts * _SQUARES_PER_POST**2:
             return None
-        gathered, self._submap = self._submap, None
-        body = (gathered.points() - seen.position) @ quat_to_matrix(seen.attitude)
+        accumulated, self._submap = self._submap, None
+        body = (accumulated.points() - seen.position) @ quat_to_matrix(seen.attitude)
         reach = np.linalg.norm(body, axis=1)
         scan = replace(
             seen.scan, range=reach, direction=(body @ seen.scan.mount) / reach[:, None],
@@ -63,7 +63,7 @@ class Gathering:
         return replace(seen, scan=scan)
 
 
-def posts_under(points: Array, posting: float, most: int = 1 << 40) -> int:
+def count_posts_below(points: Array, posting: float, most: int = 1 << 40) -> int:
     """Count the posts below points (n, 3), up to `most`; NaN marks missing points."""
     count = int(kernels.squares_under(np.ascontiguousarray(points), posting, most))
     if count >= 0:

@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 
 # A range is a spike if it differs from three of its four neighbours, in the same direction, by more
 # than this distance (m) plus a number of standard deviations.
-_OFF, _DEVIATIONS, _FEWEST = 1.0, 6.0, 3
+_MIN_SPIKE_M, _SPIKE_SIGMAS, _MIN_NEIGHBOURS = 1.0, 6.0, 3
 # Maximum noise of a scan: multiple of the specified noise, plus the effect of rough terrain, m.
-_STATED, _ROUGH = 3.0, 0.25
+_MAX_NOISE_RATIO, _ROUGH_TERRAIN_NOISE_M = 3.0, 0.25
 # Maximum specified noise, m: registrations neglect the range noise in the slopes.
-_MOST_STATED = 0.15
+_MAX_SPECIFIED_NOISE_M = 0.15
 # Ratio of standard deviation to median absolute value of a normal variable with zero mean.
-_BY_MEDIAN = 1.4826
+_SIGMA_PER_MEDIAN = 1.4826
 
 
-def without_spikes(scan: LidarScan) -> LidarScan:
+def remove_spikes(scan: LidarScan) -> LidarScan:
     """Remove ranges that differ strongly from those of their neighbours.
 
     Raises
@@ -36,44 +36,48 @@ def without_spikes(scan: LidarScan) -> LidarScan:
     InputError
         If the shape of the scan does not match its number of pixels.
     """
-    r = _image(scan)
+    r = _range_image(scan)
     if min(r.shape) < 3:
         return scan
-    far = _OFF + _DEVIATIONS * np.where(np.isfinite(scan.sigma), scan.sigma, 0.0).reshape(r.shape)
+    far = _MIN_SPIKE_M + _SPIKE_SIGMAS * np.where(np.isfinite(scan.sigma), scan.sigma, 0.0).reshape(
+        r.shape
+    )
     beyond, short = (np.zeros(r.shape, np.int8) for _ in range(2))
     with np.errstate(invalid="ignore"):
-        for here, there in _pairs():
+        for here, there in _neighbour_slices():
             gap = r[here] - r[there]
             beyond[here] += gap > far[here]
             short[here] += gap < -far[here]
-    spike = (np.maximum(beyond, short) >= _FEWEST).ravel()
+    spike = (np.maximum(beyond, short) >= _MIN_NEIGHBOURS).ravel()
     return replace(scan, range=np.where(spike, np.nan, scan.range)) if spike.any() else scan
 
 
-def noise_of(scan: LidarScan) -> float:
+def range_noise(scan: LidarScan) -> float:
     """Estimate the range noise, 1 sigma, m; NaN with fewer than 100 pixels.
 
     The estimate is the scaled median of the differences between a range and the mean of its two
     neighbours in the row. These differences are 0 on a uniform slope.
     """
-    r = _image(scan)
-    bend = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
-    bend = bend[np.isfinite(bend)]
-    if len(bend) < 100:
+    r = _range_image(scan)
+    second_difference = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
+    second_difference = second_difference[np.isfinite(second_difference)]
+    if len(second_difference) < 100:
         return float("nan")
-    return _BY_MEDIAN * float(np.median(np.abs(bend))) / float(np.sqrt(1.5))
+    return _SIGMA_PER_MEDIAN * float(np.median(np.abs(second_difference))) / float(np.sqrt(1.5))
 
 
 def is_noisy(scan: LidarScan) -> bool:
     """Return whether the range noise exceeds its specification, or this is too large."""
-    stated = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
-    if len(stated) == 0:
+    specified = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
+    if len(specified) == 0:
         return False
-    usual = float(np.median(stated))
-    return usual > _MOST_STATED or bool(noise_of(scan) > _STATED * usual + _ROUGH)
+    typical = float(np.median(specified))
+    return typical > _MAX_SPECIFIED_NOISE_M or bool(
+        range_noise(scan) > _MAX_NOISE_RATIO * typical + _ROUGH_TERRAIN_NOISE_M
+    )
 
 
-def _image(scan: LidarScan) -> Array:
+def _range_image(scan: LidarScan) -> Array:
     """Return the ranges as an image (rows, cols)."""
     if int(np.prod(scan.shape)) != np.size(scan.range):
         raise InputError(
@@ -82,7 +86,7 @@ def _image(scan: LidarScan) -> Array:
     return np.reshape(scan.range, scan.shape)
 
 
-def _pairs() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+def _neighbour_slices() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
     """Return slices of pixels and of their neighbours, for the four sides."""
     every, first, last = slice(None), slice(None, -1), slice(1, None)
     return [

@@ -13,18 +13,18 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.surface import Surface, surface_of
+from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 
 Array = NDArray[np.float64]
 
 # Indices of the scanner errors among the 11 errors of a scan: position (ENU, m), small rotation
 # (body axes, rad), range (m), boresight (small rotation, sensor axes, rad), latency (s).
-SCANNER = slice(6, 11)
+SCANNER_ERRORS = slice(6, 11)
 # Minimum standard deviations of range, boresight and latency; m, rad, s. If a scanner is specified
 # better than it is, its error looks like a pose error, and nothing contradicts that.
 LEAST = np.array([0.1, *np.full(3, np.deg2rad(0.15)), 0.01])
 # Standard deviations of the scanner errors after a drift of the innovations; m, rad, s.
-LET_GO = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
+DRIFTED_SCANNER_SIGMAS = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
 
 
 def scanner_block(name: str) -> str:
@@ -100,9 +100,9 @@ class SeenScan:
         """Return the points (n, 3), m; NaN marks missing returns."""
         return self.scan.points(self.position, self.attitude)
 
-    def surface(self, grid: Grid) -> Surface:
+    def surface(self, grid: Grid) -> ScanSurface:
         """Return the scan averaged over the squares of a grid."""
-        return surface_of(self.points(), grid)
+        return average_scan(self.points(), grid)
 
     def point_jacobian(self, point: Array) -> Array:
         """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Maximum number of squares per side: a scan that grazes the horizon covers an unlimited area.
-_WIDEST = 3000
+_MAX_SQUARES = 3000
 
 
 class Submap:
@@ -41,7 +41,7 @@ class Submap:
         if len(points) == 0:
             return False
         place = np.floor((points[:, :2] - (self._west, self._south)) / self._side)
-        if np.ptp(place, axis=0).max() >= _WIDEST:
+        if np.ptp(place, axis=0).max() >= _MAX_SQUARES:
             return False
         col, row = place.astype(np.int64).T
         if not self._cover(int(row.min()), int(row.max()), int(col.min()), int(col.max())):
@@ -59,7 +59,7 @@ class Submap:
             south, west = min(south, self.first[0]), min(west, self.first[1])
             north = max(north, self.first[0] + rows - 1)
             east = max(east, self.first[1] + cols - 1)
-        if north - south >= _WIDEST or east - west >= _WIDEST:
+        if north - south >= _MAX_SQUARES or east - west >= _MAX_SQUARES:
             return False
         shape = (north - south + 1, east - west + 1)
         if shape != (rows, cols):

@@ -15,7 +15,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Surface:
+class ScanSurface:
     """LiDAR scan averaged over the squares of a grid, at the square centres.
 
     Attributes
@@ -38,7 +38,7 @@ class Surface:
         return len(self.col)
 
 
-def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
+def average_scan(points: Array, grid: Grid, least: int = 4) -> ScanSurface:
     """Average points (n, 3), with NaN for missing ones, over the squares of a grid."""
     col, row, mean, _ = k.average(
         np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
@@ -50,4 +50,4 @@ def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
     position = np.stack(
         (grid.x0 + grid.posting * col, grid.y0 + grid.posting * row, height), axis=-1
     )
-    return Surface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))
+    return ScanSurface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))

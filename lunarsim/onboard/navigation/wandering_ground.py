@@ -17,12 +17,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Standard deviation of rock heights at the same place, m: burial depth and relief within a metre.
-_OWN = 0.05
+_LOCAL_HEIGHT_SIGMA_M = 0.05
 # Number of neighbours in the interpolation; they screen off all others.
 NEIGHBOURS = 5
 
 
-def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
+def kriging_weights(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
     """Return kriging weights and variances of the height at given points.
 
     Parameters
@@ -45,10 +45,10 @@ def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
     gap = _lengths(places[:, :, None] - places[:, None])
     away = _lengths(places - at[:, None])
     system = np.ones((b, k + 1, k + 1))
-    system[:, :k, :k] = (0.5 * growth * gap + _OWN**2) * (1.0 - np.eye(k))
+    system[:, :k, :k] = (0.5 * growth * gap + _LOCAL_HEIGHT_SIGMA_M**2) * (1.0 - np.eye(k))
     system[:, k, k] = 0.0
     right = np.ones((b, k + 1))
-    right[:, :k] = 0.5 * growth * away + _OWN**2
+    right[:, :k] = 0.5 * growth * away + _LOCAL_HEIGHT_SIGMA_M**2
     found = np.linalg.solve(system, right[..., None])[..., 0]
     return found[:, :k], np.einsum("bk,bk->b", found, right)
 
@@ -58,37 +58,37 @@ def _lengths(way: Array) -> Array:
     return np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
 
 
-def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
+def interpolate_heights(places: Array, known: Array, at: Array, growth: float) -> Array:
     """Interpolate heights at points (b, 2) from heights (n,) at places (n, 2), m.
 
     Points that are not finite give NaN.
     """
     with threads_for(0.7 * len(at)):
         return np.asarray(
-            kernels.heights(
+            kernels.interpolate_heights(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
                 np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth),
-                _OWN,
+                _LOCAL_HEIGHT_SIGMA_M,
             )
         )  # fmt: skip
 
 
-def crossings(
+def intersect_lines(
     places: Array,
     known: Array,
-    eye: Array,
+    origin: Array,
     per_drop: Array,
     height: Array,
     growth: float,
     search: tuple[int, float, float, float],
 ) -> Array:
-    """Intersect lines of sight with the terrain interpolated by `heights` (b, 3), m.
+    """Intersect lines of sight with the terrain interpolated by `interpolate_heights` (b, 3), m.
 
     Parameters
     ----------
     places, known, growth
-        As for `heights`.
-    eye
+        As for `interpolate_heights`.
+    origin
         Start of the lines (3,), m.
     per_drop
         Horizontal advance of the lines, east and north, per metre of drop (b, 2).
@@ -100,10 +100,10 @@ def crossings(
     """
     with threads_for(2.0 * len(height)):
         return np.asarray(
-            kernels.crossings(
+            kernels.intersect_lines(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
-                np.ascontiguousarray(eye, np.float64), np.ascontiguousarray(per_drop, np.float64),
-                np.ascontiguousarray(height, np.float64), search,
-                min(NEIGHBOURS, len(places)), float(growth), _OWN,
+                np.ascontiguousarray(origin, np.float64),
+                np.ascontiguousarray(per_drop, np.float64), np.ascontiguousarray(height, np.float64), search,
+                min(NEIGHBOURS, len(places)), float(growth), _LOCAL_HEIGHT_SIGMA_M,
             )
         )  # fmt: skip

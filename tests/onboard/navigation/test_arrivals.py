@@ -18,7 +18,7 @@ from lunarsim.messages.measurements import (
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.navigation.scan_odometry import plausible
+from lunarsim.onboard.navigation.scan_odometry import remove_implausible_ranges
 from lunarsim.onboard.navigation.unscented import UnscentedFilter
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
@@ -126,10 +126,10 @@ def test_old_scans_and_readings_change_nothing():
 def test_a_lost_packet_costs_certainty_not_way():
     """A gap of a second is carried over at the last known push, and the errors grow for it."""
     whole = flown(lambda k: [("imu", samples(0.1 * k))])
-    gone = flown(lambda k: [] if 5 <= k < 15 else [("imu", samples(0.1 * k))])
-    assert gone.inertial.velocity == pytest.approx(whole.inertial.velocity, abs=1e-9)
-    assert gone.inertial.position == pytest.approx(whole.inertial.position, abs=1e-9)
-    grown = np.diag(gone.covariance)[3:6] - np.diag(whole.covariance)[3:6]
+    is_missing = flown(lambda k: [] if 5 <= k < 15 else [("imu", samples(0.1 * k))])
+    assert is_missing.inertial.velocity == pytest.approx(whole.inertial.velocity, abs=1e-9)
+    assert is_missing.inertial.position == pytest.approx(whole.inertial.position, abs=1e-9)
+    grown = np.diag(is_missing.covariance)[3:6] - np.diag(whole.covariance)[3:6]
     assert grown == pytest.approx(np.full(3, 1.0**2 * 1.0), rel=0.05)
 
 
@@ -143,14 +143,14 @@ def test_what_comes_while_samples_fail_corrects_a_state_that_has_moved_on():
             yield "imu", replace(samples(0.1 * k), angle=spin)
         yield "stars", AttitudeReading(0.1 * k, turned[k], 1e-8 * np.eye(3))
 
-    gone = flown(lambda k: give(k, 5 <= k < 15))
+    is_missing = flown(lambda k: give(k, 5 <= k < 15))
     whole = flown(lambda k: give(k, silent=False))
-    names = [event.name for event in gone.events]
+    names = [event.name for event in is_missing.events]
     assert names == ["samples-missing"] * 10
-    assert gone.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
-    assert gone.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
-    assert gone.watches["stars attitude"].refused == 0
-    assert not gone.estimate(2.0, 1.0).lost
+    assert is_missing.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
+    assert is_missing.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
+    assert is_missing.watches["stars attitude"].refused == 0
+    assert not is_missing.estimate(2.0, 1.0).lost
 
 
 def test_samples_that_come_after_what_was_measured_at_their_end_are_told():
@@ -271,7 +271,7 @@ def test_scans_whose_arrays_do_not_fit_are_refused(name, value):
 )
 def test_a_scan_whose_mount_turns_nothing_tells_nothing(mount):
     given = replace(scan(1.0), mount=mount)
-    assert np.isnan(plausible(given).range).all()
+    assert np.isnan(remove_implausible_ranges(given).range).all()
 
 
 @pytest.mark.parametrize("ray", [np.nan, np.inf, 0.0, 1e9, 1e150, -1e300])
@@ -282,7 +282,7 @@ def test_a_scan_whose_rays_are_no_directions_changes_nothing(ray, place):
     rays = np.column_stack((east.ravel(), north.ravel(), np.full(36, -1.0)))
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     good = LidarScan(0.0, np.full(36, 100.0), rays, np.eye(3), np.full(36, 0.1), (6, 6))
-    assert np.isfinite(plausible(good).range).all()
+    assert np.isfinite(remove_implausible_ranges(good).range).all()
     navigation = flown(
         lambda k: [("imu", samples(0.1 * k)), ("flash", replace(good, time=0.1 * k))]
     )

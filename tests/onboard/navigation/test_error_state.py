@@ -57,7 +57,9 @@ def test_information_is_a_measurement_of_the_same(seed):
     other.covariance[:] = one.covariance
     jacobian, innovation = rng.normal(size=(9, 6)), 1e-3 * rng.normal(size=9)
     one.measure(jacobian, POSE, innovation, np.full(9, 0.25))
-    other.inform(POSE, jacobian.T @ jacobian / 0.25, jacobian.T @ innovation / 0.25)
+    other.update_with_information(
+        POSE, jacobian.T @ jacobian / 0.25, jacobian.T @ innovation / 0.25
+    )
     assert other.covariance == pytest.approx(one.covariance, rel=1e-7, abs=1e-9)
     assert other.inertial.position == pytest.approx(one.inertial.position, abs=1e-12)
 
@@ -203,7 +205,7 @@ def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
     own = rng.normal(size=(50, 6)) * [1.0, 1.0, 1.0, 100.0, 100.0, 100.0]
     jacobian = np.hstack((own, -own + 1e-3 * rng.normal(size=(50, 6))))
     for _ in range(5):
-        found = state.inform(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
+        found = state.update_with_information(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
         assert found.taken
     sigma = np.sqrt(state.covariance.diagonal())
     assert np.linalg.eigvalsh(state.covariance / np.outer(sigma, sigma)).min() > -1e-12
@@ -217,16 +219,16 @@ def test_information_that_is_no_number_tells_nothing(broken):
     before = state.covariance.copy()
     information, vector = np.eye(6), np.zeros(6)
     vector[2] = broken
-    assert np.isnan(state.inform(POSE, information, vector).nis)
+    assert np.isnan(state.update_with_information(POSE, information, vector).nis)
     information[1, 1] = broken
-    assert np.isnan(state.inform(POSE, information, np.zeros(6)).nis)
+    assert np.isnan(state.update_with_information(POSE, information, np.zeros(6)).nis)
     assert np.array_equal(state.covariance, before)
 
 
 def test_information_on_a_covariance_that_is_none_is_refused():
     state = ErrorState(still())
     state.p[0, 0] = -1.0
-    found = state.inform(POSE, np.eye(6), np.zeros(6))
+    found = state.update_with_information(POSE, np.eye(6), np.zeros(6))
     assert (found.nis, found.taken) == (np.inf, False)
     state.inflate(POSE, 4.0, np.full(6, 10.0))
     assert np.isfinite(state.covariance).all()
@@ -240,7 +242,9 @@ def test_information_is_judged_as_the_measurement_of_the_same():
     one, other = made(np.random.default_rng(5)), made(np.random.default_rng(5))
     jacobian, innovation = rng.normal(size=(6, 6)), 0.3 * rng.normal(size=6)
     expected = one.measure(jacobian, POSE, innovation, np.full(6, 0.2))
-    found = other.inform(POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2)
+    found = other.update_with_information(
+        POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2
+    )
     assert (found.nis, found.degrees) == (pytest.approx(expected.nis, rel=1e-6), 6)
     assert found.white @ found.white == pytest.approx(found.nis)
 
@@ -250,7 +254,7 @@ def test_directions_of_which_nothing_is_told_do_not_count():
     # 1e-4 of what is known of the height, and a vector in it of a hundred deviations.
     information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
     vector[2] = 1.0
-    found = state.inform(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, chance=1e-3)
     assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
     # Nor do they move anything: told a thousand times over, it would be as many steps aside.
     assert not state.inertial.position.any()
@@ -265,7 +269,7 @@ def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
     # 1 m before and 0.5 m measured: the innovation has 1.25 m^2.
     innovation = deviations * np.sqrt(1.25)
     information, vector = np.diag([4.0, 0, 0, 0, 0, 0]), np.array([4.0 * innovation, 0, 0, 0, 0, 0])
-    found = state.inform(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, chance=1e-3)
     assert found.nis == pytest.approx(deviations**2, rel=1e-6)
     assert found.taken == taken
     assert np.array_equal(state.covariance, before) != taken
@@ -276,7 +280,7 @@ def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
     state = made(np.random.default_rng(6))
     before = state.covariance.copy()
     sigma = np.sqrt(before.diagonal())
-    state.let_go(np.array([3, 16]), [2.0 * sigma[3], 0.5 * sigma[16]])
+    state.raise_variances(np.array([3, 16]), [2.0 * sigma[3], 0.5 * sigma[16]])
     change = state.covariance - before
     assert change[3, 3] == pytest.approx(3.0 * before[3, 3])
     change[3, 3] = 0.0
@@ -293,7 +297,7 @@ def test_a_correction_that_is_none_changes_nothing(error):
     assert np.array_equal(state.covariance, before)
 
 
-@pytest.mark.parametrize("way", ["measure", "inform", "at rest"])
+@pytest.mark.parametrize("way", ["measure", "update_with_information", "at rest"])
 def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
     """What is measured looks well; what errs with it is not finite."""
     state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
@@ -302,8 +306,8 @@ def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
     state.rest(np.array([way == "at rest"] * 2))
     state.covariance[15, 0] = state.covariance[0, 15] = np.nan
     before = state.covariance.copy()
-    if way == "inform":
-        found = state.inform(np.arange(3), np.eye(3), np.ones(3))
+    if way == "update_with_information":
+        found = state.update_with_information(np.arange(3), np.eye(3), np.ones(3))
     else:
         found = state.measure(np.eye(3), np.arange(3), np.ones(3), np.ones(3))
     assert not found.taken
@@ -326,10 +330,10 @@ def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_und
     x, y, z = change
     error = np.zeros(SIZE)
     error[3:6] = change
-    carried = np.eye(SIZE)
+    admit_and_propagate = np.eye(SIZE)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    carried[3:6, 9:12] = -cross @ Rotation.from_quat(turned).as_matrix()
-    expected = carried @ p @ carried.T
+    admit_and_propagate[3:6, 9:12] = -cross @ Rotation.from_quat(turned).as_matrix()
+    expected = admit_and_propagate @ p @ admit_and_propagate.T
     state.correct(error)
     assert state.covariance == pytest.approx(expected, abs=1e-10)
 

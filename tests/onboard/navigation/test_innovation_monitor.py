@@ -9,11 +9,15 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.innovation_monitor import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import (
+    InnovationMonitor,
+    InnovationMonitorSettings,
+    MonitorResult,
+)
 
 
-def verdicts(watch: Watch, outcomes, step=0.1) -> list[Verdict]:
-    return [watch.note(step * k, o) for k, o in enumerate(outcomes)]
+def verdicts(watch: InnovationMonitor, outcomes, step=0.1) -> list[MonitorResult]:
+    return [watch.record(step * k, o) for k, o in enumerate(outcomes)]
 
 
 def drawn(rng, n, degrees=3, times=1.0):
@@ -24,52 +28,55 @@ def test_what_errs_as_it_says_is_believed():
     doubts = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
-        doubts += sum(v is not Verdict.WELL for v in verdicts(Watch(), drawn(rng, 600)))
+        doubts += sum(
+            v is not MonitorResult.CONSISTENT
+            for v in verdicts(InnovationMonitor(), drawn(rng, 600))
+        )
     # Half an hour and more of flight.
     assert doubts == 0
 
 
 def test_refusals_open_the_gate_and_then_end_in_lost():
-    watch = Watch()
+    watch = InnovationMonitor()
     found = verdicts(watch, [Outcome(400.0, 1, False)] * 40)
-    assert Verdict.WIDEN in found
-    assert found.index(Verdict.WIDEN) == watch.settings.least - 1
-    assert watch.excess == 400.0
-    assert found.index(Verdict.LOST) > found.index(Verdict.WIDEN)
+    assert MonitorResult.INFLATE in found
+    assert found.index(MonitorResult.INFLATE) == watch.settings.min_count - 1
+    assert watch.nis_ratio == 400.0
+    assert found.index(MonitorResult.LOST) > found.index(MonitorResult.INFLATE)
     assert watch.lost
 
 
 def test_innovations_that_are_too_large_are_doubted_though_each_is_let_in():
     rng = np.random.default_rng(1)
-    found = verdicts(Watch(), drawn(rng, 60, times=5.0))
-    assert Verdict.WIDEN in found
+    found = verdicts(InnovationMonitor(), drawn(rng, 60, times=5.0))
+    assert MonitorResult.INFLATE in found
 
 
 def test_trust_comes_back():
-    watch = Watch()
+    watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
     for k, outcome in enumerate(drawn(rng, 200, 1)):
-        watch.note(4.0 + 0.1 * k, outcome)
+        watch.record(4.0 + 0.1 * k, outcome)
     assert not watch.lost
 
 
 def test_a_slow_sensor_is_judged_too():
-    found = verdicts(Watch(SPEEDS), [Outcome(400.0, 3, False)] * 10, step=1.0)
-    assert Verdict.LOST in found
+    found = verdicts(InnovationMonitor(SPEEDS), [Outcome(400.0, 3, False)] * 10, step=1.0)
+    assert MonitorResult.LOST in found
 
 
 def test_one_reading_after_silence_brings_no_trust():
-    watch = Watch()
+    watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
-    watch.note(60.0, Outcome(400.0, 1, False))
+    watch.record(60.0, Outcome(400.0, 1, False))
     assert watch.lost
 
 
 def test_nothing_measured_says_nothing():
-    watch = Watch()
+    watch = InnovationMonitor()
     nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100
-    assert set(verdicts(watch, nothing)) == {Verdict.WELL}
+    assert set(verdicts(watch, nothing)) == {MonitorResult.CONSISTENT}
 
 
 def whitened(rng, n, shift=0.0, degrees=3):
@@ -78,23 +85,26 @@ def whitened(rng, n, shift=0.0, degrees=3):
         yield Outcome(float(white @ white), degrees, True, white)
 
 
-SPEEDS = WatchSettings(patience=None, drift_s=8.0)
+SPEEDS = InnovationMonitorSettings(max_inflations=None, drift_time_scale_s=8.0)
 
 
 def test_innovations_to_one_side_are_found_though_each_is_small():
     rng = np.random.default_rng(3)
-    found = verdicts(Watch(SPEEDS), whitened(rng, 300, np.array([0.0, 1.2, 0.0])))
-    assert Verdict.DRIFT in found
-    assert Verdict.WIDEN not in found
-    never = [verdicts(Watch(SPEEDS), whitened(np.random.default_rng(k), 600)) for k in range(50)]
-    assert all(v is Verdict.WELL for row in never for v in row)
+    found = verdicts(InnovationMonitor(SPEEDS), whitened(rng, 300, np.array([0.0, 1.2, 0.0])))
+    assert MonitorResult.DRIFT in found
+    assert MonitorResult.INFLATE not in found
+    never = [
+        verdicts(InnovationMonitor(SPEEDS), whitened(np.random.default_rng(k), 600))
+        for k in range(50)
+    ]
+    assert all(v is MonitorResult.CONSISTENT for row in never for v in row)
 
 
 def test_a_drift_is_told_when_its_mean_stands_out():
     """The mean that forgets, against sums written out."""
     outcomes = list(whitened(np.random.default_rng(4), 120, np.array([0.9, 0.0, 0.0])))
-    found = verdicts(Watch(SPEEDS), outcomes)
-    first = found.index(Verdict.DRIFT)
+    found = verdicts(InnovationMonitor(SPEEDS), outcomes)
+    first = found.index(MonitorResult.DRIFT)
     times, whites = 0.1 * np.arange(120), np.array([o.white for o in outcomes])
     levels = []
     for k in range(120):
@@ -105,21 +115,21 @@ def test_a_drift_is_told_when_its_mean_stands_out():
 
 
 def test_what_cannot_jump_is_lost_at_once_and_stays_so():
-    watch = Watch(SPEEDS)
-    assert Verdict.LOST in verdicts(watch, [Outcome(400.0, 3, False)] * 10)
+    watch = InnovationMonitor(SPEEDS)
+    assert MonitorResult.LOST in verdicts(watch, [Outcome(400.0, 3, False)] * 10)
     rng = np.random.default_rng(5)
     for k, outcome in enumerate(whitened(rng, 300)):
-        watch.note(2.0 + 0.1 * k, outcome)
+        watch.record(2.0 + 0.1 * k, outcome)
     assert watch.lost
 
 
 def test_a_drift_that_comes_again_and_again_is_lost():
     """Something that no bias explains: found, explained, found again."""
     always = whitened(np.random.default_rng(6), 600, np.array([0.0, 0.0, 2.0]))
-    watch = Watch(SPEEDS)
+    watch = InnovationMonitor(SPEEDS)
     told = []
     for k, outcome in enumerate(always):
-        if watch.note(0.1 * k, outcome) is Verdict.DRIFT:
+        if watch.record(0.1 * k, outcome) is MonitorResult.DRIFT:
             told.append((0.1 * k, watch.lost))
     assert [lost for _, lost in told[:4]] == [False, False, False, True]
     assert told[3][0] < SPEEDS.drift_window_s
@@ -129,43 +139,45 @@ def test_a_drift_that_comes_again_and_again_is_lost():
 
 
 def test_without_patience_the_first_drift_is_lost():
-    watch = Watch(replace(SPEEDS, drift_patience=0))
+    watch = InnovationMonitor(replace(SPEEDS, max_drifts=0))
     found = verdicts(watch, whitened(np.random.default_rng(6), 30, np.array([0.0, 0.0, 2.0])))
-    assert found.count(Verdict.WELL) < 30
-    assert set(found) == {Verdict.WELL, Verdict.DRIFT}
+    assert found.count(MonitorResult.CONSISTENT) < 30
+    assert set(found) == {MonitorResult.CONSISTENT, MonitorResult.DRIFT}
     assert watch.lost
 
 
 def test_a_watch_is_calm_while_nothing_stands_out():
-    watch = Watch(SPEEDS)
-    assert not watch.calm(0.0), "nothing was measured"
+    watch = InnovationMonitor(SPEEDS)
+    assert not watch.is_calm(0.0), "nothing was measured"
     verdicts(watch, whitened(np.random.default_rng(10), 60))
-    assert watch.calm(6.0)
-    assert not watch.calm(9.0), "not of late"
+    assert watch.is_calm(6.0)
+    assert not watch.is_calm(9.0), "not of late"
     # A third refused is not yet doubted, and no longer calm.
     for k in range(20):
-        watch.note(6.0 + 0.1 * k, Outcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3)))
+        watch.record(
+            6.0 + 0.1 * k, Outcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3))
+        )
     assert not watch.lost
-    assert not watch.calm(8.0)
-    drifting = Watch(SPEEDS)
+    assert not watch.is_calm(8.0)
+    drifting = InnovationMonitor(SPEEDS)
     for k, outcome in enumerate(whitened(np.random.default_rng(11), 100, np.array([0.8, 0, 0]))):
-        if drifting.note(0.1 * k, outcome) is not Verdict.WELL:
+        if drifting.record(0.1 * k, outcome) is not MonitorResult.CONSISTENT:
             break
-        calm = drifting.calm(0.1 * k)
-    assert not calm, "before it is told it shows"
+        is_calm = drifting.is_calm(0.1 * k)
+    assert not is_calm, "before it is told it shows"
 
 
 def test_drifts_far_apart_are_explained_each():
     """A bias that jumps every 16 s, each time found and put right at once."""
     rng = np.random.default_rng(8)
-    watch, found, jumped = Watch(SPEEDS), [], False
+    watch, found, jumped = InnovationMonitor(SPEEDS), [], False
     for k in range(6 * 160):
         jumped = jumped or k % 160 == 0
         shift = np.array([1.8, 0.0, 0.0]) if jumped else 0.0
-        found.append(watch.note(0.1 * k, next(whitened(rng, 1, shift))))
-        jumped = jumped and found[-1] is Verdict.WELL
-    assert found.count(Verdict.DRIFT) == 6
-    assert set(found) == {Verdict.WELL, Verdict.DRIFT}
+        found.append(watch.record(0.1 * k, next(whitened(rng, 1, shift))))
+        jumped = jumped and found[-1] is MonitorResult.CONSISTENT
+    assert found.count(MonitorResult.DRIFT) == 6
+    assert set(found) == {MonitorResult.CONSISTENT, MonitorResult.DRIFT}
     assert not watch.lost
 
 
@@ -178,7 +190,7 @@ def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
     outcomes = [
         Outcome(float(np.nansum(row**2)), int(np.isfinite(row).sum()), True, row) for row in white
     ]
-    found = verdicts(Watch(SPEEDS), outcomes)
+    found = verdicts(InnovationMonitor(SPEEDS), outcomes)
     seen = np.isfinite(white)
     expected = None
     for k in range(150):
@@ -189,27 +201,28 @@ def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
             expected = k
             break
     assert expected is not None
-    assert found.index(Verdict.DRIFT) == expected
+    assert found.index(MonitorResult.DRIFT) == expected
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("window_s", 0.0), ("window_s", np.nan), ("least", -1), ("most_refused", 1.5),
-     ("chance", np.nan), ("correlation", np.inf), ("patience", -1), ("drift_s", -8.0),
-     ("drift_level", 0.0), ("drift_patience", -1), ("drift_window_s", np.nan)],
+    [("window_s", 0.0), ("window_s", np.nan), ("min_count", -1), ("max_rejected_share", 1.5),
+     ("false_alarm_probability", np.nan), ("correlated_count", np.inf), ("max_inflations", -1),
+     ("drift_time_scale_s", -8.0),
+     ("drift_threshold", 0.0), ("max_drifts", -1), ("drift_window_s", np.nan)],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=rf"watch\.{name}"):
-        WatchSettings(**{name: value})
+        InnovationMonitorSettings(**{name: value})
 
 
 def test_trust_does_not_come_back_while_it_was_doubted_of_late():
-    watch = Watch()
+    watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
     back = None
     for k, outcome in enumerate(drawn(rng, 200, 1)):
-        watch.note(4.0 + 0.1 * k, outcome)
+        watch.record(4.0 + 0.1 * k, outcome)
         if back is None and not watch.lost:
             back = 0.1 * k
     assert back is not None
@@ -219,9 +232,11 @@ def test_trust_does_not_come_back_while_it_was_doubted_of_late():
 
 def test_what_was_doubted_drifts_by_what_comes_after():
     """A doubt widens the state: how innovations lay before says nothing of it any more."""
-    watch = Watch(WatchSettings(drift_s=1e3, window_s=1.0, least=6))
+    watch = InnovationMonitor(
+        InnovationMonitorSettings(drift_time_scale_s=1e3, window_s=1.0, min_count=6)
+    )
     one = Outcome(2.2, 1, True, np.array([1.5]))
-    assert all(watch.note(0.1 * k, one) is Verdict.WELL for k in range(10))
-    verdicts = [watch.note(1.0 + 0.1 * k, Outcome(50.0, 1, False)) for k in range(8)]
-    assert Verdict.WIDEN in verdicts
-    assert all(watch.note(2.0 + 0.1 * k, one) is Verdict.WELL for k in range(8))
+    assert all(watch.record(0.1 * k, one) is MonitorResult.CONSISTENT for k in range(10))
+    verdicts = [watch.record(1.0 + 0.1 * k, Outcome(50.0, 1, False)) for k in range(8)]
+    assert MonitorResult.INFLATE in verdicts
+    assert all(watch.record(2.0 + 0.1 * k, one) is MonitorResult.CONSISTENT for k in range(8))

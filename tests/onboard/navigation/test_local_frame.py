@@ -16,8 +16,12 @@ from lunarsim.frames import (
 )
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
-from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
+from lunarsim.onboard.navigation.measured import (
+    take_range,
+    update_with_attitude,
+    update_with_speeds,
+)
 
 ERRORS = StartSigmas(20.0, 0.3, np.deg2rad(0.6))
 START = np.array([-300.0, 40.0, 220.0])
@@ -39,7 +43,7 @@ def told():
 
 def own():
     """The same in a local frame."""
-    state = ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | blank_block())
+    state = ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | empty_map_block())
     return state, LocalFrame(state)
 
 
@@ -73,11 +77,11 @@ def measure(state, off, at):
     down = rotation[2] @ [0.0, 0.0, -1.0]
     speeds = BEAMS @ (rotation.T @ at.velocity)
     return [
-        take_attitude(state, attitude, 1e-6 * np.eye(3)),
+        update_with_attitude(state, attitude, 1e-6 * np.eye(3)),
         take_range(
             state, -at.position[2] / down + 1e4 * off, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground"
         ),
-        take_speeds(state, speeds, np.full(3, 0.05), BEAMS),
+        update_with_speeds(state, speeds, np.full(3, 0.05), BEAMS),
     ]
 
 
@@ -169,7 +173,7 @@ def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
     jacobian = np.hstack((np.eye(3), cross.T @ rotation))
     jacobian[:, 3:] = np.column_stack([np.cross(rotation[:, i], away) for i in range(3)])
     columns = np.r_[0:3, 9:12]
-    frame.hang(jacobian, columns, [])
+    frame.anchor(jacobian, columns, [])
     p = state.covariance
     # The point errs in nothing any more, the lander by the tilt; what is believed is the same.
     assert np.abs(jacobian @ p[np.ix_(columns, columns)] @ jacobian.T).max() < 1e-9
@@ -203,13 +207,13 @@ def test_velocity_in_the_site_frame_errs_by_its_azimuth():
 
 
 def test_what_else_is_kept_hangs_on_the_ground_too():
-    blocks = {"key": np.zeros((6, 6))} | blank_block()
+    blocks = {"key": np.zeros((6, 6))} | empty_map_block()
     state = ErrorState(strapdown(), ERRORS, blocks=blocks)
     frame = LocalFrame(state)
     state.clone("key", np.r_[0:3, 9:12])
     columns, key = np.r_[0:3, 9:12], state.block("key")
     jacobian = np.hstack((np.eye(3), 100.0 * np.eye(3)))
-    frame.hang(jacobian, columns, [slice(key.start, key.start + 3)])
+    frame.anchor(jacobian, columns, [slice(key.start, key.start + 3)])
     # The pose kept is that of now: they err as one before and after.
     p = state.covariance
     same = np.zeros((3, state.size))

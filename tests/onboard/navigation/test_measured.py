@@ -16,7 +16,11 @@ from lunarsim.messages.measurements import AttitudeReading
 from lunarsim.models.instruments import StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.measured import (
+    take_range,
+    update_with_attitude,
+    update_with_speeds,
+)
 from lunarsim.onboard.navigation.navigator import Navigator
 from tests.chance import ratio_bounds
 
@@ -56,7 +60,7 @@ class Truth:
 
     def biased(self, sigma):
         beams = self.state.block("beams")
-        return take_speeds(
+        return update_with_speeds(
             self.state, self.speeds(sigma) + self.off, np.full(3, sigma), BEAMS,
             biases=np.arange(beams.start, beams.stop), known=self.state.value("beams"),
         )  # fmt: skip
@@ -83,9 +87,11 @@ class Truth:
 TAKE = {
     "range": lambda t, s: take_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
                                      block="ground"),
-    "speeds": lambda t, s: take_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
+    "speeds": lambda t, s: update_with_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
     "biased speeds": lambda t, s: t.biased(s),
-    "attitude": lambda t, s: take_attitude(t.state, t.stars(s), s**2 * np.eye(3), block="stars"),
+    "attitude": lambda t, s: update_with_attitude(
+        t.state, t.stars(s), s**2 * np.eye(3), block="stars"
+    ),
 }  # fmt: skip
 SIGMA = {"range": 0.5, "speeds": 0.05, "biased speeds": 0.01, "attitude": 1e-3}
 
@@ -128,7 +134,7 @@ def test_a_mount_that_has_been_found_is_expected():
     )  # fmt: skip
     mounted = np.array([5e-3, -3e-3, 4e-3])
     for _ in range(10):
-        found = take_attitude(
+        found = update_with_attitude(
             state, quat_from_rotation_vector(mounted), 1e-10 * np.eye(3), block="stars"
         )
     assert state.value("stars") == pytest.approx(mounted, rel=1e-3)
@@ -155,15 +161,15 @@ BAD = [
     lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
     lambda s: take_range(s, -100.0, 1.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
-    lambda s: take_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
-    lambda s: take_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
-    lambda s: take_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
-    lambda s: take_attitude(s, np.full(4, np.nan), np.eye(3)),
-    lambda s: take_attitude(s, np.zeros(4), np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], -np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.zeros((3, 3))),
+    lambda s: update_with_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
+    lambda s: update_with_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
+    lambda s: update_with_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
+    lambda s: update_with_attitude(s, np.full(4, np.nan), np.eye(3)),
+    lambda s: update_with_attitude(s, np.zeros(4), np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], -np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], np.zeros((3, 3))),
     lambda s: s.measure([[1.0]], [2], [0.1], [-20.0]),
 ]
 
@@ -180,7 +186,7 @@ def test_what_is_no_reading_changes_nothing(call):
 def test_an_attitude_whose_covariance_is_not_symmetric_speaks_against_nothing():
     """Taken for an innovation beyond all bounds it would soon be a lander that is lost."""
     lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    found = take_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
+    found = update_with_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
     assert np.isnan(found.nis)
     assert not found.taken
 
@@ -189,14 +195,14 @@ def test_a_beam_without_a_return_leaves_the_others():
     t = Truth(6)
     speed = t.speeds()
     speed[1] = np.nan
-    assert take_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
+    assert update_with_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
 
 
 def test_whitened_speeds_keep_the_places_of_their_beams():
     truth = Truth(11)
     speed = truth.speeds(0.03)
     speed[1] = np.nan
-    found = take_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
+    found = update_with_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
     assert found.degrees == 2
     assert np.isfinite(found.white).tolist() == [True, False, True]
     assert np.nansum(found.white**2) == pytest.approx(found.nis)
@@ -216,7 +222,7 @@ def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
         seen = np.full(3, np.nan)
         # Three readings of a beam, then the next one.
         seen[k // 3 % 3] = BEAMS[k // 3 % 3] @ own + 0.03 * rng.normal()
-        take_speeds(state, seen, np.full(3, 0.03), BEAMS)
+        update_with_speeds(state, seen, np.full(3, 0.03), BEAMS)
     # The velocity is as well known as the tilt lets it be: 45 m/s times 4 mrad.
     assert 0.05 < np.sqrt(np.diag(state.covariance)[3:6].max()) < 0.2
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)

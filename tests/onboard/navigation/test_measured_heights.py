@@ -11,9 +11,9 @@ from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
-from lunarsim.onboard.navigation.measured_heights import COMMON, OWN
+from lunarsim.onboard.navigation.measured_heights import COMMON_SIGMA_M, INDIVIDUAL_SIGMA_M
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.wandering_ground import crossings, kriging
+from lunarsim.onboard.navigation.wandering_ground import intersect_lines, kriging_weights
 from lunarsim.sensors.camera import Camera
 from tests.reference import laid
 
@@ -61,7 +61,9 @@ def test_laying_rocks_equals_a_plain_update(gradient, off):
     outcome = rocks.lay_on_measured()
     assert outcome.taken and outcome.degrees == 9
     columns = rocks.places()
-    error, after = laid.laid(before, xyz, *at, gradient, off, columns, OWN, COMMON)
+    error, after = laid.laid(
+        before, xyz, *at, gradient, off, columns, INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M
+    )
     np.testing.assert_allclose(rocks.covariance, after, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(rocks.xyz - xyz, error[columns], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(lander.position - at[0], error[:3], rtol=1e-4, atol=1e-4)
@@ -115,7 +117,7 @@ def test_less_is_told_where_ground_bends():
                       columns[k : k + 1], len(before))
         for k, g in enumerate((0.0, 0.0, -0.4))
     ])  # fmt: skip
-    noise = np.diag(OWN**2 + np.array([1.6, 1.6, 0.0]) ** 2) + COMMON**2
+    noise = np.diag(INDIVIDUAL_SIGMA_M**2 + np.array([1.6, 1.6, 0.0]) ** 2) + COMMON_SIGMA_M**2
     gain = before @ h.T @ np.linalg.inv(h @ before @ h.T + noise)
     np.testing.assert_allclose(rocks.covariance, before - gain @ h @ before, rtol=1e-4, atol=1e-4)
 
@@ -152,10 +154,10 @@ def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
         for k in range(7)
     ])  # fmt: skip
     errs = jacobian @ rocks.covariance @ jacobian.T
-    assert errs[0, 0] == pytest.approx(OWN**2 + COMMON**2, rel=1e-3)
-    assert errs[1, 1] == pytest.approx(2.0 * OWN**2 + COMMON**2, rel=0.1)
+    assert errs[0, 0] == pytest.approx(INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2, rel=1e-3)
+    assert errs[1, 1] == pytest.approx(2.0 * INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2, rel=0.1)
     # What all share is not averaged out.
-    assert errs.mean() > 0.9 * COMMON**2
+    assert errs.mean() > 0.9 * COMMON_SIGMA_M**2
     west = xyz[:, 0] < 0.0
     assert 0 < west.sum() < 7
     beyond, _ = rocks_seen(xyz, Plane(west=0.0))
@@ -177,7 +179,9 @@ def test_what_rocks_are_told_of_height_is_consistent():
         jacobian = laid.jacobian(
             rocks.xyz, lander.position, lander.attitude, (0.0, 0.0), 0.0, columns, size
         )
-        scatter = OWN * rng.standard_normal(8) + COMMON * rng.standard_normal()
+        scatter = (
+            INDIVIDUAL_SIGMA_M * rng.standard_normal(8) + COMMON_SIGMA_M * rng.standard_normal()
+        )
         rocks.measured = Scattered(rocks.xy.copy(), rocks.xyz[:, 2] + jacobian @ drawn + scatter)
         true = rocks.xyz + drawn[columns] - (lander.position + drawn[:3])
         rocks.lay_on_measured()
@@ -211,7 +215,7 @@ def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacin
     away = np.hypot(*(xyz[:, :2] - new[0, :2]).T)
     near = np.argsort(away, kind="stable")[:5]
     at = np.vstack((rocks.inertial.position[:2], xyz[near, :2]))
-    weights = kriging(at[None], new[:, :2], rocks.expected_growth)[0][0]
+    weights = kriging_weights(at[None], new[:, :2], rocks.expected_growth)[0][0]
     heights = rocks.places()[:, 2]
     ground = rocks.state.block(GROUND).start
     expected = weights[0] * told[ground] + weights[1:] @ told[heights[near]]
@@ -247,7 +251,7 @@ def test_a_line_of_sight_that_goes_nowhere_meets_nothing():
     """From the first pass on, and whatever was in memory before."""
     known = np.zeros((9, 2)) + np.arange(9.0)[:, None], np.ones(9)
     per_drop = np.array([[np.nan, 0.0], [0.1, 0.2], [np.inf, 1.0]])
-    met = crossings(*known, EYE, per_drop, np.zeros(3), 1.0, (8, 0.01, 0.2, 3.0))
+    met = intersect_lines(*known, EYE, per_drop, np.zeros(3), 1.0, (8, 0.01, 0.2, 3.0))
     assert np.isnan(met[[0, 2], 2]).all()
     assert met[1] == pytest.approx([EYE[0] + 24.9, EYE[1] + 49.8, 1.0])
 

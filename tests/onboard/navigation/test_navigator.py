@@ -16,7 +16,7 @@ from lunarsim.frames import (
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.error_state import KEY, MAP, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
@@ -68,7 +68,7 @@ def test_the_level_of_a_map_is_told_once(world):
     descent = Descent(world, 3).fly(5.0, aim=np.array([0.0, 105.0, 0.0]))
     assert names(descent) == []
     known = np.sqrt(descent.estimate().covariance[2, 2])
-    assert RegistrationSettings().level_sigma < known < 1.0
+    assert RegistrationSettings().height_sigma < known < 1.0
 
 
 def test_rocks_that_are_tracked_hold_the_lander(world):
@@ -205,7 +205,7 @@ def test_a_scan_kept_holds_wherever_lander_and_scan_are_found_to_be(step):
     descent.fly(0.6, aim=np.zeros(3))
     for _ in range(25):
         error = np.zeros(f.state.size)
-        error[:2] = error[f.state.block(KEY).start :][:2] = step
+        error[:2] = error[f.state.block(REFERENCE_POSE).start :][:2] = step
         f.state.correct(error)
     taken = f.watches["flash scans"].degrees
     descent.fly(0.1, aim=np.append(25.0 * np.array(step), 0.0))
@@ -242,15 +242,15 @@ def test_scans_of_too_few_posts_take_no_lock_away(world):
 def told_of_height(descent, scans):
     """Return what each scan of one place from one place tells of the height on the map, 1/m^2."""
     state, place, told = descent.filter.state, descent.filter.frame.columns[2], []
-    inform = state.inform
+    update_with_information = state.update_with_information
 
     def noted(part, information, *args, **options):
         if place in part:
             at = list(part).index(place)
             told.append(information[at, at])
-        return inform(part, information, *args, **options)
+        return update_with_information(part, information, *args, **options)
 
-    state.inform = noted
+    state.update_with_information = noted
     for _ in range(scans):
         descent.filter.take("flash", descent.scan(np.zeros(3)), descent.time)
     assert len(told) == scans

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
+from lunarsim.onboard.navigation.picture_watch import ImageInnovationMonitor, Remedy
 
 GOOD = Outcome(200.0, 200, True, np.zeros(200))
 REFUSED = Outcome(900.0, 200, False)
@@ -11,8 +11,8 @@ REFUSED = Outcome(900.0, 200, False)
 
 def watch(outcomes, kind="places", step=0.2):
     events = []
-    pictures = PictureWatch(events)
-    remedies = [pictures.note(kind, step * k, outcome) for k, outcome in enumerate(outcomes)]
+    pictures = ImageInnovationMonitor(events)
+    remedies = [pictures.record(kind, step * k, outcome) for k, outcome in enumerate(outcomes)]
     return pictures, [r for r in remedies if r is not Remedy.NONE], [e.name for e in events]
 
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeatures, Tile
 from lunarsim.onboard.navigation.map_information import can_lock
 from lunarsim.onboard.navigation.place_search import PlaceSearch, SearchSettings
@@ -47,8 +47,8 @@ def test_planes_are_those_of_least_squares():
     height = rng.standard_normal((22, 26)) + 0.3 * np.arange(26)
     known = rng.random(height.shape) < 0.9
     known[:, 14:16] = False
-    above, kept = above_plane(height, known, 3)
-    expected = plain.above_plane(height, known, 3)
+    above, kept = subtract_plane(height, known, 3)
+    expected = plain.subtract_plane(height, known, 3)
     assert 150 < kept.sum() < known.sum()
     # All that is kept has a plane there, and what is not kept is at an edge or has few posts.
     assert not np.isnan(expected[kept]).any()
@@ -63,7 +63,7 @@ def test_features_are_what_stands_out():
     xx, yy = np.meshgrid(np.arange(40.0), np.arange(30.0))
     known = np.ones(xx.shape, bool)
     known[10, 20] = known[22, 5] = False
-    above, kept = above_plane(0.3 * xx - 0.2 * yy + 5.0, known, 3)
+    above, kept = subtract_plane(0.3 * xx - 0.2 * yy + 5.0, known, 3)
     assert above == pytest.approx(0.0, abs=1e-9)
     # A void takes itself away and nothing else.
     assert kept[3:-3, 3:-3].sum() == 34 * 24 - 2
@@ -72,9 +72,11 @@ def test_features_are_what_stands_out():
 def test_likelihoods_are_those_of_the_reference():
     rng = np.random.default_rng(1)
     ground = bumps(rng, (40, 44))
-    features = MapFeatures(small_map(rng, ground, voids=60), FeatureSettings(alike=1.3))
+    features = MapFeatures(
+        small_map(rng, ground, voids=60), FeatureSettings(correlation_length=1.3)
+    )
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
-    rare = plain.rarity(shown[np.isfinite(shown)], 0.1)(shown)
+    rare = plain.negative_log_density(shown[np.isfinite(shown)], 0.1)(shown)
     tile = ground[10:18, 20:27] + 0.02 * rng.standard_normal((8, 7))
     weight = (rng.random(tile.shape) < 0.8).astype(float)
     variance = 0.011 + 0.01 * rng.random(tile.shape)
@@ -104,28 +106,30 @@ def test_the_evidence_is_that_of_the_reference():
     # The reference: what was scanned above its planes, cut into tiles, at whole-post shifts.
     own, added = np.full((40, 40), np.nan), np.zeros((40, 40))
     scanned = ground[10:30, 10:30]
-    own[10:30, 10:30] = plain.above_plane(scanned, np.ones((20, 20), bool), features.reach)
+    own[10:30, 10:30] = plain.subtract_plane(scanned, np.ones((20, 20), bool), features.reach)
     added[10:30, 10:30] = plain.beside(scanned, features.reach)
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
-    rare = plain.rarity(shown[np.isfinite(shown)], prior.sigma)(shown)
+    rare = plain.negative_log_density(shown[np.isfinite(shown)], prior.sigma)(shown)
     every = list(zip(*np.nonzero(features.kept), strict=True))
-    n, wide, compared = np.arange(-3, 4), 8, 0
+    n, wide, gate_innovation = np.arange(-3, 4), 8, 0
     expected = np.zeros((7, 7))
     for r0 in range(8, 32, wide):
         for c0 in range(8, 32, wide):
             cut = (slice(r0, r0 + wide), slice(c0, c0 + wide))
             if np.isfinite(own[cut]).sum() < 0.25 * wide * wide:
                 continue
-            compared += 1
+            gate_innovation += 1
             of = (shown, rare, own[cut], features.variance + added[cut])
             rest = (0.05, features.together)
             here = [plain.tile_ratio(*of, r0 + a, c0 + b, *rest) for a in n for b in n]
             there = [plain.tile_ratio(*of, r - 4, c - 4, *rest) for r, c in every]
             factors = plain.log_factors(
-                *zip(*here, strict=True), *zip(*there, strict=True), features.settings.changed
+                *zip(*here, strict=True),
+                *zip(*there, strict=True),
+                features.settings.changed_probability,
             )
             expected += np.reshape(factors, (7, 7))
-    assert compared >= 4
+    assert gate_innovation >= 4
     mine = found[2 * n[0] - origin[0] :: 2, 2 * n[0] - origin[1] :: 2][:7, :7]
     assert mine == pytest.approx(expected, abs=0.02)
     assert 3.0 < np.ptp(expected) < 12.0
@@ -205,7 +209,7 @@ def test_a_post_is_compared_once():
 def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     features = MapFeatures(swept(sigma=0.1)[0])
     factors = features.factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
-    changed = features.settings.changed
+    changed = features.settings.changed_probability
     # The worst fit, what the map does not know, and the most that one tile may tell.
     assert factors[0] == pytest.approx(np.log(changed))
     assert factors[1] == pytest.approx(0.0, abs=1e-12)
@@ -329,10 +333,11 @@ def test_a_prior_that_leans_weighs_places_as_it_leans():
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [(SearchSettings, {"tile": np.nan}), (SearchSettings, {"deaf_s": -1.0}),
-     (SearchSettings, {"held_s": 0.0}), (FeatureSettings, {"changed": 2.0}),
+    [(SearchSettings, {"tile": np.nan}), (SearchSettings, {"idle_s": -1.0}),
+     (SearchSettings, {"drift_correlation_s": 0.0}),
+     (FeatureSettings, {"changed_probability": 2.0}),
      (FeatureSettings, {"outlier": 0.0}), (FeatureSettings, {"model_sigma": -1.0}),
-     (FeatureSettings, {"alike": np.nan}), (FeatureSettings, {"width": np.inf})],
+     (FeatureSettings, {"correlation_length": np.nan}), (FeatureSettings, {"width": np.inf})],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(kind, given):
     with pytest.raises(InputError, match=next(iter(given))):

@@ -25,7 +25,7 @@ from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import fit, register
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
-from lunarsim.onboard.navigation.surface import surface_of
+from lunarsim.onboard.navigation.surface import average_scan
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -82,7 +82,7 @@ def test_surface_of_a_plane_is_the_plane():
     rng = np.random.default_rng(1)
     xy = rng.uniform(-5.0, 5.0, (20_000, 2))
     points = np.column_stack((xy, 0.2 * xy[:, 0] - 0.1 * xy[:, 1] + 3.0))
-    surface = surface_of(points, Grid(0.0, 0.0, 0.5, 1, 1))
+    surface = average_scan(points, Grid(0.0, 0.0, 0.5, 1, 1))
     x, y, z = surface.position.T
     assert len(surface) > 200
     # The neighbours' means lie a little off the axes.
@@ -262,7 +262,7 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
 
 def test_a_fit_of_nothing_says_nothing():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
-    assert result.used == result.offered == 0
+    assert result.used == result.compared == 0
     assert result.share == 0.0
     assert not result.information.any()
 
@@ -297,11 +297,12 @@ def test_impossible_maps_are_refused():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("model_sigma", 0.0), ("least_squares", -3), ("least_share", 1.2), ("least_share", np.nan),
-     ("greatest_misfit", np.inf), ("chance", 0.0), ("map_chance", -1.0), ("certainty", 1.1),
-     ("level_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("gather_s", np.nan),
+    [("model_sigma", 0.0), ("min_squares", -3), ("min_agreement", 1.2), ("min_agreement", np.nan),
+     ("max_misfit", np.inf), ("rejection_probability", 0.0), ("map_rejection_probability", -1.0),
+     ("certainty", 1.1),
+     ("height_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("max_accumulation_s", np.nan),
      ("odometry_postings", (0.4, 0.05)), ("odometry_postings", (0.0, 0.4)),
-     ("odometry_sigma", -0.03), ("key_share", 0.0)],
+     ("odometry_sigma", -0.03), ("min_overlap", 0.0)],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=rf"navigation\.{name}"):

@@ -80,11 +80,11 @@ def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
     f, camera = flight.filter, flight.camera()
     pixel, covariance, radius, variance = flight.look(camera)
     index, level = np.arange(f.count), f.places()[:, :2].ravel()
-    p, places, heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
+    p, places, interpolate_heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
     assert p[f.places()[:, 2], f.places()[:, 2]].min() > 0.01
     f.begin_anew(index, camera, pixel, covariance, radius, variance)
     anew, anew_xyz = f.covariance.copy(), f.xyz.copy()
-    assert np.array_equal(anew_xyz[:, 2], heights)
+    assert np.array_equal(anew_xyz[:, 2], interpolate_heights)
     f.covariance[:] = p
     f.covariance[level], f.covariance[:, level] = 0.0, 0.0
     f.covariance[level, level] = 1e7
@@ -212,12 +212,12 @@ def test_rocks_that_rest_are_considered(seed):
     f = flight.filter
     for _ in range(3):
         flight.advance()
-        rests = rng.permutation(9) < rng.integers(5, 9)
-        f.rest(rests)
+        is_frozen = rng.permutation(9) < rng.integers(5, 9)
+        f.rest(is_frozen)
         camera = flight.camera()
         sight = f.sight(camera)
         pixel, covariance, radius, variance = flight.look(camera)
-        index = np.flatnonzero(~rests)
+        index = np.flatnonzero(~is_frozen)
         h = np.zeros((2 * len(index), 42))
         for k, j in enumerate(index):
             h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
@@ -232,12 +232,12 @@ def test_rocks_that_rest_are_considered(seed):
         )
         assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
         assert (f.xyz - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
-        assert np.array_equal(f.xyz[rests], before[rests])
+        assert np.array_equal(f.xyz[is_frozen], before[is_frozen])
         before, p = f.xyz.copy(), f.covariance.copy()
         flight.range()
-        assert np.array_equal(f.xyz[rests], before[rests])
+        assert np.array_equal(f.xyz[is_frozen], before[is_frozen])
         assert np.array_equal(f.covariance, f.covariance.T)
-        resting = 15 + 3 * np.flatnonzero(rests)[:, None] + np.arange(3)
+        resting = 15 + 3 * np.flatnonzero(is_frozen)[:, None] + np.arange(3)
         own = np.ix_(resting.ravel(), resting.ravel())
         assert np.array_equal(f.covariance[own], p[own])
 

@@ -7,8 +7,8 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation.aiding_measurements import Aids, blocks_of
-from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -138,8 +138,8 @@ def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span(
 def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     start = Flight(np.random.default_rng(17)).filter.inertial
     level, events = LevelGround(0.0, 3.0, 0.1), []
-    state = ErrorState(start, blocks={**blocks_of({}, level), "scan": np.eye(6)})
-    f = RockFilter(state, Aids(state, {}, level, events))
+    state = ErrorState(start, blocks={**aiding_blocks({}, level), "scan": np.eye(6)})
+    f = RockFilter(state, AidingMeasurements(state, {}, level, events))
     shared = state.covariance.copy()
     f.add_known(np.array([[1.0, 2.0], [5.0, -3.0]]), np.array([0.5, 0.4]), np.ones(2), np.ones(2))
     assert np.array_equal(state.covariance[:22, :22], shared)
@@ -149,7 +149,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     assert f.ground == pytest.approx(1.8)
     assert f.xyz[0, 2] == pytest.approx(1.8)
     with pytest.raises(InputError, match=r"navigation\.rocks"):
-        RockFilter(state, Aids(state, {}, level, events))
+        RockFilter(state, AidingMeasurements(state, {}, level, events))
 
 
 def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
@@ -160,8 +160,8 @@ def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
     ).rocks  # fmt: skip
     for _ in range(3):
         f.propagate(np.zeros((100, 3)), np.tile([0.0, 0.0, 0.01 * GRAVITY], (100, 1)))
-    f.state.clone(KEY, POSE)
-    key = f.state.block(KEY)
+    f.state.clone(REFERENCE_POSE, POSE)
+    key = f.state.block(REFERENCE_POSE)
     before, between = f.covariance.copy(), np.s_[key, POSE]
     for k in range(6):
         f.judge("places", 0.2 * k, Outcome(900.0, 10, False))

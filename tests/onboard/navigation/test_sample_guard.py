@@ -14,7 +14,7 @@ from lunarsim.messages.measurements import InertialSamples
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.sample_guard import SampleGuard, SampleLimits
+from lunarsim.onboard.navigation.sample_guard import ImuOutlierDetector, SampleLimits
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
@@ -55,25 +55,25 @@ def manoeuvres(rng, n=4000):
 @pytest.mark.parametrize("length", [1, 3, 10])
 def test_the_hardest_manoeuvres_are_believed(length):
     rng = np.random.default_rng(3)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng)
-    found = [guard.judge(angle[k : k + length], velocity[k : k + length])
+    found = [guard.screen(angle[k : k + length], velocity[k : k + length])
              for k in range(0, len(angle), length)]  # fmt: skip
-    assert sum(f.refused for f in found) == 0
-    assert not any(f.gone.any() or f.jump.any() for f in found)
+    assert sum(f.rejected for f in found) == 0
+    assert not any(f.is_missing.any() or f.jump.any() for f in found)
 
 
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("at", [0, 4, 9, 37])
 def test_a_spike_is_refused_and_nothing_else(at, axis):
     rng = np.random.default_rng(4)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng, 100)
     both = np.hstack((angle, velocity))
     both[at, axis] += 2.5 * (LIMITS.step + LIMITS.noise)[axis] * STEP * (1 + 9 * (at == 0))
-    found = [guard.judge(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
-    gone = np.concatenate([f.gone for f in found])
-    assert np.flatnonzero(gone).tolist() == [at]
+    found = [guard.screen(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
+    is_missing = np.concatenate([f.is_missing for f in found])
+    assert np.flatnonzero(is_missing).tolist() == [at]
     assert not any(f.jump.any() for f in found)
 
 
@@ -87,10 +87,10 @@ def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
     _, after = state.propagate(angle[20:], velocity[20:])
     assert before[7, 7] < 1e-6
     assert np.sqrt(after[7, 7]) == pytest.approx(3.0, abs=0.1)
-    told = dict(state.tell())
+    told = dict(state.pop_events())
     assert told["samples-refused"] == {"count": 2}
     assert told["samples-jumped"]["force"] == pytest.approx(3.0, abs=0.1)
-    assert state.tell() == []
+    assert state.pop_events() == []
 
 
 def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
@@ -103,8 +103,8 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
     _, after = state.propagate(angle[20:], velocity[20:])
     honest = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
     _, before = honest.propagate(*(a[:20] for a in manoeuvres(np.random.default_rng(8), 40)))
-    let_go = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
-    assert let_go == pytest.approx([3.0, 0.5], abs=0.1)
+    raise_variances = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
+    assert raise_variances == pytest.approx([3.0, 0.5], abs=0.1)
     # Velocity and attitude were summed with the wrong one for a while.
     assert after[4, 4] > 2.0 * before[4, 4]
     assert after[11, 11] > 2.0 * before[11, 11]
@@ -114,11 +114,11 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
 
 
 def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = np.zeros((60, 3)), np.zeros((60, 3))
     angle[5::4, 0] = 3.0 * LIMITS.step[0] * STEP * 4.0
-    found = guard.judge(angle, velocity)
-    assert found.gone.tolist() == (angle[:, 0] > 0.0).tolist()
+    found = guard.screen(angle, velocity)
+    assert found.is_missing.tolist() == (angle[:, 0] > 0.0).tolist()
     assert not found.jump.any()
 
 
@@ -127,7 +127,7 @@ def test_impossible_steps_are_refused(step):
     with pytest.raises(InputError, match="step"):
         SampleLimits.of(LANDER, step, GYROSCOPES, ACCELEROMETERS)
     with pytest.raises(InputError, match="step"):
-        SampleGuard(LIMITS, step)
+        ImuOutlierDetector(LIMITS, step)
 
 
 @pytest.mark.parametrize("slew", [-1.0, np.nan, np.inf])
@@ -140,19 +140,19 @@ def test_impossible_slews_are_refused(slew):
 @pytest.mark.parametrize("wrong", [np.nan, -1.0])
 def test_impossible_limits_are_refused(name, wrong):
     with pytest.raises(InputError, match=f"limits.{name}"):
-        SampleGuard(replace(LIMITS, **{name: np.full(6, wrong)}), STEP)
+        ImuOutlierDetector(replace(LIMITS, **{name: np.full(6, wrong)}), STEP)
 
 
 def test_missing_samples_let_the_lander_have_moved_meanwhile():
     rng = np.random.default_rng(6)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = (np.zeros((60, 3)) for _ in range(2))
     angle[:, 0] = np.cumsum(np.full(60, 600.0 / 1100.0 * STEP)) * STEP
     angle += 1e-6 * rng.standard_normal((60, 3))
     angle[10:50] = np.nan
-    found = guard.judge(angle, velocity)
-    assert found.refused == 0
-    assert found.gone.sum() == 40
+    found = guard.screen(angle, velocity)
+    assert found.rejected == 0
+    assert found.is_missing.sum() == 40
 
 
 @pytest.mark.parametrize("limits", [LIMITS, SampleLimits.unknown()])
@@ -160,17 +160,17 @@ def test_missing_samples_let_the_lander_have_moved_meanwhile():
 def test_a_sample_with_one_number_missing_counts_as_missing(limits, missing):
     given = np.zeros((20, 3)), np.full((20, 3), 0.01)
     given[missing][4, 1] = np.nan
-    judged = SampleGuard(limits, STEP).judge(*given)
-    assert list(np.flatnonzero(judged.gone)) == [4] and judged.refused == 0
+    judged = ImuOutlierDetector(limits, STEP).screen(*given)
+    assert list(np.flatnonzero(judged.is_missing)) == [4] and judged.rejected == 0
 
 
 def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
-    guard = SampleGuard(SampleLimits.unknown(), STEP)
+    guard = ImuOutlierDetector(SampleLimits.unknown(), STEP)
     angle, velocity = np.zeros((4, 3)), np.zeros((4, 3))
     angle[1, 2], velocity[2, 0] = 10.0 * STEP, 600.0 * STEP
-    found = guard.judge(angle, velocity)
-    assert found.gone.tolist() == [False, False, True, False]
-    assert found.refused == 1
+    found = guard.screen(angle, velocity)
+    assert found.is_missing.tolist() == [False, False, True, False]
+    assert found.rejected == 1
 
 
 def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[str]]:

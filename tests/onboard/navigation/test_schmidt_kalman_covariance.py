@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lunarsim.onboard.navigation._rock_filter_kernels import take_over_columns, take_over_earlier
+from lunarsim.onboard.navigation._rock_filter_kernels import mirror_columns, mirror_lower
 from lunarsim.onboard.navigation.error_state import POSE
 from tests.onboard.navigation.states import alike, made
 
@@ -22,7 +22,7 @@ def step(state, rng):
     what = rng.integers(0, 9)
     if what == 8:  # as scans inform, which correct what rests too
         root = rng.normal(size=(6, 6))
-        state.inform(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
+        state.update_with_information(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
     elif what == 7:
         state.measure(rng.normal(size=(2, head)), np.arange(head), np.full(2, 1e-3), np.ones(2))
     elif what <= 1:
@@ -32,9 +32,9 @@ def step(state, rng):
         changed = rng.random(state.tail) < rng.choice([0.05, 0.5])
         state.rest(np.logical_xor(np.arange(state.tail) >= 10, changed))
     elif what == 3:  # some go, the last take their places
-        gone = rng.random(state.tail) < 0.1
-        left = int((~gone).sum())
-        holes, movers = np.flatnonzero(gone[:left]), left + np.flatnonzero(~gone[left:])
+        is_missing = rng.random(state.tail) < 0.1
+        left = int((~is_missing).sum())
+        holes, movers = np.flatnonzero(is_missing[:left]), left + np.flatnonzero(~is_missing[left:])
         state.keep(left, head + holes, head + movers)
     elif what == 4:
         add(state, rng)
@@ -51,13 +51,13 @@ def step(state, rng):
 
 def add(state, rng):
     """Let new errors come, which do not rest."""
-    old, rests = state.size, state.rests
+    old, is_frozen = state.size, state.is_frozen
     state.reserve(state.tail + 2)
     p = state.for_rows()
     p[old : old + 2], p[:, old : old + 2] = 0.0, 0.0
     p[old, old], p[old + 1, old + 1] = rng.uniform(0.5, 2.0, 2)
     state.tail += 2
-    state.rest(np.append(rests, [False, False]))
+    state.rest(np.append(is_frozen, [False, False]))
 
 
 @given(st.integers(0, 10_000))
@@ -76,8 +76,8 @@ def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
         lags.for_rows()
         one, other = rng.integers(0, lags.size, (2, 5, 3))
         assert np.array_equal(lags.between(one, other), p[one, other])
-        awake = np.flatnonzero(~np.append(np.zeros(lags.head, bool), lags.rests))
-        assert np.array_equal(lags.for_rows(awake)[awake, : lags.size], p[awake])
+        active = np.flatnonzero(~np.append(np.zeros(lags.head, bool), lags.is_frozen))
+        assert np.array_equal(lags.for_rows(active)[active, : lags.size], p[active])
     assert np.array_equal(lags.covariance, whole.covariance)
     assert lags.inertial.position == pytest.approx(whole.inertial.position, abs=0.0)
 
@@ -97,8 +97,8 @@ def test_rows_of_errors_that_rest_are_brought_up_to_date_when_asked_for():
 def test_errors_that_take_others_places_keep_what_they_are():
     rng = np.random.default_rng(5)
     state = made(rng, TAIL)
-    rests = rng.random(TAIL) < 0.7
-    state.rest(rests)
+    is_frozen = rng.random(TAIL) < 0.7
+    state.rest(is_frozen)
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.for_rows()
     before = copy.deepcopy(state).covariance.copy()
@@ -106,16 +106,16 @@ def test_errors_that_take_others_places_keep_what_they_are():
     state.keep(38, state.head + to, state.head + source)
     order = np.arange(38)
     order[to] = source
-    assert np.array_equal(state.rests, rests[order])
+    assert np.array_equal(state.is_frozen, is_frozen[order])
     rows = np.append(np.arange(state.head), state.head + order)
     assert state.size == len(rows)
     assert np.array_equal(state.covariance, before[np.ix_(rows, rows)])
 
 
-@pytest.mark.parametrize("rests", [False, True], ids=["none rests", "most rest"])
-def test_rows_that_are_put_in_are_columns_too(rests):
+@pytest.mark.parametrize("is_frozen", [False, True], ids=["none rests", "most rest"])
+def test_rows_that_are_put_in_are_columns_too(is_frozen):
     state = made(np.random.default_rng(7), TAIL)
-    state.rest(rests & (np.arange(TAIL) >= 10))
+    state.rest(is_frozen & (np.arange(TAIL) >= 10))
     before, at = state.covariance.copy(), state.head + np.array([3, 4])
     rows = np.random.default_rng(8).normal(size=(2, state.size))
     rows[:, at] = np.eye(2)
@@ -133,7 +133,7 @@ def test_columns_are_taken_over_mirrored():
     for row in rows:
         for column in columns:
             expected[row, column] = p[column, row]
-    take_over_columns(p, rows, columns)
+    mirror_columns(p, rows, columns)
     assert np.array_equal(p, expected)
 
 
@@ -145,7 +145,7 @@ def test_of_two_states_the_later_ones_row_takes_over():
     for late in range(len(states)):
         for early in range(late):
             expected[states[late], states[early]] = p[states[early], states[late]]
-    take_over_earlier(p, states)
+    mirror_lower(p, states)
     assert np.array_equal(p, expected)
 
 
@@ -177,11 +177,11 @@ def test_information_that_tells_nothing_leaves_nothing_put_off():
     """Else what is put off is of as many errors as there were, and later ones are more."""
     state = made(np.random.default_rng(13), TAIL)
     before = state.covariance.copy()
-    assert state.inform(POSE, 1e-9 * np.eye(6), np.zeros(6)).degrees == 0
+    assert state.update_with_information(POSE, 1e-9 * np.eye(6), np.zeros(6)).degrees == 0
     add(state, np.random.default_rng(14))
     for innovation in (0.1, -0.1):
         state.measure(np.eye(1, 3), np.arange(3), np.array([innovation]), np.ones(1))
-        state.inform(POSE, np.eye(6), np.zeros(6))
+        state.update_with_information(POSE, np.eye(6), np.zeros(6))
     assert state.covariance[0, 0] < before[0, 0]
     assert state.covariance.shape == (state.size, state.size)
 
@@ -196,5 +196,5 @@ def test_what_all_are_corrected_by_is_taken_off_columns_that_are_up_to_date():
     lags.for_rows()
     assert np.array_equal(whole.covariance, whole.covariance.T)
     for state in (lags, whole):
-        state.inform(POSE, np.eye(6), np.full(6, 1e-3))
+        state.update_with_information(POSE, np.eye(6), np.full(6, 1e-3))
     assert np.array_equal(lags.covariance, whole.covariance)

@@ -19,10 +19,10 @@ from lunarsim.onboard.navigation.error_state import MAP, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE
 
 # Second-order errors are added if they exceed this fraction of the noise variance.
-_COUNTS = 1e-2
+_MIN_SECOND_ORDER_SHARE = 1e-2
 
 
-def take_attitude(
+def update_with_attitude(
     state: ErrorState,
     attitude: ArrayLike,
     covariance: ArrayLike,
@@ -57,13 +57,13 @@ def take_attitude(
         raise InputError(
             "attitude", (q.shape, r.shape), "must be a quaternion (4,) and a covariance (3, 3)"
         )
-    if not (is_rotation(q) and symmetric(r)):
+    if not (is_rotation(q) and is_symmetric(r)):
         return Outcome(np.nan, 3, False)
-    believed = state.inertial.attitude
+    estimated = state.inertial.attitude
     if state.has(MAP):
         azimuth = float(state.value(MAP)[3])
-        believed = quat_multiply(quat_from_rotation_vector([0.0, 0.0, azimuth]), believed)
-    between = quat_multiply(quat_conjugate(believed), normalised(q))
+        estimated = quat_multiply(quat_from_rotation_vector([0.0, 0.0, azimuth]), estimated)
+    between = quat_multiply(quat_conjugate(estimated), normalised(q))
     columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
     jacobian = np.eye(3)
     innovation = quat_to_rotation_vector(between)
@@ -75,19 +75,19 @@ def take_attitude(
     if state.has(MAP):
         # Star trackers measure the attitude in the site frame, not in the local frame.
         columns = np.append(columns, state.block(MAP).start + 3)
-        jacobian = np.column_stack((jacobian, quat_to_matrix(believed)[2]))
-        r = r + _left_over(state, r)
+        jacobian = np.column_stack((jacobian, quat_to_matrix(estimated)[2]))
+        r = r + _second_order_covariance(state, r)
     return state.measure(jacobian, columns, innovation, r, gate)
 
 
-def symmetric(covariance: np.ndarray) -> bool:
+def is_symmetric(covariance: np.ndarray) -> bool:
     """Return whether a covariance (n, n) is finite and symmetric up to rounding."""
     if not np.isfinite(covariance).all():
         return False
     return bool(np.allclose(covariance, covariance.T, atol=1e-9 * np.abs(covariance).max()))
 
 
-def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
+def _second_order_covariance(state: ErrorState, noise: np.ndarray) -> np.ndarray:
     """Return the covariance (3, 3) of the second-order attitude error, rad^2.
 
     The update adds both corrections linearly. Half of their cross product remains as an error,
@@ -95,5 +95,5 @@ def _left_over(state: ErrorState, noise: np.ndarray) -> np.ndarray:
     """
     p, azimuth = state.for_rows(), state.block(MAP).start + 3
     left = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
-    counts = left > _COUNTS * float(np.diag(noise).min())
+    counts = left > _MIN_SECOND_ORDER_SHARE * float(np.diag(noise).min())
     return left * np.eye(3) if counts else np.zeros((3, 3))

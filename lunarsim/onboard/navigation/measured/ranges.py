@@ -11,9 +11,9 @@ from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outco
 Array = NDArray[np.float64]
 
 # Minimum cosine between a beam and straight down; flatter beams are ignored.
-LEAST_DOWN = 0.1
+MIN_DOWN_COSINE = 0.1
 # Standard deviations above this are ignored, m: their square can overflow.
-VAGUE = 1e9
+MAX_SIGMA_M = 1e9
 
 
 def take_range(
@@ -51,7 +51,7 @@ def take_range(
         Maximum normalised innovation squared, as for `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
-    if not (0.0 < distance < np.inf and 0.0 < sigma < VAGUE):
+    if not (0.0 < distance < np.inf and 0.0 < sigma < MAX_SIGMA_M):
         return nothing
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
@@ -60,7 +60,7 @@ def take_range(
     if state.has(MAP):
         level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level
-    if down > -LEAST_DOWN:
+    if down > -MIN_DOWN_COSINE:
         return nothing
     jacobian = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
     columns = POSE[2:]

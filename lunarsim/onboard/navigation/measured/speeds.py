@@ -14,23 +14,23 @@ from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 _COLUMNS = np.r_[3:6, 9:12]
 # Minimum standard deviation of the speed bias of a beam, m/s. A constant bias affects all readings
 # alike, and with a smaller value they would together move the velocity by it.
-_LEAST_SPEED_BIAS = 0.02
+_MIN_SPEED_BIAS_M_S = 0.02
 # Minimum random walk of the bias in 1 s, m/s.
-_LEAST_SPEED_WANDER = 0.005
+_MIN_SPEED_WALK_M_S = 0.005
 
 
-def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
+def speed_bias_model(velocimeter: FixedBeams) -> tuple[float, float]:
     """Return the initial speed bias of a beam, and its random walk in 1 s.
 
     Both are standard deviations, m/s: the specified ones, but not less than realistic minima.
     """
     return (
-        max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
-        max(velocimeter.speed_wander, _LEAST_SPEED_WANDER),
+        max(velocimeter.speed_bias, _MIN_SPEED_BIAS_M_S),
+        max(velocimeter.speed_wander, _MIN_SPEED_WALK_M_S),
     )
 
 
-def take_speeds(
+def update_with_speeds(
     state: ErrorState,
     speed: ArrayLike,
     sigma: ArrayLike,
@@ -79,9 +79,9 @@ def take_speeds(
         jacobian = np.hstack((jacobian, np.eye(len(b))))
         columns = np.append(columns, np.asarray(biases)[seen])
         innovation = innovation - np.broadcast_to(known, len(seen))[seen]
-    found = state.measure(jacobian, columns, innovation, noise[seen] ** 2, gate)
-    if not found.taken:
-        return found
+    outcome = state.measure(jacobian, columns, innovation, noise[seen] ** 2, gate)
+    if not outcome.taken:
+        return outcome
     white = np.full(len(seen), np.nan)
-    white[seen] = found.white
-    return replace(found, white=white)
+    white[seen] = outcome.white
+    return replace(outcome, white=white)
