@@ -103,7 +103,8 @@ def intersect_lines(
             kernels.intersect_lines(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
                 np.ascontiguousarray(origin, np.float64),
-                np.ascontiguousarray(per_drop, np.float64), np.ascontiguousarray(height, np.float64), search,
+                np.ascontiguousarray(per_drop, np.float64),
+                np.ascontiguousarray(height, np.float64), search,
                 min(NEIGHBOURS, len(places)), float(growth), _LOCAL_HEIGHT_SIGMA_M,
             )
         )  # fmt: skip

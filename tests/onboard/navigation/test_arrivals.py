@@ -126,10 +126,10 @@ def test_old_scans_and_readings_change_nothing():
 def test_a_lost_packet_costs_certainty_not_way():
     """A gap of a second is carried over at the last known push, and the errors grow for it."""
     whole = flown(lambda k: [("imu", samples(0.1 * k))])
-    is_missing = flown(lambda k: [] if 5 <= k < 15 else [("imu", samples(0.1 * k))])
-    assert is_missing.inertial.velocity == pytest.approx(whole.inertial.velocity, abs=1e-9)
-    assert is_missing.inertial.position == pytest.approx(whole.inertial.position, abs=1e-9)
-    grown = np.diag(is_missing.covariance)[3:6] - np.diag(whole.covariance)[3:6]
+    with_gap = flown(lambda k: [] if 5 <= k < 15 else [("imu", samples(0.1 * k))])
+    assert with_gap.inertial.velocity == pytest.approx(whole.inertial.velocity, abs=1e-9)
+    assert with_gap.inertial.position == pytest.approx(whole.inertial.position, abs=1e-9)
+    grown = np.diag(with_gap.covariance)[3:6] - np.diag(whole.covariance)[3:6]
     assert grown == pytest.approx(np.full(3, 1.0**2 * 1.0), rel=0.05)
 
 
@@ -143,14 +143,14 @@ def test_what_comes_while_samples_fail_corrects_a_state_that_has_moved_on():
             yield "imu", replace(samples(0.1 * k), angle=spin)
         yield "stars", AttitudeReading(0.1 * k, turned[k], 1e-8 * np.eye(3))
 
-    is_missing = flown(lambda k: give(k, 5 <= k < 15))
+    with_gap = flown(lambda k: give(k, 5 <= k < 15))
     whole = flown(lambda k: give(k, silent=False))
-    names = [event.name for event in is_missing.events]
+    names = [event.name for event in with_gap.events]
     assert names == ["samples-missing"] * 10
-    assert is_missing.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
-    assert is_missing.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
-    assert is_missing.watches["stars attitude"].refused == 0
-    assert not is_missing.estimate(2.0, 1.0).lost
+    assert with_gap.inertial.rate == pytest.approx(whole.inertial.rate, abs=2e-4)
+    assert with_gap.inertial.position == pytest.approx(whole.inertial.position, abs=0.01)
+    assert with_gap.watches["stars attitude"].refused == 0
+    assert not with_gap.estimate(2.0, 1.0).lost
 
 
 def test_samples_that_come_after_what_was_measured_at_their_end_are_told():

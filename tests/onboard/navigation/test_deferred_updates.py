@@ -66,9 +66,7 @@ def steps(state, rng):
         )
     elif what == 4:  # of rocks too
         columns = rng.permutation(size)[:6]
-        state.measure(
-            rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.is_full(3, 0.5)
-        )
+        state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
     elif what == 5:
         root = rng.normal(size=(6, 6))
         state.update_with_information(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
@@ -111,7 +109,7 @@ def test_no_more_is_put_off_than_makes_a_pass_cheaper():
     for number in range(100):
         for state in (put, asked):
             draws = np.random.default_rng(number)
-            state.measure(draws.normal(size=(3, 5)), np.arange(5), np.zeros(3), np.is_full(3, 1e3))
+            state.measure(draws.normal(size=(3, 5)), np.arange(5), np.zeros(3), np.full(3, 1e3))
         asked.covariance.sum()
         if not kept.is_full:
             kept.add(np.zeros((3, TAIL)), None)

@@ -254,7 +254,7 @@ def test_directions_of_which_nothing_is_told_do_not_count():
     # 1e-4 of what is known of the height, and a vector in it of a hundred deviations.
     information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
     vector[2] = 1.0
-    found = state.update_with_information(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
     # Nor do they move anything: told a thousand times over, it would be as many steps aside.
     assert not state.inertial.position.any()
@@ -269,7 +269,7 @@ def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
     # 1 m before and 0.5 m measured: the innovation has 1.25 m^2.
     innovation = deviations * np.sqrt(1.25)
     information, vector = np.diag([4.0, 0, 0, 0, 0, 0]), np.array([4.0 * innovation, 0, 0, 0, 0, 0])
-    found = state.update_with_information(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert found.nis == pytest.approx(deviations**2, rel=1e-6)
     assert found.taken == taken
     assert np.array_equal(state.covariance, before) != taken

@@ -113,10 +113,10 @@ def test_velocity_noise_reaches_the_position_as_the_integral_of_a_random_walk():
 def test_a_sample_of_which_one_number_is_missing_is_missing(missing, axis):
     rng = np.random.default_rng(5)
     state, (angle, velocity) = start(rng), samples(rng)
-    is_missing = angle.copy(), velocity.copy()
-    is_missing[0][7] = is_missing[1][7] = np.nan
+    incomplete = angle.copy(), velocity.copy()
+    incomplete[0][7] = incomplete[1][7] = np.nan
     (angle if missing == "angle" else velocity)[7, axis] = np.nan
-    for found, wanted in zip(carry(state, angle, velocity), carry(state, *is_missing), strict=True):
+    for found, wanted in zip(carry(state, angle, velocity), carry(state, *incomplete), strict=True):
         assert np.isfinite(found).all() and np.array_equal(found, wanted)
 
 

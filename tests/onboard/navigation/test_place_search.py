@@ -48,7 +48,7 @@ def test_planes_are_those_of_least_squares():
     known = rng.random(height.shape) < 0.9
     known[:, 14:16] = False
     above, kept = subtract_plane(height, known, 3)
-    expected = plain.subtract_plane(height, known, 3)
+    expected = plain.above_plane(height, known, 3)
     assert 150 < kept.sum() < known.sum()
     # All that is kept has a plane there, and what is not kept is at an edge or has few posts.
     assert not np.isnan(expected[kept]).any()
@@ -76,7 +76,7 @@ def test_likelihoods_are_those_of_the_reference():
         small_map(rng, ground, voids=60), FeatureSettings(correlation_length=1.3)
     )
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
-    rare = plain.negative_log_density(shown[np.isfinite(shown)], 0.1)(shown)
+    rare = plain.rarity(shown[np.isfinite(shown)], 0.1)(shown)
     tile = ground[10:18, 20:27] + 0.02 * rng.standard_normal((8, 7))
     weight = (rng.random(tile.shape) < 0.8).astype(float)
     variance = 0.011 + 0.01 * rng.random(tile.shape)
@@ -106,19 +106,19 @@ def test_the_evidence_is_that_of_the_reference():
     # The reference: what was scanned above its planes, cut into tiles, at whole-post shifts.
     own, added = np.full((40, 40), np.nan), np.zeros((40, 40))
     scanned = ground[10:30, 10:30]
-    own[10:30, 10:30] = plain.subtract_plane(scanned, np.ones((20, 20), bool), features.reach)
+    own[10:30, 10:30] = plain.above_plane(scanned, np.ones((20, 20), bool), features.reach)
     added[10:30, 10:30] = plain.beside(scanned, features.reach)
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
-    rare = plain.negative_log_density(shown[np.isfinite(shown)], prior.sigma)(shown)
+    rare = plain.rarity(shown[np.isfinite(shown)], prior.sigma)(shown)
     every = list(zip(*np.nonzero(features.kept), strict=True))
-    n, wide, gate_innovation = np.arange(-3, 4), 8, 0
+    n, wide, tile_count = np.arange(-3, 4), 8, 0
     expected = np.zeros((7, 7))
     for r0 in range(8, 32, wide):
         for c0 in range(8, 32, wide):
             cut = (slice(r0, r0 + wide), slice(c0, c0 + wide))
             if np.isfinite(own[cut]).sum() < 0.25 * wide * wide:
                 continue
-            gate_innovation += 1
+            tile_count += 1
             of = (shown, rare, own[cut], features.variance + added[cut])
             rest = (0.05, features.together)
             here = [plain.tile_ratio(*of, r0 + a, c0 + b, *rest) for a in n for b in n]
@@ -129,7 +129,7 @@ def test_the_evidence_is_that_of_the_reference():
                 features.settings.changed_probability,
             )
             expected += np.reshape(factors, (7, 7))
-    assert gate_innovation >= 4
+    assert tile_count >= 4
     mine = found[2 * n[0] - origin[0] :: 2, 2 * n[0] - origin[1] :: 2][:7, :7]
     assert mine == pytest.approx(expected, abs=0.02)
     assert 3.0 < np.ptp(expected) < 12.0

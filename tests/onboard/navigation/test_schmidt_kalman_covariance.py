@@ -32,16 +32,16 @@ def step(state, rng):
         changed = rng.random(state.tail) < rng.choice([0.05, 0.5])
         state.rest(np.logical_xor(np.arange(state.tail) >= 10, changed))
     elif what == 3:  # some go, the last take their places
-        is_missing = rng.random(state.tail) < 0.1
-        left = int((~is_missing).sum())
-        holes, movers = np.flatnonzero(is_missing[:left]), left + np.flatnonzero(~is_missing[left:])
-        state.keep(left, head + holes, head + movers)
+        removed = rng.random(state.tail) < 0.1
+        left = int((~removed).sum())
+        holes, movers = np.flatnonzero(removed[:left]), left + np.flatnonzero(~removed[left:])
+        state.move_and_truncate(left, head + holes, head + movers)
     elif what == 4:
         add(state, rng)
     elif what == 5:
         at = head + rng.permutation(state.tail)[:2]
         rows = state.for_rows(at)[at, :size] * 0.5
-        state.put(at, rows)
+        state.set_rows(at, rows)
         state.widen(at, 10.0 * np.eye(2))
     else:
         one = head + int(rng.integers(state.tail))
@@ -103,7 +103,7 @@ def test_errors_that_take_others_places_keep_what_they_are():
     state.for_rows()
     before = copy.deepcopy(state).covariance.copy()
     to, source = np.array([2, 5]), np.array([38, 39])
-    state.keep(38, state.head + to, state.head + source)
+    state.move_and_truncate(38, state.head + to, state.head + source)
     order = np.arange(38)
     order[to] = source
     assert np.array_equal(state.is_frozen, is_frozen[order])
@@ -119,7 +119,7 @@ def test_rows_that_are_put_in_are_columns_too(is_frozen):
     before, at = state.covariance.copy(), state.head + np.array([3, 4])
     rows = np.random.default_rng(8).normal(size=(2, state.size))
     rows[:, at] = np.eye(2)
-    state.put(at, rows)
+    state.set_rows(at, rows)
     before[at], before[:, at] = rows, rows.T
     assert np.array_equal(state.covariance, before)
 
@@ -155,7 +155,7 @@ def test_all_errors_may_go_while_columns_lag():
     state.measure(np.eye(1, 3), np.arange(3), np.array([0.1]), np.ones(1))
     state.for_rows()
     head, none = copy.deepcopy(state).covariance[: state.head, : state.head], np.zeros(0, np.int64)
-    state.keep(0, none, none)
+    state.move_and_truncate(0, none, none)
     assert np.array_equal(state.for_rows(POSE)[POSE, : state.size], head[POSE])
     assert np.array_equal(state.between(POSE, POSE), head[POSE, POSE])
     assert np.array_equal(state.covariance, head)
