@@ -89,7 +89,7 @@ def _crossing(
 ):
     """Write the intersection of one line with the terrain (3,); see `intersect_lines`."""
     passes, found, least, most = search
-    tried, off, nearest_yet = height, np.nan, np.inf
+    last_height, last_gap, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
         x, y = (
             origin[0] + per_drop[0] * (origin[2] - height),
@@ -98,21 +98,21 @@ def _crossing(
         here = np.nan
         if np.isfinite(x) and np.isfinite(y):
             here = _height_at(east, north, squares, known, x, y, count, growth, own)
-        now = here - height
+        gap = here - height
         # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
-        if not abs(now) >= nearest_yet:
+        if not abs(gap) >= nearest_yet:
             at[0], at[1], at[2] = x, y, here
-            nearest_yet = abs(now)
-        if not abs(now) > found:
+            nearest_yet = abs(gap)
+        if not abs(gap) > found:
             return
         # Secant step: intersect the line with the terrain slope between the last two iterates.
-        slope = (off - now) / (height - tried)
+        slope = (last_gap - gap) / (height - last_height)
         if slope < least:
             slope = least
         elif slope > most:
             slope = most
-        step = now / slope
-        tried, off, height = height, now, height + step if np.isfinite(step) else here
+        step = gap / slope
+        last_height, last_gap, height = height, gap, height + step if np.isfinite(step) else here
 
 
 @kernel(parallel=True)

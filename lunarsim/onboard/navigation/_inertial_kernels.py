@@ -24,15 +24,15 @@ def _rotation(q, out):
 
 
 @kernel(inline=True)
-def _read_sample(angle, velocity, n, step, held):
+def _read_sample(angle, velocity, n, step, last_sample):
     """Write rate and specific force (6,) of sample n, unless missing; return success."""
     good = True
     for k in range(3):
         good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
     if good:
         for k in range(3):
-            held[k] = angle[n, k] / step
-            held[3 + k] = velocity[n, k] / step
+            last_sample[k] = angle[n, k] / step
+            last_sample[3 + k] = velocity[n, k] / step
     return good
 
 
@@ -88,14 +88,14 @@ def _add_noise(walks, noise):
 
 
 @kernel()
-def propagate(state, held, angle, velocity, step, gravity, density, blind):
+def propagate(state, last_sample, angle, velocity, step, gravity, density, blind):
     """Propagate the state with consecutive inertial samples (Eqs. 2-6).
 
     Parameters
     ----------
     state
         Position, velocity, accelerometer bias, quaternion, gyroscope bias (16,).
-    held
+    last_sample
         Last valid rate (rad/s) and specific force (m/s^2) (6,), updated in place; they are used
         while samples are NaN.
     angle, velocity
@@ -124,9 +124,9 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
     half = np.empty(4)
     accel = np.empty(3)
     for n in range(angle.shape[0]):
-        good = _read_sample(angle, velocity, n, step, held)
-        w = held[:3] - x[13:16]
-        a = held[3:] - x[6:9]
+        good = _read_sample(angle, velocity, n, step, last_sample)
+        w = last_sample[:3] - x[13:16]
+        a = last_sample[3:] - x[6:9]
         half[:] = x[9:13]
         turned(half, 0.5 * step * w)
         _rotation(half, r)

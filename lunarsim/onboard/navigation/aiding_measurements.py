@@ -304,8 +304,8 @@ class AidingMeasurements:
         self._last_reading[sensor] = time
         if self.state.has(block):
             own = np.arange(self.state.block(block).start, self.state.block(block).stop)
-            wander = self._speed_errors[sensor][1]
-            self.state.widen(own, wander**2 * (time - last) * np.eye(len(own)))
+            random_walk = self._speed_errors[sensor][1]
+            self.state.widen(own, random_walk**2 * (time - last) * np.eye(len(own)))
 
     def _speed(self, sensor: str, k: int, reading: DopplerReading, beams: Array) -> Outcome:
         one, block = slice(k, k + 1), _speed_block(sensor)
@@ -326,7 +326,7 @@ class AidingMeasurements:
         self, sensor: str, distance: float, sigma: float, beam: Any, time: float, number: int = 0
     ) -> None:
         columns = np.array([POSITION.start + 2])
-        block, rise = None, 0.0
+        block, terrain_variance = None, 0.0
         if self.state.has(GROUND):
             columns = np.append(columns, self.state.block(GROUND).start)
             block = _footprint_block(sensor)
@@ -334,10 +334,12 @@ class AidingMeasurements:
                 columns = np.append(columns, self._move_footprint(sensor, beam, number))
             elif not self.state.has(block):
                 block, number = GROUND, 0
-                rise = self.ground.growth * float(np.hypot(*self._footprint_offset(beam)))
+                terrain_variance = self.ground.growth * float(
+                    np.hypot(*self._footprint_offset(beam))
+                )
         outcome = take_range(
             self.state, distance, sigma, beam, self.ground.elevation, block=block, part=number,
-            rise=rise, gate=innovation_gate(1),
+            terrain_variance=terrain_variance, gate=innovation_gate(1),
         )  # fmt: skip
         self.record_outcome(sensor, "range", outcome, columns, _MAX_HEIGHT_SIGMA_M, time)
 
@@ -346,9 +348,9 @@ class AidingMeasurements:
         inertial, level = self.state.inertial, self.ground.elevation
         level += float(self.state.value(GROUND)[0]) if self.state.has(GROUND) else 0.0
         level += float(self.state.value(MAP)[2]) if self.state.has(MAP) else 0.0
-        along = quat_rotate(inertial.attitude, beam)
+        direction = quat_rotate(inertial.attitude, beam)
         height = max(float(inertial.position[2]) - level, 0.0)
-        return np.asarray(height * along[:2] / max(-float(along[2]), MIN_DOWN_COSINE))
+        return np.asarray(height * direction[:2] / max(-float(direction[2]), MIN_DOWN_COSINE))
 
     def _move_footprint(self, sensor: str, beam: Any, number: int) -> int:
         """Move a beam's terrain-height state to its current footprint; return its index.
@@ -360,19 +362,21 @@ class AidingMeasurements:
         below the lander. The weight of the former decays with the distance between the footprints,
         relative to the distance from the lander.
         """
-        state, across = self.state, self._footprint_offset(beam)
-        foot, away = state.inertial.position[:2] + across, float(np.hypot(*across))
+        state, offset = self.state, self._footprint_offset(beam)
+        footprint, distance = state.inertial.position[:2] + offset, float(np.hypot(*offset))
         last = self._footprints.get((sensor, number))
-        keep = 0.0
-        if last is not None and away > 0.0:
-            keep = float(np.exp(-np.hypot(*(foot - last)) / away))
-        self._footprints[sensor, number] = foot
+        weight = 0.0
+        if last is not None and distance > 0.0:
+            weight = float(np.exp(-np.hypot(*(footprint - last)) / distance))
+        self._footprints[sensor, number] = footprint
         block = _footprint_block(sensor)
         at, below = int(state.block(block).start) + number, int(state.block(GROUND).start)
         value = state.value(block)
-        value[number] = keep * value[number] + (1.0 - keep) * float(state.value(GROUND)[0])
-        shares = np.array([keep, 1.0 - keep])
-        state.follow(at, np.array([at, below]), shares, self.ground.growth * away * (1.0 - keep))
+        value[number] = weight * value[number] + (1.0 - weight) * float(state.value(GROUND)[0])
+        weights = np.array([weight, 1.0 - weight])
+        state.follow(
+            at, np.array([at, below]), weights, self.ground.growth * distance * (1.0 - weight)
+        )
         return at
 
     def _monitor_beams(self, sensor: str, outcomes: dict[int, Outcome], time: float) -> None:
@@ -404,9 +408,11 @@ class AidingMeasurements:
             self._add_event(time, "shut-off", sensor, _of_beam(alarms[0]))
             return
         columns = np.r_[VELOCITY.start : VELOCITY.stop, ATTITUDE.start : ATTITUDE.stop]
-        most = np.repeat([_MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD], 3)
+        max_sigma = np.repeat([_MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD], 3)
         for k in alarms:
-            self._respond(sensor, _of_beam(k), results[k], columns, most, time, before=before[k])
+            self._respond(
+                sensor, _of_beam(k), results[k], columns, max_sigma, time, before=before[k]
+            )
 
     def _monitor(self, sensor: str, kind: str) -> InnovationMonitor:
         return self._monitors.setdefault(
@@ -419,7 +425,7 @@ class AidingMeasurements:
         kind: str,
         outcome: Outcome,
         columns: NDArray[np.int64],
-        most: Any,
+        max_sigma: Any,
         time: float,
         *,
         drifting: tuple[NDArray[np.int64], Any] | None = None,
@@ -430,7 +436,7 @@ class AidingMeasurements:
         ----------
         sensor, kind, outcome, time
             Sensor, kind of measurement, outcome, and time in s.
-        columns, most
+        columns, max_sigma
             Errors (k,) that the measurement depends on, and their maximum standard deviations
             after an inflation.
         drifting
@@ -445,12 +451,15 @@ class AidingMeasurements:
         monitor = self._monitor(sensor, kind)
         before = monitor.lost
         result = monitor.record(time, outcome)
-        self._respond(sensor, kind, result, columns, most, time, before=before, drifting=drifting)
+        self._respond(
+            sensor, kind, result, columns, max_sigma, time, before=before, drifting=drifting
+        )
         return result
 
     def _respond(
-        self, sensor: str, kind: str, result: MonitorResult, columns: NDArray[np.int64], most: Any,
-        time: float, *, before: bool, drifting: tuple[NDArray[np.int64], Any] | None = None,
+        self, sensor: str, kind: str, result: MonitorResult, columns: NDArray[np.int64],
+        max_sigma: Any, time: float, *, before: bool,
+        drifting: tuple[NDArray[np.int64], Any] | None = None,
     ) -> None:  # fmt: skip
         """Act on the result of a monitor; `before` is its `lost` before the measurement."""
         monitor = self._monitor(sensor, kind)
@@ -465,7 +474,7 @@ class AidingMeasurements:
                 self._add_event(time, "lost", sensor, kind)
         elif result is not MonitorResult.CONSISTENT:
             growth = float(np.clip(monitor.nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
-            self.state.inflate(columns, growth, most)
+            self.state.inflate(columns, growth, max_sigma)
             if result is MonitorResult.INFLATE or not before:
                 name = "doubted" if result is MonitorResult.INFLATE else "lost"
                 self._add_event(time, name, sensor, kind)

@@ -15,7 +15,7 @@ Index = NDArray[np.int64]
 _REGULARISATION = 1e-9
 
 
-def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
+def inflate(p: Array, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
     """Multiply the conditional variances of some errors by a factor.
 
     Each error is the sum of its regression on the other errors and a residual. Only the residual is
@@ -32,7 +32,7 @@ def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> Non
         Distinct indices of the errors (k,).
     factor
         Factor on the variances, 1 or more.
-    most
+    max_sigma
         Maximum standard deviations (k,) after the inflation, or one for all.
 
     Raises
@@ -42,17 +42,17 @@ def inflate(p: Array, columns: ArrayLike, factor: float, most: ArrayLike) -> Non
     """
     if not 1.0 <= factor < np.inf:
         raise InputError("factor", factor, "must be a finite number of 1 or more")
-    if not (np.asarray(most) >= 0.0).all():
-        raise InputError("most", most, "must be non-negative standard deviations")
+    if not (np.asarray(max_sigma) >= 0.0).all():
+        raise InputError("max_sigma", max_sigma, "must be non-negative standard deviations")
     at = np.asarray(columns, dtype=np.int64)
     explained = _explained_covariance(p, at)
-    own = p[np.ix_(at, at)]
-    rest = own - explained
+    covariance = p[np.ix_(at, at)]
+    residual = covariance - explained
     # If rounding made a variance negative, all updates are rejected anyway; do not worsen it here.
-    variance = np.maximum(rest.diagonal(), 0.0)
-    room = np.square(most) - np.maximum(explained.diagonal(), 0.0)
-    times = np.sqrt(np.clip(room / np.maximum(variance, 1e-300), 1.0, factor))
-    p[np.ix_(at, at)] = own + (np.outer(times, times) - 1.0) * rest
+    variance = np.maximum(residual.diagonal(), 0.0)
+    headroom = np.square(max_sigma) - np.maximum(explained.diagonal(), 0.0)
+    scale = np.sqrt(np.clip(headroom / np.maximum(variance, 1e-300), 1.0, factor))
+    p[np.ix_(at, at)] = covariance + (np.outer(scale, scale) - 1.0) * residual
 
 
 def _explained_covariance(p: Array, at: Index) -> Array:
@@ -63,8 +63,8 @@ def _explained_covariance(p: Array, at: Index) -> Array:
     correlation = p[np.ix_(others, others)] / np.outer(unit, unit)
     correlation.flat[:: len(others) + 1] += _REGULARISATION
     try:
-        found = cross @ cho_solve(cho_factor(correlation), cross.T)
+        explained = cross @ cho_solve(cho_factor(correlation), cross.T)
     except (np.linalg.LinAlgError, ValueError):
         # Not positive definite or not finite: all later measurements are rejected in any case.
         return np.zeros((len(at), len(at)))
-    return np.asarray(0.5 * (found + found.T))
+    return np.asarray(0.5 * (explained + explained.T))

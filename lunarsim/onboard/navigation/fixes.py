@@ -102,8 +102,8 @@ def _is_valid(fix: NavigationFix) -> bool:
     """Return whether a fix is finite with a unit quaternion and valid variances."""
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
-        given = np.shape(getattr(fix, name))
-        if given != shape:
-            raise InputError(f"fix.{name}", given, f"must have shape {shape}")
+        shape_given = np.shape(getattr(fix, name))
+        if shape_given != shape:
+            raise InputError(f"fix.{name}", shape_given, f"must have shape {shape}")
     finite = all(np.isfinite(getattr(fix, name)).all() for name in shapes)
     return bool(finite and is_rotation(fix.attitude) and (np.diag(fix.covariance) >= 0.0).all())

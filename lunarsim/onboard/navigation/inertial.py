@@ -140,9 +140,9 @@ class StrapdownState:
         self._missing_density = np.array([1.0, 0.035])
         self._last_sample = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
         # Variance of the attitude per squared rotation, by scale factors and misalignments.
-        off = np.full((3, 3), gyroscopes.misalignment**2)
-        np.fill_diagonal(off, gyroscopes.scale_factor**2)
-        self._variance_per_rotation = off
+        variance = np.full((3, 3), gyroscopes.misalignment**2)
+        np.fill_diagonal(variance, gyroscopes.scale_factor**2)
+        self._variance_per_rotation = variance
         self._rotation_since_start = np.zeros(3)
         # Scale factor and misalignment act as biases under constant thrust, here 3 m/s^2.
         self._bias_sigma = (

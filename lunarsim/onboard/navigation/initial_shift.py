@@ -65,15 +65,17 @@ def find_initial_shift(
     for row, col, tile in _tiles(surface, features):
         mean_log_ratio = features.mean_log_ratio(tile)
         if mean_log_ratio is not None:
-            found = features.likelihood(tile, row + along.ravel(), col + across.ravel())
-            log += features.factor(*found, mean_log_ratio, log.size).reshape(log.shape)
+            likelihood = features.likelihood(tile, row + along.ravel(), col + across.ravel())
+            log += features.factor(*likelihood, mean_log_ratio, log.size).reshape(log.shape)
     p = np.exp(log - log.max())
     p /= p.sum()
     best = int(np.argmax(p))
     shift = np.array([x.flat[best], y.flat[best]])
-    near = np.maximum(np.abs(x - shift[0]), np.abs(y - shift[1])) <= 1.01 * posting
-    away = np.column_stack((x.ravel(), y.ravel())) - shift
-    return InitialShift(shift, float(p[near].sum()), np.asarray((away * p.reshape(-1, 1)).T @ away))
+    is_near = np.maximum(np.abs(x - shift[0]), np.abs(y - shift[1])) <= 1.01 * posting
+    offset = np.column_stack((x.ravel(), y.ravel())) - shift
+    return InitialShift(
+        shift, float(p[is_near].sum()), np.asarray((offset * p.reshape(-1, 1)).T @ offset)
+    )
 
 
 def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, Tile]]:
@@ -91,12 +93,16 @@ def _tiles(surface: ScanSurface, features: MapFeatures) -> list[tuple[int, int, 
     slope = surface.normal[:, :2] - surface.normal[:, :2].mean(axis=0)
     spread[place] = (slope**2).sum(axis=1) * features.prior.grid.posting**2 / 12.0
     variance = features.variance + spread
-    many = [max(1, round(n / _TILE_POSTS)) for n in shape]
-    rows, cols = (np.linspace(0, n, m + 1).astype(int) for n, m in zip(shape, many, strict=True))
+    tile_counts = [max(1, round(n / _TILE_POSTS)) for n in shape]
+    rows, cols = (
+        np.linspace(0, n, m + 1).astype(int) for n, m in zip(shape, tile_counts, strict=True)
+    )
     out = []
     for r0, r1 in pairwise(rows):
         for c0, c1 in pairwise(cols):
-            cut = (slice(r0, r1), slice(c0, c1))
-            tile = Tile(above[cut], kept[cut].astype(np.float64), variance[cut])
+            tile_slice = (slice(r0, r1), slice(c0, c1))
+            tile = Tile(
+                above[tile_slice], kept[tile_slice].astype(np.float64), variance[tile_slice]
+            )
             out.append((first[0] + int(r0), first[1] + int(c0), tile))
     return out

@@ -158,18 +158,20 @@ class InnovationMonitor:
     def is_calm(self, time: float) -> bool:
         """Return whether there are enough recent measurements and no sign of a fault."""
         s = self.settings
-        late = [outcome.taken for at, outcome in self._recent if at >= time - s.window_s]
-        few = len(late) >= s.min_count and late.count(
+        recent = [outcome.taken for at, outcome in self._recent if at >= time - s.window_s]
+        is_enough = len(recent) >= s.min_count and recent.count(
             False
-        ) <= _CALM_FRACTION * s.max_rejected_share * len(late)
-        return few and bool((self._drift_levels() <= _CALM_FRACTION * s.drift_threshold).all())
+        ) <= _CALM_FRACTION * s.max_rejected_share * len(recent)
+        return is_enough and bool(
+            (self._drift_levels() <= _CALM_FRACTION * s.drift_threshold).all()
+        )
 
     def _drift_levels(self) -> Array:
         """Return the absolute mean of each component in units of its standard deviation."""
         if self._mean is None:
             return np.zeros(0)
-        often = self._weight >= self.settings.min_count
-        return np.asarray(np.abs(self._mean[often]) / np.sqrt(self._weight[often]))
+        is_frequent = self._weight >= self.settings.min_count
+        return np.asarray(np.abs(self._mean[is_frequent]) / np.sqrt(self._weight[is_frequent]))
 
     def _test_window(self, time: float, outcome: Outcome) -> MonitorResult:
         s = self.settings
@@ -195,12 +197,12 @@ class InnovationMonitor:
 
     def _has_alarm(self) -> bool:
         s = self.settings
-        every = [o for _, o in self._recent]
-        self.nis_ratio = sum(o.nis for o in every) / sum(o.degrees for o in every)
-        refused = sum(not o.taken for o in every)
-        if refused > s.max_rejected_share * len(every):
+        recent = [o for _, o in self._recent]
+        self.nis_ratio = sum(o.nis for o in recent) / sum(o.degrees for o in recent)
+        refused = sum(not o.taken for o in recent)
+        if refused > s.max_rejected_share * len(recent):
             return True
-        taken = [o for o in every if o.taken]
+        taken = [o for o in recent if o.taken]
         degrees = sum(o.degrees for o in taken) / s.correlated_count
         total = sum(o.nis for o in taken) / s.correlated_count
         return degrees > 0.0 and bool(chdtrc(degrees, total) < s.false_alarm_probability)
@@ -214,13 +216,13 @@ class InnovationMonitor:
         if self._mean is None:
             self._mean, self._weight = np.zeros(parts), np.zeros(parts)
             self._last = time
-        keep = float(np.exp(-max(time - self._last, 0.0) / s.drift_time_scale_s))
+        decay = float(np.exp(-max(time - self._last, 0.0) / s.drift_time_scale_s))
         self._last = time
         # The mean is a weighted sum of independent unit normals, whose variance is the sum of the
         # squared weights. Components can be missing, so each has its own weight.
-        seen = np.isfinite(outcome.white)
-        self._mean = keep * self._mean + np.where(seen, outcome.white, 0.0)
-        self._weight = keep**2 * self._weight + seen
+        is_present = np.isfinite(outcome.white)
+        self._mean = decay * self._mean + np.where(is_present, outcome.white, 0.0)
+        self._weight = decay**2 * self._weight + is_present
         if not (self._drift_levels() > s.drift_threshold).any():
             return False
         self._mean = None

@@ -58,8 +58,8 @@ class LevelGround:
         and the height difference over the distance to the target; `relief` is the tangent of the
         slope over 1 m.
         """
-        away = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
-        rise = relief * away**_HURST_EXPONENT
+        distance = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
+        rise = relief * distance**_HURST_EXPONENT
         sigma = float(np.hypot(briefing.start.ground_sigma, rise))
         return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief)
 

@@ -86,10 +86,10 @@ class LocalFrame:
         local = np.asarray(points, np.float64)
         return np.asarray((local - self.pivot - d) @ self.rotation.T + self.pivot)
 
-    def in_site(self, seen: SeenScan) -> SeenScan:
+    def in_site(self, corrected: SeenScan) -> SeenScan:
         """Transform a scan from the local frame to the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
-        return seen.turned(self.rotation, turn, self.to_site(np.zeros(3)))
+        return corrected.turned(self.rotation, turn, self.to_site(np.zeros(3)))
 
     def estimate_in_site(self, estimate: Estimate) -> Estimate:
         """Transform an estimate from the local frame to the site frame."""

@@ -91,23 +91,23 @@ def can_lock(
     features = MapFeatures(prior, settings)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
-    ground, added, shown = (
+    features_window, added, shown = (
         _window(of, prior, middle, swept, reach)
         for of in (*_extract_features(features), features.shown * features.kept)
     )
-    inner = (slice(reach, ground.shape[0] - reach),) * 2
-    template = ground[inner]
+    inner = (slice(reach, features_window.shape[0] - reach),) * 2
+    template = features_window[inner]
     alike = fftconvolve(shown, template[::-1, ::-1], mode="valid")
     # Noise that passes the threshold correlates with itself.
-    gap = alike[reach, reach] - float(added[inner].sum()) - alike
-    told = 0.5 * np.maximum(gap, 0.0) / (features.variance * features.together)
-    expected = (1.0 - features.settings.changed_probability) * told
+    mismatch = alike[reach, reach] - float(added[inner].sum()) - alike
+    log_ratio = 0.5 * np.maximum(mismatch, 0.0) / (features.variance * features.together)
+    expected = (1.0 - features.settings.changed_probability) * log_ratio
     n = np.arange(-reach, reach + 1)
-    far = np.hypot(*np.meshgrid(n, n)) > 3.0
+    is_far = np.hypot(*np.meshgrid(n, n)) > 3.0
     # A more distant wrong place has a lower prior probability.
-    away = 0.5 * posting**2 * (n[:, None] ** 2 + n[None, :] ** 2) / place_sigma**2
-    total = np.where(far, expected + away, np.inf)
-    row, col = np.unravel_index(int(np.argmin(total)), total.shape)
+    prior_cost = 0.5 * posting**2 * (n[:, None] ** 2 + n[None, :] ** 2) / place_sigma**2
+    cost = np.where(is_far, expected + prior_cost, np.inf)
+    row, col = np.unravel_index(int(np.argmin(cost)), cost.shape)
     places = max(2.0 * np.pi * (place_sigma / posting) ** 2, 1.0)
     needed = float(np.log(places) - np.log1p(-certainty))
     return LockForecast(

@@ -142,24 +142,24 @@ class MapMatcher:
     def _register(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Register a scan; without a lock only if the position is certain enough."""
         s = self.settings
-        near = self.found and self.position_sigma < self.prior.grid.posting
-        if not self.locked and not near:
+        is_certain = self.found and self.position_sigma < self.prior.grid.posting
+        if not self.locked and not is_certain:
             return False
-        seen = self._accumulator.take(self.context.seen(sensor, scan), time)
-        if seen is None:
+        corrected = self._accumulator.take(self.context.correct_scan(sensor, scan), time)
+        if corrected is None:
             # A scan that covers too few posts is no evidence for or against the lock.
-            if self.locked and near:
+            if self.locked and is_certain:
                 self._last_agreement = time
             return False
         columns, jacobian = self._site_jacobian(sensor)
         own = self.context.state.own(columns)
         result, posts = register(
-            self.frame.in_site(seen), self._features, jacobian @ own @ jacobian.T,
+            self.frame.in_site(corrected), self._features, jacobian @ own @ jacobian.T,
             self._variance,
         )  # fmt: skip
         if not s.believes(result):
             if self.locked:
-                self._check_other_place(sensor, seen, time)
+                self._check_other_place(sensor, corrected, time)
             return False
         outcome = self._inform(
             sensor, result.information, result.vector, s.map_rejection_probability
@@ -176,7 +176,7 @@ class MapMatcher:
         self._last_agreement = time
         return True
 
-    def _check_other_place(self, sensor: str, seen: SeenScan, time: float) -> None:
+    def _check_other_place(self, sensor: str, corrected: SeenScan, time: float) -> None:
         """Monitor a scan that agrees with the map only at another place.
 
         A scan that fits nowhere has met changed terrain, and gives no further information. A scan
@@ -186,9 +186,9 @@ class MapMatcher:
         """
         columns, jacobian = self._site_jacobian(sensor)
         own = self.context.state.own(columns)
-        loose = _WIDE_FACTOR**2 * jacobian @ own @ jacobian.T
-        in_site = self.frame.in_site(seen)
-        result, _ = register(in_site, self._features, loose, self._variance)
+        wide_covariance = _WIDE_FACTOR**2 * jacobian @ own @ jacobian.T
+        in_site = self.frame.in_site(corrected)
+        result, _ = register(in_site, self._features, wide_covariance, self._variance)
         if not self.settings.believes(result):
             return
         information = jacobian.T @ result.information @ jacobian, jacobian.T @ result.vector
@@ -200,9 +200,11 @@ class MapMatcher:
             return
         scanner = self.context.scanner(sensor)
         middle = np.nanmean(in_site.points(), axis=0)
-        off = float(np.abs(in_site.point_jacobian(middle) @ solve_error(result, loose)).max())
-        turned = off / float(np.linalg.norm(middle - in_site.position))
-        least = np.array([off, *np.full(3, turned), 0.0])
+        offset = float(
+            np.abs(in_site.point_jacobian(middle) @ solve_error(result, wide_covariance)).max()
+        )
+        rotation = offset / float(np.linalg.norm(middle - in_site.position))
+        least = np.array([offset, *np.full(3, rotation), 0.0])
         self.context.state.raise_variances(
             scanner, np.maximum(DRIFTED_SCANNER_SIGMAS, least)[: len(scanner)]
         )
@@ -262,8 +264,8 @@ class MapMatcher:
     def _search(self, sensor: str, scan: LidarScan, time: float) -> bool:
         """Search the map for the scanned terrain; return whether the place was found."""
         s, frame = self.settings, self.frame
-        seen, alignment = self.context.seen(sensor, scan), self._align()
-        local = seen.points()
+        corrected, alignment = self.context.correct_scan(sensor, scan), self._align()
+        local = corrected.points()
         self._places.add(local @ alignment.rotation.T + alignment.position)
         if time - self._last_search < s.search_s - 1e-9:
             return False
@@ -271,32 +273,32 @@ class MapMatcher:
         middle = np.nanmean(local, axis=0)
         at = frame.to_site(middle)
         # Shift that other measurements have added since the start of the search.
-        known = at - (alignment.rotation @ middle + alignment.position)
-        jacobian = frame.in_site(seen).point_jacobian(at)
+        prior_shift = at - (alignment.rotation @ middle + alignment.position)
+        jacobian = frame.in_site(corrected).point_jacobian(at)
         columns, of_state = self._site_jacobian(sensor)
         over = jacobian @ of_state
         p = over @ self.context.state.own(columns) @ over.T
         speed = float(np.sqrt(self.context.state.own(_LEVEL_VELOCITY).diagonal().max()))
-        match = self._places.search(time, known[:2], p[:2, :2], speed)
+        match = self._places.search(time, prior_shift[:2], p[:2, :2], speed)
         if match is None:
             return False
         if match.certainty < s.certainty or match.share < s.min_agreement:
-            self._take_height(sensor, jacobian[2], match, float(known[2]), float(p[2, 2]))
+            self._take_height(sensor, jacobian[2], match, float(prior_shift[2]), float(p[2, 2]))
             return False
         information = np.linalg.inv(match.covariance)
         return self._inform(
             sensor, jacobian.T @ information @ jacobian,
-            jacobian.T @ information @ (match.shift - known), s.rejection_probability,
+            jacobian.T @ information @ (match.shift - prior_shift), s.rejection_probability,
         ).taken  # fmt: skip
 
     def _take_height(
-        self, sensor: str, row: Array, match: Match, known: float, before: float
+        self, sensor: str, row: Array, match: Match, prior_shift: float, before: float
     ) -> None:
         """Update the height only, if the search determines it much better than the prior."""
         # The level of the map is common to all searches: the strong condition uses it only once.
         variance = match.up_variance + self.settings.height_sigma**2
         if 9.0 * variance < before:
             self._inform(
-                sensor, np.outer(row, row) / variance, row * (match.up - known) / variance,
+                sensor, np.outer(row, row) / variance, row * (match.up - prior_shift) / variance,
                 self.settings.rejection_probability,
             )  # fmt: skip

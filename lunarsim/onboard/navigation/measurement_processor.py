@@ -40,14 +40,14 @@ class FilterContext:
         Processor of ranges, speeds and attitudes, with all innovation monitors.
     events
         List that receives the events.
-    most
+    max_sigmas
         Maximum standard deviations (head,) after covariance inflation; see `maximum_sigmas`.
     """
 
     state: ErrorState
     aiding: AidingMeasurements
     events: list[NavigationEvent]
-    most: Array
+    max_sigmas: Array
 
     def scanner(self, sensor: str) -> Index:
         """Return the indices of a scanner's errors in the state (5,), or (0,) without any."""
@@ -57,7 +57,7 @@ class FilterContext:
         place = self.state.block(name)
         return np.arange(place.start, place.stop)
 
-    def seen(self, sensor: str, scan: Any) -> SeenScan:
+    def correct_scan(self, sensor: str, scan: Any) -> SeenScan:
         """Return a scan with the estimated pose and scanner errors, frame of the state."""
         name = scanner_block(sensor)
         value = self.state.value(name) if self.state.has(name) else np.zeros(5)
@@ -65,8 +65,8 @@ class FilterContext:
 
     def local_jacobian(self, sensor: str) -> tuple[Index, Array]:
         """Return the state indices (k,) that a scan depends on, and its Jacobian (11, k)."""
-        own = self.scanner(sensor)
-        return np.concatenate((POSE, own)), np.eye(11, 6 + len(own))
+        scanner_indices = self.scanner(sensor)
+        return np.concatenate((POSE, scanner_indices)), np.eye(11, 6 + len(scanner_indices))
 
     def record_outcome(self, sensor: str, kind: str, outcome: Any, time: float) -> None:
         """Monitor the outcome of a scan update.
@@ -75,16 +75,18 @@ class FilterContext:
         reference pose, the map offset, the rocks or their correlated errors, and a part that did
         not grow would pull the others back. After a drift the scanner's errors are widened.
         """
-        own, every = self.scanner(sensor), np.arange(self.state.size)
-        most = np.concatenate((self.most, np.full(self.state.tail, _MAX_POSITION_SIGMA_M)))
+        scanner_indices, all_indices = self.scanner(sensor), np.arange(self.state.size)
+        max_sigmas = np.concatenate(
+            (self.max_sigmas, np.full(self.state.tail, _MAX_POSITION_SIGMA_M))
+        )
         self.aiding.record_outcome(
             sensor,
             kind,
             outcome,
-            every,
-            most,
+            all_indices,
+            max_sigmas,
             time,
-            drifting=(own, DRIFTED_SCANNER_SIGMAS[: len(own)]),
+            drifting=(scanner_indices, DRIFTED_SCANNER_SIGMAS[: len(scanner_indices)]),
         )
 
 

@@ -105,18 +105,18 @@ class Navigator(Navigation):
         ground: LevelGround | None = None,
         rocks: bool = False,
     ) -> None:
-        level, known, limits = ground or LevelGround(), instruments or {}, settings
+        terrain, calibrations, limits = ground or LevelGround(), instruments or {}, settings
         limits = limits or RegistrationSettings()
         blocks = (
             reference_pose_block()
-            | aiding_blocks(known, level)
+            | aiding_blocks(calibrations, terrain)
             | empty_map_block()
-            | scanner_blocks(known)
+            | scanner_blocks(calibrations)
         )
         self.state = ErrorState(inertial, errors, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
-        self._aiding = AidingMeasurements(self.state, known, level, self.events)
+        self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)
         self._arrivals = Arrivals(inertial.step, self._add_event)
         shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
@@ -144,8 +144,8 @@ class Navigator(Navigation):
     @property
     def watches(self) -> dict[str, InnovationMonitor]:
         """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
-        seen = {} if self.rocks is None else self.rocks.pictures.watches
-        return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
+        corrected = {} if self.rocks is None else self.rocks.pictures.watches
+        return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
     @property
     def lost(self) -> bool:
@@ -231,8 +231,10 @@ class Navigator(Navigation):
         """Return a measurement and its pose, corrected for the estimated sensor errors."""
         if not isinstance(measurement, LidarScan):
             return measurement, now
-        seen = self._context.seen(sensor, measurement)
-        return seen.scan, replace(now, position=seen.position, attitude=seen.attitude)
+        corrected = self._context.correct_scan(sensor, measurement)
+        return corrected.scan, replace(
+            now, position=corrected.position, attitude=corrected.attitude
+        )
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
         """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
@@ -260,13 +262,13 @@ class Navigator(Navigation):
         if self._is_anchored:
             return
         self._is_anchored = True
-        seen = self._context.seen(sensor, scan)
+        corrected = self._context.correct_scan(sensor, scan)
         columns, jacobian = self._context.local_jacobian(sensor)
-        middle = np.nanmean(seen.points(), axis=0)
+        middle = np.nanmean(corrected.points(), axis=0)
         self._map_rotation = MapRotation(np.eye(3), middle)
         places = [self.state.block(REFERENCE_POSE).start]
         if self.rocks is not None:
             places += self.rocks.places()[:, 0].tolist()
         self.frame.anchor(
-            seen.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
+            corrected.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
         )

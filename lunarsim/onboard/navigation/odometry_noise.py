@@ -28,13 +28,13 @@ def comparison_normals(new: Array, old: Array) -> Array:
     """
     slope = 0.5 * (new[:, :2] + old[:, :2])
     middle = np.median(slope, axis=0)
-    off = slope - middle
+    deviation = slope - middle
     noise = (1.4826 * float(np.median(np.abs(new[:, :2] - old[:, :2])))) ** 2 / 4.0
-    stands = np.maximum(
-        1.0 - _MIN_SLOPE_RATIO * noise / np.maximum(np.sum(off**2, axis=1), 1e-300), 0.0
+    shrinkage = np.maximum(
+        1.0 - _MIN_SLOPE_RATIO * noise / np.maximum(np.sum(deviation**2, axis=1), 1e-300), 0.0
     )
     out = np.ones_like(new)
-    out[:, :2] = middle + stands[:, None] * off
+    out[:, :2] = middle + shrinkage[:, None] * deviation
     return out
 
 
@@ -45,16 +45,16 @@ def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Arr
     the viewpoint.
     """
     square = left**2
-    steep = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
-    flat = used & (steep <= np.median(steep[used]))
-    least = max(float(np.mean(square[flat])), _MIN_SIGMA_M**2)
-    rest = used & ~flat
-    more = float(np.sum(steep[rest]))
-    growth = max(float(np.sum(square[rest])) - least * int(rest.sum()), 0.0)
-    return np.asarray(least + (growth / more if more > 0.0 else 0.0) * steep)
+    squared_slope = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
+    is_flat = used & (squared_slope <= np.median(squared_slope[used]))
+    least = max(float(np.mean(square[is_flat])), _MIN_SIGMA_M**2)
+    is_steep = used & ~is_flat
+    slope_sum = float(np.sum(squared_slope[is_steep]))
+    growth = max(float(np.sum(square[is_steep])) - least * int(is_steep.sum()), 0.0)
+    return np.asarray(least + (growth / slope_sum if slope_sum > 0.0 else 0.0) * squared_slope)
 
 
-def linearisation_variance(prior: Array, ways: Array) -> float:
+def linearisation_variance(prior: Array, displacements: Array) -> float:
     """Return the variance of the linearisation error of a fit, m^2.
 
     It is common to all squares. Attitude errors rotate the displacements (2, 3) of the lander and
@@ -68,4 +68,4 @@ def linearisation_variance(prior: Array, ways: Array) -> float:
     """
     angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
     angles += float(np.trace(prior[13:16, 13:16]))
-    return float(angles**2 * np.sum(ways**2))
+    return float(angles**2 * np.sum(displacements**2))

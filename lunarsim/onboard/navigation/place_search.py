@@ -298,9 +298,9 @@ class PlaceSearch:
     def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _SampledTile:
         """Cut a tile at every half post out of the scanned terrain."""
         # Margin of half a post per side for the four offsets, and of two posts for slopes.
-        side, room = 2 * self._wide, 2 * self.features.reach + 2
-        south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
-        many = side + 2 * room
+        side, margin = 2 * self._wide, 2 * self.features.reach + 2
+        south, west = (side * key[i] - margin - self._submap.first[i] for i in (0, 1))
+        many = side + 2 * margin
         z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
         above, kept = np.zeros(z.shape), np.zeros(z.shape, np.bool_)
         for a in (0, 1):
@@ -314,7 +314,7 @@ class PlaceSearch:
             rise = np.gradient(above, axis=axis)
             near = ndimage.minimum_filter1d(kept, 3, axis=axis)
             spread += (2.0 / self._offsets * np.where(near, rise, 0.0)) ** 2 / 12.0
-        inner = (slice(room, room + side),) * 2
+        inner = (slice(margin, margin + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
         whole = Tile(above[inner], weight[inner], variance[inner])
         return _SampledTile((side * key[0], side * key[1]), whole, z[inner])
@@ -332,10 +332,10 @@ class PlaceSearch:
         for a in range(ways):
             for b in range(ways):
                 # A shift by an odd number of half posts uses the posts with an offset of a half.
-                mine = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
-                ratio[mine], share[mine] = self.features.likelihood(
-                    tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
-                    (east[mine] + b) // ways + tile.first[1] // 2,
+                selected = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
+                ratio[selected], share[selected] = self.features.likelihood(
+                    tile.lay(a, b), (north[selected] + a) // ways + tile.first[0] // 2,
+                    (east[selected] + b) // ways + tile.first[1] // 2,
                 )  # fmt: skip
         self._log[row, col] += self.features.factor(ratio, share, mean_log_ratios, log.size)
 

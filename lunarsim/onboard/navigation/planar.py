@@ -35,5 +35,5 @@ def positive(covariance: Array) -> NDArray[np.bool_]:
     """Return which covariances (n, 2, 2) are finite and positive definite (n,)."""
     with np.errstate(invalid="ignore"):
         determinant = np.linalg.det(covariance)
-        found = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
-    return np.asarray(np.isfinite(covariance).all((1, 2)) & found)
+        is_positive = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
+    return np.asarray(np.isfinite(covariance).all((1, 2)) & is_positive)

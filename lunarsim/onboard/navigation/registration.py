@@ -78,26 +78,26 @@ def fit(
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
-    judged = variance if expected is None else expected
+    test_variance = variance if expected is None else expected
     keep = np.ones(len(residual), np.bool_)
     # Start without the outliers from the median: a changed patch would bias a plain mean.
     middle = np.median(residual)
     spread = 1.4826 * np.median(np.abs(residual - middle))
     if spread > 0.0:
-        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(judged.min())))
+        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(test_variance.min())))
     for _ in range(4):
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
         vector = (j * w[:, None]).T @ residual[keep]
         # The prior can be singular: errors of two scans from nearly the same place are equal.
         error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
-        after = residual - jacobian @ error
-        agree = after**2 <= gate**2 * judged
-        if np.array_equal(agree, keep):
+        residual_after = residual - jacobian @ error
+        is_agreeing = residual_after**2 <= gate**2 * test_variance
+        if np.array_equal(is_agreeing, keep):
             break
-        keep = agree
+        keep = is_agreeing
     used = int(keep.sum())
-    misfit = float(np.mean(after[keep] ** 2 / judged[keep])) if used else np.nan
+    misfit = float(np.mean(residual_after[keep] ** 2 / test_variance[keep])) if used else np.nan
     j, w = jacobian[keep], 1.0 / variance[keep]
     return Fit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
@@ -113,7 +113,7 @@ def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
 
 
 def register(
-    seen: SeenScan,
+    corrected: SeenScan,
     features: MapFeatures,
     covariance: Array,
     variance: Array,
@@ -127,7 +127,7 @@ def register(
 
     Parameters
     ----------
-    seen, features
+    corrected, features
         Scan in the frame of the map, and the features of the map.
     covariance
         Prior covariance of the scan's errors (11, 11); see `SeenScan`.
@@ -144,9 +144,9 @@ def register(
         Rows and columns of the compared posts.
     """
     prior = features.prior
-    error, level_only, spread = _initial_error(seen, features, covariance)
+    error, level_only, spread = _initial_error(corrected, features, covariance)
     for _ in range(passes):
-        moved = seen.moved(error)
+        moved = corrected.moved(error)
         surface = average_scan(moved.points(), prior.grid)
         inside = _is_on_map(surface, prior)
         posts = surface.row[inside], surface.col[inside]
@@ -163,8 +163,8 @@ def register(
         if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
     if result.used:
-        alike = residual_correlation(posts, residual - jacobian @ error, expected)
-        share = max(alike, prior.together, 1.0)
+        correlation = residual_correlation(posts, residual - jacobian @ error, expected)
+        share = max(correlation, prior.together, 1.0)
         result = replace(
             result, information=result.information / share, vector=result.vector / share
         )
@@ -211,7 +211,7 @@ def residual_correlation(
 
 
 def _initial_error(
-    seen: SeenScan, features: MapFeatures, covariance: Array
+    corrected: SeenScan, features: MapFeatures, covariance: Array
 ) -> tuple[Array, bool, Array]:
     """Return initial error of a fit (11,), a flag for heights only, and the spread.
 
@@ -219,15 +219,22 @@ def _initial_error(
     the scan is less certain, all shifts that its uncertainty allows are compared first. If several
     shifts are plausible, the fit must not choose between them.
     """
-    surface = seen.surface(features.prior.grid)
+    surface = corrected.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))
     if len(surface) == 0:
         return error, False, none
-    across = seen.point_jacobian(surface.position.mean(axis=0))[:2]
-    place = across @ covariance @ across.T
-    if _UNAMBIGUOUS_SIGMAS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
+    horizontal_jacobian = corrected.point_jacobian(surface.position.mean(axis=0))[:2]
+    position_covariance = horizontal_jacobian @ covariance @ horizontal_jacobian.T
+    if (
+        _UNAMBIGUOUS_SIGMAS * np.sqrt(np.diag(position_covariance).max())
+        <= 0.5 * features.prior.grid.posting
+    ):
         return error, False, none
-    start = find_initial_shift(surface, features, place)
+    start = find_initial_shift(surface, features, position_covariance)
     if start.certainty < _MIN_CERTAINTY:
         return error, True, start.spread
-    return covariance @ across.T @ np.linalg.solve(place, start.shift), False, none
+    return (
+        covariance @ horizontal_jacobian.T @ np.linalg.solve(position_covariance, start.shift),
+        False,
+        none,
+    )

@@ -94,10 +94,10 @@ class RegistrationSettings:
             if not 0.0 < value < np.inf:
                 raise InputError(f"navigation.{name}", value, "must be a positive number")
 
-    def believes(self, found: Fit) -> bool:
+    def believes(self, fit: Fit) -> bool:
         """Return whether enough squares agree, with small enough residuals."""
         return (
-            found.used >= self.min_squares
-            and found.share >= self.min_agreement
-            and found.misfit <= self.max_misfit
+            fit.used >= self.min_squares
+            and fit.share >= self.min_agreement
+            and fit.misfit <= self.max_misfit
         )

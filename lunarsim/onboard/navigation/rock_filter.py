@@ -132,11 +132,11 @@ class RockFilter(RockStates):
         middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
         out[:, 2] = self.ground if middle is None else self.ground_at(middle)[0]
         out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
-        lie = np.isfinite(out[:, :2]).all(1)
+        is_finite = np.isfinite(out[:, :2]).all(1)
         if near is not None:
-            lie &= _is_near_region(out[:, :2], per_drop, near)
-            out[~lie] = np.nan
-        out[lie] = self._intersect(origin, per_drop[lie], out[lie, 2])
+            is_finite &= _is_near_region(out[:, :2], per_drop, near)
+            out[~is_finite] = np.nan
+        out[is_finite] = self._intersect(origin, per_drop[is_finite], out[is_finite, 2])
         return out
 
     def _intersect(self, origin: Array, per_drop: Array, height: Array) -> Array:
@@ -146,25 +146,34 @@ class RockFilter(RockStates):
             search = (_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M, *_STEP_LIMITS)
             known = self._known_heights()
             return intersect_lines(*known, origin, per_drop, height, self._level.growth, search)
-        left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
-        least, met = np.full(len(height), np.inf), np.empty((len(height), ROCK_DIM))
+        indices, last_height, last_gap = (
+            np.arange(len(height)),
+            height,
+            np.full(len(height), np.nan),
+        )
+        least, points = np.full(len(height), np.inf), np.empty((len(height), ROCK_DIM))
         for _ in range(_MAX_ITERATIONS):
-            xy = origin[:2] + per_drop[left] * (origin[2] - height)[:, None]
+            xy = origin[:2] + per_drop[indices] * (origin[2] - height)[:, None]
             found = self.ground_at(xy)
-            now = found - height
+            gap = found - height
             # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
-            nearer = ~(np.abs(now) >= least[left])
-            met[left[nearer]] = np.column_stack((xy, found))[nearer]
-            least[left[nearer]] = np.abs(now[nearer])
-            on = np.abs(now) > _HEIGHT_TOLERANCE_M
-            if not on.any():
+            is_better = ~(np.abs(gap) >= least[indices])
+            points[indices[is_better]] = np.column_stack((xy, found))[is_better]
+            least[indices[is_better]] = np.abs(gap[is_better])
+            is_active = np.abs(gap) > _HEIGHT_TOLERANCE_M
+            if not is_active.any():
                 break
             # Secant step: intersect the line with the terrain slope between the last two iterates.
             with np.errstate(invalid="ignore", divide="ignore"):
-                step = now / np.clip((off - now) / (height - tried), *_STEP_LIMITS)
-            onward = np.where(np.isfinite(step), height + step, found)
-            left, tried, off, height = left[on], height[on], now[on], onward[on]
-        return met
+                step = gap / np.clip((last_gap - gap) / (height - last_height), *_STEP_LIMITS)
+            next_height = np.where(np.isfinite(step), height + step, found)
+            indices, last_height, last_gap, height = (
+                indices[is_active],
+                height[is_active],
+                gap[is_active],
+                next_height[is_active],
+            )
+        return points
 
     def _sight_lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
         """Return camera position (3,) and horizontal advance of lines per drop (n, 2).
@@ -331,13 +340,13 @@ class RockFilter(RockStates):
             np.linalg.norm(np.cross(old, new), axis=1), np.einsum("ij,ij->i", old, new)
         )
         far = np.maximum(np.linalg.norm(new, axis=1), _MIN_RANGE_M)
-        nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _MIN_RANGE_M)))
-        if max(np.median(angle), np.median(nearer), other) < _MIN_VIEW_CHANGE:
+        is_better = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _MIN_RANGE_M)))
+        if max(np.median(angle), np.median(is_better), other) < _MIN_VIEW_CHANGE:
             return
         self._last_camera_position, self._pixel = origin, pixel
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
-        range_ = closing * np.sqrt(nearer + other) * coarser * far
+        range_ = closing * np.sqrt(is_better + other) * coarser * far
         self._add_common_noise(np.stack((shared * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
@@ -477,6 +486,11 @@ def _is_near_region(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool
     """
     west, east, south, north = near
     rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)
-    off = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
+    last_gap = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T
-    return np.asarray((x > west - off) & (x < east + off) & (y > south - off) & (y < north + off))
+    return np.asarray(
+        (x > west - last_gap)
+        & (x < east + last_gap)
+        & (y > south - last_gap)
+        & (y < north + last_gap)
+    )

@@ -40,11 +40,11 @@ def project_points(inertial: StrapdownState, camera: CameraModel, points: Array)
     """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation
-    seen = (body - np.asarray(camera.offset)) @ camera.mount
+    in_camera = (body - np.asarray(camera.offset)) @ camera.mount
     with np.errstate(divide="ignore", invalid="ignore"):
-        pixel = camera.pinhole.project(seen)
-        by_seen = camera.pinhole.jacobian(seen)
-    by_body = by_seen @ camera.mount.T
+        pixel = camera.pinhole.project(in_camera)
+        by_camera = camera.pinhole.jacobian(in_camera)
+    by_body = by_camera @ camera.mount.T
     by_point = by_body @ rotation.T
     # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
     by_attitude = np.empty_like(by_body)
@@ -54,4 +54,4 @@ def project_points(inertial: StrapdownState, camera: CameraModel, points: Array)
             by_body[..., a] * body[:, None, b] - by_body[..., b] * body[:, None, a]
         )
     by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
-    return Sight(pixel, seen[:, 2], by_pose, by_point)
+    return Sight(pixel, in_camera[:, 2], by_pose, by_point)

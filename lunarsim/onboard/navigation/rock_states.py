@@ -138,18 +138,18 @@ class RockStates:
         cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.places()[None]], 0, 1)
         return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
-    def rise_variance(self, near: Index) -> Array:
+    def rise_variance(self, neighbours: Index) -> Array:
         """Return the variance of height differences between rocks and others (n, k), m^2.
 
         Parameters
         ----------
-        near
+        neighbours
             Indices of the other rocks (n, k).
         """
         p, height = self.state.for_rows(), self.places()[:, 2]
         own = p[height, height]
-        between = self.state.between(height[:, None], height[near])
-        return np.asarray(own[:, None] + own[near] - 2.0 * between)
+        between = self.state.between(height[:, None], height[neighbours])
+        return np.asarray(own[:, None] + own[neighbours] - 2.0 * between)
 
     @property
     def expected_growth(self) -> float:
@@ -265,38 +265,42 @@ class RockStates:
                 self._correlate_with_measured(rock, np.flatnonzero(known[:rock]))
                 return
         at = self._xyz[rock, :2]
-        near = self._nearest(rock, np.arange(rock))
-        places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
+        neighbours = self._nearest(rock, np.arange(rock))
+        places = np.vstack((self.state.inertial.position[:2], self._xyz[neighbours, :2]))
         weights, variance = kriging_weights(places[None], at[None], self._level.growth)
         below = [self.state.block(name).start + at for name, at in self._height_blocks()]
-        sources = np.concatenate((below, self.places(near)[:, 2]))
-        shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
-        self._set_height_error(rock, sources, shares, float(variance[0]))
+        sources = np.concatenate((below, self.places(neighbours)[:, 2]))
+        weights = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
+        self._set_height_error(rock, sources, weights, float(variance[0]))
 
     def _correlate_with_measured(self, rock: int, others: Index) -> None:
         """Set the error of a rock's height from its neighbours on measured terrain (k,).
 
         Without neighbours, it depends on the lander's pose, from which the terrain was measured.
         """
-        near = self._nearest(rock, others)
-        if len(near):
-            shares = np.full(len(near), 1.0 / len(near))
-            self._set_height_error(rock, self.places(near)[:, 2], shares, INDIVIDUAL_SIGMA_M**2)
+        neighbours = self._nearest(rock, others)
+        if len(neighbours):
+            weights = np.full(len(neighbours), 1.0 / len(neighbours))
+            self._set_height_error(
+                rock, self.places(neighbours)[:, 2], weights, INDIVIDUAL_SIGMA_M**2
+            )
         else:
-            shares = height_jacobian(self.state, self._xyz[rock])
-            self._set_height_error(rock, POSE, shares, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
+            weights = height_jacobian(self.state, self._xyz[rock])
+            self._set_height_error(rock, POSE, weights, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
-    def _set_height_error(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
-        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, shares, variance)
+    def _set_height_error(self, rock: int, sources: Index, weights: Array, variance: float) -> None:
+        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, weights, variance)
 
     def _nearest(self, rock: int, others: Index) -> Index:
         """Return the nearest neighbours of a rock among others (k,)."""
-        away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
-        if len(away) > NEIGHBOURS:
+        distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
+        if len(distance) > NEIGHBOURS:
             # Keep all at the same distance as the last one: the stable sort takes the first ones.
-            near = np.flatnonzero(~(away > np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1]))
-            away, others = away[near], others[near]
-        return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
+            neighbours = np.flatnonzero(
+                ~(distance > np.partition(distance, NEIGHBOURS - 1)[NEIGHBOURS - 1])
+            )
+            distance, others = distance[neighbours], others[neighbours]
+        return others[np.argsort(distance, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
         """Correct rock heights by measured terrain; see `correct_heights`."""
@@ -314,18 +318,18 @@ class RockStates:
         """
         is_missing = np.zeros(self.count, bool)
         is_missing[index] = True
-        left = self.count - int(is_missing.sum())
-        holes = np.flatnonzero(is_missing[:left])
-        movers = left + np.flatnonzero(~is_missing[left:])
-        old = np.arange(left)
+        remaining = self.count - int(is_missing.sum())
+        holes = np.flatnonzero(is_missing[:remaining])
+        movers = remaining + np.flatnonzero(~is_missing[remaining:])
+        old = np.arange(remaining)
         old[holes] = movers
         self.state.move_and_truncate(
-            ROCK_DIM * left, self.places(holes).ravel(), self.places(movers).ravel()
+            ROCK_DIM * remaining, self.places(holes).ravel(), self.places(movers).ravel()
         )
         self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
         self._frozen[holes] = self._frozen[movers]
-        self._set_count(left)
+        self._set_count(remaining)
         self._update_frozen()
         return old
 

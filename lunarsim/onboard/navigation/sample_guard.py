@@ -88,12 +88,14 @@ class SampleLimits:
             raise InputError("step", step, "must be a positive time in seconds")
         if not 0.0 <= slew < np.inf:
             raise InputError("slew", slew, "must be a non-negative rate in rad/s")
-        turn = np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
-        push = lander.thrust_max / lander.dry_mass
-        follows = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
-        change = _DYNAMICS_MARGIN * np.concatenate((turn, np.full(3, push * follows)))
+        rotation = (
+            np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
+        )
+        acceleration = lander.thrust_max / lander.dry_mass
+        response = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
+        change = _DYNAMICS_MARGIN * np.concatenate((rotation, np.full(3, acceleration * response)))
         noise = np.repeat([_noise(unit, step) for unit in (gyroscopes, accelerometers)], 3)
-        most = np.repeat([_MAX_RATE_RAD_S, 2.0 * push + noise[3]], 3)
+        most = np.repeat([_MAX_RATE_RAD_S, 2.0 * acceleration + noise[3]], 3)
         return cls(change, noise, np.minimum(most, cls.unknown().most))
 
 

@@ -39,28 +39,29 @@ class ScanAccumulator:
         self._submap: Submap | None = None
         self._since = -np.inf
 
-    def take(self, seen: SeenScan, time: float) -> SeenScan | None:
+    def take(self, corrected: SeenScan, time: float) -> SeenScan | None:
         """Return a scan that covers enough posts, or None while there is none.
 
         This is the given scan if it is large enough, or else all accumulated points. They are fixed
         in the local frame, and are returned as a scan from the current pose.
         """
-        points = seen.points()
+        points = corrected.points()
         if count_posts_below(points, self._posting, self._min_posts) == self._min_posts:
-            return seen
+            return corrected
         if self._submap is None or time - self._since > self._max_time:
             self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES_PER_POST), time
         self._submap.add(points)
         if self._submap.count < self._min_posts * _SQUARES_PER_POST**2:
             return None
         accumulated, self._submap = self._submap, None
-        body = (accumulated.points() - seen.position) @ quat_to_matrix(seen.attitude)
+        body = (accumulated.points() - corrected.position) @ quat_to_matrix(corrected.attitude)
         reach = np.linalg.norm(body, axis=1)
         scan = replace(
-            seen.scan, range=reach, direction=(body @ seen.scan.mount) / reach[:, None],
-            sigma=np.full(len(reach), float(np.nanmedian(seen.scan.sigma))), shape=(1, len(reach)),
+            corrected.scan, range=reach, direction=(body @ corrected.scan.mount) / reach[:, None],
+            sigma=np.full(len(reach), float(np.nanmedian(corrected.scan.sigma))),
+            shape=(1, len(reach)),
         )  # fmt: skip
-        return replace(seen, scan=scan)
+        return replace(corrected, scan=scan)
 
 
 def count_posts_below(points: Array, posting: float, most: int = 1 << 40) -> int:

@@ -43,7 +43,7 @@ class _ReferenceScan:
 
     Attributes
     ----------
-    sensor, seen
+    sensor, corrected
         Name of the sensor, and the scan with its current pose estimate.
     grid, surface
         Grid, and the scan averaged over its squares.
@@ -54,27 +54,27 @@ class _ReferenceScan:
     sensor: str
     grid: Grid
     surface: ScanSurface
-    seen: SeenScan
+    corrected: SeenScan
     displacement: float = 0.0
 
     def moved(self, change: Array) -> _ReferenceScan:
         """Return it with errors (11,) added, extrapolated along the slopes of the squares."""
-        middle = self.surface.position.mean(axis=0)
+        centre = self.surface.position.mean(axis=0)
         displacement = self.displacement + float(
-            np.abs(self.seen.point_jacobian(middle) @ change).max()
+            np.abs(self.corrected.point_jacobian(centre) @ change).max()
         )
         position = self.surface.position.copy()
-        position[:, 2] += self.seen.jacobian(position, self.surface.normal) @ change
+        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ change
         surface = replace(self.surface, position=position)
         return replace(
-            self, surface=surface, seen=self.seen.moved(change), displacement=displacement
+            self, surface=surface, corrected=self.corrected.moved(change), displacement=displacement
         )
 
     def refresh(self) -> _ReferenceScan:
         """Return it averaged again, if its displacement is too large."""
         if self.displacement <= _MAX_DISPLACEMENT_SQUARES * self.grid.posting:
             return self
-        return replace(self, surface=self.seen.surface(self.grid), displacement=0.0)
+        return replace(self, surface=self.corrected.surface(self.grid), displacement=0.0)
 
 
 class ScanOdometry:
@@ -112,8 +112,8 @@ class ScanOdometry:
             return
         posting = float(np.clip(scan_width(scan) / 24.0, *self.settings.odometry_postings))
         grid = Grid(0.0, 0.0, posting, 1, 1)
-        seen = self.context.seen(sensor, scan)
-        self._reference = _ReferenceScan(sensor, grid, seen.surface(grid), seen)
+        corrected = self.context.correct_scan(sensor, scan)
+        self._reference = _ReferenceScan(sensor, grid, corrected.surface(grid), corrected)
         self.context.state.clone(REFERENCE_POSE, POSE)
         self._share = 1.0
 
@@ -124,49 +124,51 @@ class ScanOdometry:
             return False
         self._reference = reference = self._reference.refresh()
         least, state = self.settings.min_squares, self.context.state
-        seen = self.context.seen(sensor, scan)
-        new = seen.surface(reference.grid)
+        corrected = self.context.correct_scan(sensor, scan)
+        new = corrected.surface(reference.grid)
         i, j = _common_squares(reference.surface, new)
         if len(i) < least:
             return False
         # A scan from a lower altitude covers a smaller area: it need only lie on the reference.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
         own = self.context.scanner(sensor)
-        both = np.concatenate((POSE, np.arange(state.head)[state.block(REFERENCE_POSE)], own))
-        prior = state.own(both)
-        middle = new.position[j].mean(axis=0)
+        indices = np.concatenate((POSE, np.arange(state.head)[state.block(REFERENCE_POSE)], own))
+        prior = state.own(indices)
+        centre = new.position[j].mean(axis=0)
         normal = noise.comparison_normals(new.normal[j], reference.surface.normal[i])
-        jacobian = _difference_jacobian(seen, reference.seen, new.position[j], normal, own)
+        jacobian = _difference_jacobian(
+            corrected, reference.corrected, new.position[j], normal, own
+        )
         residual = reference.surface.position[i, 2] - new.position[j, 2]
         variance = np.full(len(i), self.settings.odometry_sigma**2)
         result = fit(jacobian, residual, variance, prior)
         if not self.settings.believes(result):
             self._share = 0.0
             return False
-        left = residual - jacobian @ solve_error(result, prior)
-        used = np.abs(left) <= _MAX_RESIDUAL_SIGMAS * self.settings.odometry_sigma
-        variance = _SLOPE_VARIANCE_FACTOR * noise.height_variances(normal, left, used)
-        ways = np.stack(
+        residual_after = residual - jacobian @ solve_error(result, prior)
+        used = np.abs(residual_after) <= _MAX_RESIDUAL_SIGMAS * self.settings.odometry_sigma
+        variance = _SLOPE_VARIANCE_FACTOR * noise.height_variances(normal, residual_after, used)
+        displacements = np.stack(
             (
-                seen.position - reference.seen.position,
-                middle - reference.surface.position.mean(axis=0),
+                corrected.position - reference.corrected.position,
+                centre - reference.surface.position.mean(axis=0),
             )
         )
-        variance += result.used * noise.linearisation_variance(prior, ways)
-        exact = fit(jacobian[used], residual[used], variance[used], prior)
+        variance += result.used * noise.linearisation_variance(prior, displacements)
+        refined = fit(jacobian[used], residual[used], variance[used], prior)
         squares = new.row[j][used], new.col[j][used]
-        alike = max(residual_correlation(squares, left[used], variance[used]), 1.0)
-        found = state.update_with_information(
-            both,
-            exact.information / alike,
-            exact.vector / alike,
+        correlation = max(residual_correlation(squares, residual_after[used], variance[used]), 1.0)
+        outcome = state.update_with_information(
+            indices,
+            refined.information / correlation,
+            refined.vector / correlation,
             min_probability=self.settings.rejection_probability,
         )
-        self.context.record_outcome(sensor, "scans", found, time)
-        if not found.taken:
+        self.context.record_outcome(sensor, "scans", outcome, time)
+        if not outcome.taken:
             # Either scan can be wrong: make this one the reference for the next.
             self._share = 0.0
-        return found.taken
+        return outcome.taken
 
     def _apply_correction(self, error: Array) -> None:
         """Correct the pose of the reference scan; skip one without squares."""

@@ -62,8 +62,12 @@ class SeenScan:
     @classmethod
     def of(cls, scan: LidarScan, own: StrapdownState, scanner: Array) -> SeenScan:
         """Return a scan at the estimated state, corrected by scanner errors (5,)."""
-        seen = cls(scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate)
-        return seen.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else seen
+        corrected = cls(
+            scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate
+        )
+        return (
+            corrected.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else corrected
+        )
 
     def turned(self, rotation: Array, attitude: Array, position: Array) -> SeenScan:
         """Transform the scan to another frame.
@@ -84,16 +88,16 @@ class SeenScan:
 
     def moved(self, error: Array) -> SeenScan:
         """Return the scan with errors (11,) added."""
-        late = float(error[10])
+        latency = float(error[10])
         turn = quat_from_rotation_vector(error[3:6])
         attitude = quat_multiply(self.attitude, turn)
-        if late:
-            attitude = quat_multiply(attitude, quat_from_rotation_vector(-late * self.rate))
+        if latency:
+            attitude = quat_multiply(attitude, quat_from_rotation_vector(-latency * self.rate))
         scan = self.scan
         if np.any(error[6:10]):
-            aim = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
-            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ aim)
-        position = self.position + error[:3] - late * self.velocity
+            boresight = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
+            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ boresight)
+        position = self.position + error[:3] - latency * self.velocity
         return replace(self, scan=scan, position=position, attitude=attitude)
 
     def points(self) -> Array:

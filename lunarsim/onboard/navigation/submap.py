@@ -64,9 +64,9 @@ class Submap:
         shape = (north - south + 1, east - west + 1)
         if shape != (rows, cols):
             # Allocate a margin for later scans, so that not every scan copies the arrays.
-            room = 32
-            grown = np.zeros((2, shape[0] + 2 * room, shape[1] + 2 * room))
-            first = (south - room, west - room)
+            margin = 32
+            grown = np.zeros((2, shape[0] + 2 * margin, shape[1] + 2 * margin))
+            first = (south - margin, west - margin)
             if self._sum.size:
                 r, c = self.first[0] - first[0], self.first[1] - first[1]
                 grown[:, r : r + rows, c : c + cols] = self._sum, self._count

@@ -159,20 +159,22 @@ class UnscentedFilter(Navigation):
         self.events: list[NavigationEvent] = []
         self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
         self._ground, self._exhaust, self._lag = ground or LevelGround(), exhaust_velocity, lag
-        known = instruments or {}
-        self._beams = {n: i.boresight for n, i in known.items() if isinstance(i, FixedBeam)}
+        calibrations = instruments or {}
+        self._beams = {n: i.boresight for n, i in calibrations.items() if isinstance(i, FixedBeam)}
         self._beam_sets = {
-            n: np.array(i.directions) for n, i in known.items() if isinstance(i, FixedBeams)
+            n: np.array(i.directions) for n, i in calibrations.items() if isinstance(i, FixedBeams)
         }
         # Variance of the speed biases of the beams, m^2/s^2.
         self._bias_variance = {
             n: b**2 + _CORRELATION_TIME_S * w**2
             for n, (b, w) in (
-                (n, speed_bias_model(i)) for n, i in known.items() if isinstance(i, FixedBeams)
+                (n, speed_bias_model(i))
+                for n, i in calibrations.items()
+                if isinstance(i, FixedBeams)
             )
         }
         self._mounts = {
-            n: i.misalignment for n, i in known.items() if isinstance(i, StarInstrument)
+            n: i.misalignment for n, i in calibrations.items() if isinstance(i, StarInstrument)
         }
         start = inertial.covariance(errors or StartSigmas())
         # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
@@ -284,11 +286,13 @@ class UnscentedFilter(Navigation):
             (self.inertial.position, self.inertial.velocity, self.inertial.biases[0],
              [before[_MASS] - burnt])
         )  # fmt: skip
-        whole = np.eye(STATES)
-        whole[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
+        full_transition = np.eye(STATES)
+        full_transition[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
         self.kalman.Q = q
         self._repair_covariance()
-        self.kalman.predict(dt=seconds, fx=lambda x, dt: admit_and_propagate + whole @ (x - before))
+        self.kalman.predict(
+            dt=seconds, fx=lambda x, dt: admit_and_propagate + full_transition @ (x - before)
+        )
         turn = transition[_ROTATION, _ROTATION]
         self._attitude_covariance = (
             turn @ self._attitude_covariance @ turn.T + noise[_ROTATION, _ROTATION]
@@ -361,22 +365,22 @@ class UnscentedFilter(Navigation):
                     f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
                 )
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
-        seen = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
-        if not seen.any():
+        has_return = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
+        if not has_return.any():
             return Outcome(np.nan, 0, False)
-        rays = beams[seen] @ quat_to_matrix(self.inertial.attitude).T
+        rays = beams[has_return] @ quat_to_matrix(self.inertial.attitude).T
         own = quat_to_matrix(self.inertial.attitude).T @ self.inertial.velocity
-        by_turn = np.cross(beams[seen], own)
+        by_turn = np.cross(beams[has_return], own)
         uses = _CORRELATION_TIME_S / 0.1
-        noise = np.diag(sigma[seen] ** 2 + uses * self._bias_variance[sensor])
+        noise = np.diag(sigma[has_return] ** 2 + uses * self._bias_variance[sensor])
         outcome = self._update(
-            speed[seen], lambda x: rays @ x[3:6],
+            speed[has_return], lambda x: rays @ x[3:6],
             noise + by_turn @ (uses * self._attitude_covariance[:3, :3]) @ by_turn.T,
-            innovation_gate(int(seen.sum())),
+            innovation_gate(int(has_return.sum())),
         )  # fmt: skip
         white = np.full(len(beams), np.nan)
         if outcome.taken:
-            white[seen] = outcome.white
+            white[has_return] = outcome.white
         return Outcome(outcome.nis, outcome.degrees, outcome.taken, white)
 
     def _attitude(self, sensor: str, reading: AttitudeReading) -> Outcome:

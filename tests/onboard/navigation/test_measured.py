@@ -232,7 +232,9 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
     t, rough = Truth(5), Truth(5)
     far = t.range(BEAMS[0], 0.0) + 3.0
     plain = take_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
-    found = take_range(rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", rise=10.0**2)
+    found = take_range(
+        rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", terrain_variance=10.0**2
+    )
     assert found.nis < plain.nis
     # Both innovations are the same; what they were expected to vary by differs by the rise.
     assert 1.0 / found.nis - 1.0 / plain.nis > 0.0

@@ -63,10 +63,10 @@ def update_with_attitude(
     if state.has(MAP):
         azimuth = float(state.value(MAP)[3])
         estimated = quat_multiply(quat_from_rotation_vector([0.0, 0.0, azimuth]), estimated)
-    between = quat_multiply(quat_conjugate(estimated), normalised(q))
+    rotation = quat_multiply(quat_conjugate(estimated), normalised(q))
     columns = np.arange(ATTITUDE.start, ATTITUDE.stop)
     jacobian = np.eye(3)
-    innovation = quat_to_rotation_vector(between)
+    innovation = quat_to_rotation_vector(rotation)
     if block is not None:
         own = state.block(block)
         columns = np.concatenate((columns, np.arange(own.start, own.stop)))
@@ -94,6 +94,6 @@ def _second_order_covariance(state: ErrorState, noise: np.ndarray) -> np.ndarray
     which exceeds the star-tracker noise if the initial attitude is known to a degree or two only.
     """
     p, azimuth = state.for_rows(), state.block(MAP).start + 3
-    left = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
-    counts = left > _MIN_SECOND_ORDER_SHARE * float(np.diag(noise).min())
-    return left * np.eye(3) if counts else np.zeros((3, 3))
+    variance = 0.25 * float(p[azimuth, azimuth]) * float(np.trace(p[ATTITUDE, ATTITUDE]))
+    is_significant = variance > _MIN_SECOND_ORDER_SHARE * float(np.diag(noise).min())
+    return variance * np.eye(3) if is_significant else np.zeros((3, 3))

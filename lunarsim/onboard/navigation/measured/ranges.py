@@ -25,7 +25,7 @@ def take_range(
     *,
     block: str | None = None,
     part: int = 0,
-    rise: float = 0.0,
+    terrain_variance: float = 0.0,
     gate: float = np.inf,
 ) -> Outcome:
     """Update the error state with a slant range along any boresight.
@@ -45,7 +45,7 @@ def take_range(
         Name of the block with the correction of this elevation; default: no correction.
     part
         Index of the correction in that block.
-    rise
+    terrain_variance
         Variance of the terrain height at the footprint, along the beam, m^2.
     gate
         Maximum normalised innovation squared, as for `ErrorState.measure`.
@@ -71,4 +71,6 @@ def take_range(
         # The elevation of the terrain is given in the site frame.
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(MAP).start + 2)
-    return state.measure(jacobian, columns, distance + height / down, [sigma**2 + rise], gate)
+    return state.measure(
+        jacobian, columns, distance + height / down, [sigma**2 + terrain_variance], gate
+    )

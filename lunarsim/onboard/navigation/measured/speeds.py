@@ -67,21 +67,21 @@ def update_with_speeds(
         Outcome of the update; `white` has one element per beam.
     """
     measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
-    seen = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
-    if not seen.any():
+    has_return = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
+    if not has_return.any():
         return Outcome(np.nan, 0, False)
-    b = np.asarray(beams, np.float64)[seen]
+    b = np.asarray(beams, np.float64)[has_return]
     rotation = quat_to_matrix(state.inertial.attitude)
-    own = rotation.T @ state.inertial.velocity
-    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, own))), _COLUMNS
-    innovation = measured[seen] - b @ own
+    body_velocity = rotation.T @ state.inertial.velocity
+    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, body_velocity))), _COLUMNS
+    innovation = measured[has_return] - b @ body_velocity
     if biases is not None:
         jacobian = np.hstack((jacobian, np.eye(len(b))))
-        columns = np.append(columns, np.asarray(biases)[seen])
-        innovation = innovation - np.broadcast_to(known, len(seen))[seen]
-    outcome = state.measure(jacobian, columns, innovation, noise[seen] ** 2, gate)
+        columns = np.append(columns, np.asarray(biases)[has_return])
+        innovation = innovation - np.broadcast_to(known, len(has_return))[has_return]
+    outcome = state.measure(jacobian, columns, innovation, noise[has_return] ** 2, gate)
     if not outcome.taken:
         return outcome
-    white = np.full(len(seen), np.nan)
-    white[seen] = outcome.white
+    white = np.full(len(has_return), np.nan)
+    white[has_return] = outcome.white
     return replace(outcome, white=white)
