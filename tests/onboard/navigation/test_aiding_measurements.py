@@ -1,4 +1,4 @@
-"""Ranges, speeds and attitudes as a filter takes them: ground, beams, doubts."""
+"""Test ranges, speeds and attitudes: terrain height, beams and monitors."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_refusals_widen_height_and_ground_until_the_gate_opens():
     assert after[place] >= 4.0 * before[place]
     assert after[:2] == pytest.approx(before[:2])
     aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
-    assert aiding.watches["down range"].degrees == 1, "taken at last"
+    assert aiding.watches["down range"].degrees == 1, "accepted in the end"
 
 
 def test_trust_that_comes_back_is_reported():
@@ -147,7 +147,7 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
     other = slice(12, 15) if kind == "speed" else slice(6, 9)
     before = np.diag(state.covariance).copy()
     for k in range(100):
-        # Always a little more than is believed, however the filter follows.
+        # Always slightly above the estimate, which follows it.
         if kind == "speed":
             seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
             seen = seen + state.value("speeds of doppler")
@@ -167,7 +167,7 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
 
 
 def fly_beams(aiding, state, off, seconds=8.0, start=0.0, seed=3):
-    """Give readings of beams that are off by so much (3,), m/s, NaN for none, at 10 Hz."""
+    """Feed readings at 10 Hz with given beam errors (3,), m/s; NaN for no reading."""
     rng = np.random.default_rng(seed)
     nothing = np.full(3, np.nan)
     for k in range(round(10.0 * seconds)):
@@ -194,7 +194,7 @@ def test_a_beam_that_lies_alone_is_shut_off(beam, off):
     assert np.diag(after).max() > 2.0 * np.diag(before).max()
     error = state.inertial.velocity - [3.0, 0.0, -2.0]
     assert error @ np.linalg.solve(after, error) < 16.0
-    # Whatever it says from now on.
+    # Later readings of this beam have no influence.
     told = state.inertial.velocity.copy()
     reading = np.full(3, np.nan)
     reading[beam] = 1.0
@@ -216,7 +216,7 @@ def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off
 
 
 def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
-    """Which of them lies nobody can tell: what is believed came from those that were there."""
+    """The faulty beam cannot be identified: the estimate comes from the others."""
     state, aiding, events = made()
     fly_beams(aiding, state, np.array([0.0, 0.0, np.nan]))
     fly_beams(aiding, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
@@ -235,7 +235,7 @@ def test_a_second_beam_that_lies_is_lost():
 
 @pytest.mark.parametrize("stated", [0.0, 0.1])
 def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
-    """Nobody told of it; what each may be off by is known no better than the filter allows."""
+    """The biases are not specified; the filter assumes its minimum uncertainty."""
     instruments = INSTRUMENTS | {"doppler": FixedBeams(BEAMS, stated)}
     state, aiding, events = made(instruments=instruments)
     truth, rng = state.inertial.velocity.copy(), np.random.default_rng(6)
@@ -247,10 +247,10 @@ def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
         aiding.take("doppler", reading, 0.1 * k)
     sigma = np.sqrt(np.diag(state.covariance)[3:6])
     assert not events
-    # Along body z all three tell the same: of 0.1 m/s at the start 0.02 / 0.8 / sqrt(3) is left.
+    # All three beams measure body z: the initial 0.1 m/s is reduced to 0.02 / 0.8 / sqrt(3).
     assert sigma[2] > (0.012 if stated == 0.0 else 0.05)
     assert (np.abs(state.inertial.velocity - truth) < 3.0 * sigma).all()
-    # What they are off by has wandered since, by no less than is thought likely.
+    # The biases have changed since by at least the minimum random walk.
     own = state.block("speeds of doppler")
     wandered = np.diag(state.covariance)[own] - 0.005**2 * 30.0
     assert (wandered < max(stated, 0.02) ** 2).all()
@@ -282,7 +282,7 @@ def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
     assert not aiding.lost
     change[place] = -0.2 * stated
     state.inertial.correct(change)
-    # Not as long as it is no better known than that.
+    # Not while the uncertainty of the bias is larger.
     state.p[place, place] = stated**2
     aiding.check_sensor_biases()
     assert not aiding.lost
@@ -294,7 +294,7 @@ def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
 
 
 def test_a_bias_that_is_let_go_takes_no_tilt_along():
-    """It moved by itself: where it is found tells nothing of the tilt that it erred with."""
+    """The bias itself changed: its new estimate must not correct the tilt."""
     state, aiding, events = made()
     both = np.sqrt(state.covariance[6, 6] * state.covariance[10, 10])
     state.covariance[6, 10] = state.covariance[10, 6] = 0.95 * both
@@ -329,7 +329,7 @@ def test_a_reading_that_no_likely_error_explains_is_refused(kind):
         aiding.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
     refused = [watch.refused for watch in aiding.watches.values() if watch.refused]
     assert refused == [1] * (3 if kind == "speed" else 1)
-    # Where a beam meets the ground has moved, whatever it measured.
+    # The footprint of a beam has moved, independent of the measured range.
     keep = np.r_[0 : state.block("ground").stop]
     assert np.array_equal(state.covariance[np.ix_(keep, keep)], before[np.ix_(keep, keep)])
 
@@ -371,7 +371,7 @@ def test_time_does_not_run_backwards_and_ground_is_a_number():
 
 @pytest.mark.parametrize("relief", [0.05, 0.2])
 def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
-    """Ranges along slanted beams from one place: the ground there is off by the same each time."""
+    """Slant ranges from one position: the terrain error is the same in each reading."""
     state, aiding, _ = made(relief=relief, sigma=0.5)
     state.covariance[9:12, 9:12] = 0.02**2 * np.eye(3)
     for k in range(300):
@@ -385,7 +385,7 @@ def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
     expected = 1.0 / np.sqrt(0.02**-2 + by_ground**-2)
     found = np.sqrt(np.diag(state.covariance)[9])
     assert 0.6 * expected < found < 1.4 * expected
-    # Had each reading been a new one, the slope would have been averaged away.
+    # With independent terrain errors, the slope would have been averaged away.
     assert found > 4.0 / np.sqrt(0.02**-2 + 300.0 * by_ground**-2)
 
 
@@ -432,7 +432,7 @@ def test_the_foot_of_the_last_reading_is_remembered_and_not_the_first():
     fresh = spread()
     for k in range(50):
         slanted(aiding, 0.2 + 0.1 * k, 0.1)
-    # The same ground once more: nothing new is met.
+    # The same terrain again gives no new information.
     slanted(aiding, 6.0, 1e6)
     assert spread() < 0.3 * fresh
 
@@ -447,7 +447,7 @@ def test_a_foot_seen_first_lies_as_high_as_the_ground_below():
 
 
 def test_a_beam_meets_the_ground_as_far_aside_as_the_site_lies_below():
-    """Ground and site stand 50 m higher than told, the lander 50 m above them."""
+    """Terrain and site are 50 m higher than specified, the lander 50 m above them."""
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
     ground = LevelGround(0.0, 0.5, 0.2)
     blocks = aiding_blocks(INSTRUMENTS, ground) | empty_map_block()

@@ -1,4 +1,4 @@
-"""Time that runs on, and measurements in the order in which they were made."""
+"""Test the time order of measurements and gaps in inertial samples."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_old_and_future_measurements_are_left_out_and_told(stamp):
     assert arrivals.admit("flash", scan(stamp), 1.1) is None
     ((time, name, details),) = told
     assert (time, name, details["sensor"], details["last"]) == (1.1, "out-of-order", "flash", 1.0)
-    # Another sensor has an order of its own, and a later measurement is good again.
+    # The order is checked per sensor, and a later measurement is admitted again.
     assert arrivals.admit("other", scan(1.08), 1.1) is not None
     assert arrivals.admit("flash", scan(1.1), 1.1) is not None
 
@@ -87,7 +87,7 @@ def test_a_gap_of_an_hour_does_not_fill_the_memory():
 
 
 def flown(give):
-    """A filter that hovers for 2 s: `give` what comes at each tenth of a second."""
+    """Run a hovering filter for 2 s; `give` returns the measurements of each 0.1 s."""
     state = StrapdownState(np.array([0.0, 0.0, 100.0]), np.zeros(3), UPRIGHT, 1.6)
     navigation = Navigator(state, StartSigmas(), None)
     for k in range(1, 21):
@@ -124,7 +124,7 @@ def test_old_scans_and_readings_change_nothing():
 
 
 def test_a_lost_packet_costs_certainty_not_way():
-    """A gap of a second is carried over at the last known push, and the errors grow for it."""
+    """A gap of 1 s is bridged with the last specific force, and the covariance grows."""
     whole = flown(lambda k: [("imu", samples(0.1 * k))])
     with_gap = flown(lambda k: [] if 5 <= k < 15 else [("imu", samples(0.1 * k))])
     assert with_gap.inertial.velocity == pytest.approx(whole.inertial.velocity, abs=1e-9)
@@ -134,7 +134,7 @@ def test_a_lost_packet_costs_certainty_not_way():
 
 
 def test_what_comes_while_samples_fail_corrects_a_state_that_has_moved_on():
-    """Stars seen while the inertial unit is silent: the turn that was flown is no error of it."""
+    """Attitude readings during a gap: the true rotation is not taken for an error."""
     turned = [np.array([0.0, 0.0, np.sin(0.005 * k), np.cos(0.005 * k)]) for k in range(21)]
     spin = np.tile([0.0, 0.0, 0.001], (10, 1))
 
@@ -213,7 +213,7 @@ def test_what_was_measured_long_ago_is_not_taken_for_now():
     assert arrivals.admit("down", AltimeterReading(0.96, 90.0, 1.0), 1.0) is None
     assert told == [(1.0, "stale", {"sensor": "down", "stamp": 0.96})]
     assert arrivals.admit("down", AltimeterReading(0.98, 90.0, 1.0), 1.0) is not None
-    # A long exposure's middle lies further back.
+    # The middle of a long exposure is earlier.
     assert arrivals.admit("eye", Picture(0.9, np.zeros((2, 2), np.uint8), None), 1.0) is not None
 
 
@@ -277,7 +277,7 @@ def test_a_scan_whose_mount_turns_nothing_tells_nothing(mount):
 @pytest.mark.parametrize("ray", [np.nan, np.inf, 0.0, 1e9, 1e150, -1e300])
 @pytest.mark.parametrize("place", [slice(None), (17, 0), (20, 2)])
 def test_a_scan_whose_rays_are_no_directions_changes_nothing(ray, place):
-    """One such scan wrote past an array, or spread without bound."""
+    """Such a scan once wrote past an array or covered an unlimited area."""
     east, north = np.meshgrid(np.linspace(-0.1, 0.1, 6), np.linspace(-0.1, 0.1, 6))
     rays = np.column_stack((east.ravel(), north.ravel(), np.full(36, -1.0)))
     rays /= np.linalg.norm(rays, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""What is put off is what had been taken off at once."""
+"""Test that deferred updates equal immediate ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TAIL = 12
 
 
 def plainly(p, squares, is_frozen):
-    """Take squares off as a filter with errors that rest would, entry by entry."""
+    """Subtract squares entry by entry, as a filter with frozen errors does."""
     out = p.copy()
     for w, resting in squares:
         for i in range(len(p)):
@@ -41,7 +41,7 @@ def test_squares_are_taken_off_all_that_does_not_rest(seed):
     for w, resting in squares:
         kept.add(w, np.flatnonzero(~is_frozen) if resting else None)
     assert kept.rows == sum(len(w) for w, _ in squares)
-    # Columns of those that do not rest are left as they were in rows of those that do.
+    # Columns of active errors are not updated in the rows of frozen errors.
     if kept.apply(got):
         lags = np.ix_(is_frozen, ~is_frozen)
         assert not np.array_equal(got[:n, :n], got[:n, :n].T)
@@ -56,15 +56,15 @@ def test_squares_are_taken_off_all_that_does_not_rest(seed):
 
 
 def steps(state, rng):
-    """Do to a state what navigation does to it, drawn at random."""
+    """Apply a random operation of navigation to a state."""
     head, size = state.head, state.size
     what = rng.integers(0, 10)
-    if what <= 3:  # of lander and blocks alone, as an altimeter or a star tracker measures
+    if what <= 3:  # lander and blocks only, like an altimeter or a star tracker
         columns = rng.permutation(head)[: rng.integers(1, 7)]
         state.measure(
             rng.normal(size=(2, len(columns))), columns, 1e-3 * rng.normal(size=2), np.ones(2)
         )
-    elif what == 4:  # of rocks too
+    elif what == 4:  # with rocks
         columns = rng.permutation(size)[:6]
         state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
     elif what == 5:
@@ -88,7 +88,7 @@ def steps(state, rng):
 @given(st.integers(0, 10_000))
 @settings(max_examples=60)
 def test_it_makes_no_difference_when_the_covariance_is_asked_for(seed):
-    """One state is asked after every step, the other at the end alone."""
+    """Read one state after every step, and the other only at the end."""
     rng = np.random.default_rng(seed)
     put = made(rng, TAIL)
     asked = copy.deepcopy(put)

@@ -1,4 +1,4 @@
-"""The error state against filters written out with plain matrices."""
+"""Test the error state against filters with full matrices."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_errors_that_no_other_tells_of_grow_whole():
 
 @pytest.mark.parametrize("doubted", [0, 1])
 def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
-    """Two heights of 5 m, the same to 2 cm: to doubt one of them teaches nothing of either."""
+    """Two heights of 5 m, equal to 2 cm: inflating one gives no information on either."""
     both = 25.0 + np.diag([2e-4, 2e-4])
     state = ErrorState(still(), blocks={"heights": both})
     for _ in range(3):
@@ -154,7 +154,7 @@ def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
         difference = state.covariance[15, 15] + state.covariance[16, 16]
         difference -= 2.0 * state.covariance[15, 16]
         state.measure([[1.0, -1.0]], [15, 16], [0.0], [1e-4])
-        assert difference > 5e-3, "either may have moved"
+        assert difference > 5e-3, "either may have changed"
         assert np.sqrt(np.diag(state.covariance)[15:]).min() > 4.9
 
 
@@ -196,7 +196,7 @@ def test_covariances_that_are_none_are_refused(given):
 
 
 def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
-    """Two poses that nearly coincide, compared again and again to a tenth of a millimetre."""
+    """Two nearly identical poses, compared repeatedly to 0.1 mm."""
     rng = np.random.default_rng(3)
     state = ErrorState(still(), StartSigmas(30.0, 10.0, 0.2), blocks={"key": np.zeros((6, 6))})
     state.clone("key", POSE)
@@ -256,14 +256,14 @@ def test_directions_of_which_nothing_is_told_do_not_count():
     vector[2] = 1.0
     found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
-    # Nor do they move anything: told a thousand times over, it would be as many steps aside.
+    # They move nothing either: repeated a thousand times, the steps would add up.
     assert not state.inertial.position.any()
     assert state.covariance[2, 2] == 1.0
 
 
 @pytest.mark.parametrize(("deviations", "taken"), [(3.2, True), (3.4, False)])
 def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
-    """One degree of freedom, a chance of one in a thousand: 3.29 deviations."""
+    """One degree of freedom and a probability of 0.001: 3.29 standard deviations."""
     state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
     before = state.covariance.copy()
     # 1 m before and 0.5 m measured: the innovation has 1.25 m^2.
@@ -299,7 +299,7 @@ def test_a_correction_that_is_none_changes_nothing(error):
 
 @pytest.mark.parametrize("way", ["measure", "update_with_information", "at rest"])
 def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
-    """What is measured looks well; what errs with it is not finite."""
+    """The measured errors are valid, but errors correlated with them are not finite."""
     state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
     state.tail = 2
     state.covariance[16:, 16:] = np.eye(2)
@@ -318,7 +318,7 @@ def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
 
 @pytest.mark.parametrize("size", [0.02, 0.3, 5.0])
 def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_under(size):
-    """The error that stays, ``e_v + v x e_tilt``, is that of an invariant filter."""
+    """The conserved error, ``e_v + v x e_tilt``, is that of an invariant filter."""
     rng = np.random.default_rng(7)
     turned = rng.normal(size=4)
     turned /= np.linalg.norm(turned)
@@ -339,7 +339,7 @@ def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_und
 
 
 def test_what_is_doubted_grows_by_what_two_errors_that_are_the_same_do_not_tell():
-    # The first two are one error, which the third is but for 0.1.
+    # The first two errors are identical, and the third differs by 0.1.
     p = np.ones((3, 3))
     p[2, 2] = 1.01
     inflate(p, [2], 4.0, 1e3)

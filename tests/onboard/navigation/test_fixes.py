@@ -1,4 +1,4 @@
-"""Navigation by the fixes of another system."""
+"""Test navigation with the fixes of an external system."""
 
 from __future__ import annotations
 

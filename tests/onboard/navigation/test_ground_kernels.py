@@ -1,4 +1,4 @@
-"""Compiled kriging and counting of squares against plain references."""
+"""Test compiled kriging and square counting against simple references."""
 
 from __future__ import annotations
 

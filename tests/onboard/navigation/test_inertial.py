@@ -1,4 +1,4 @@
-"""Strap-down propagation against SciPy's rotations and finite differences."""
+"""Test strapdown propagation against SciPy's rotations and finite differences."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_transition_equals_finite_differences():
         ahead, _, _ = carry(displaced(state, e), angle, velocity)
         behind, _, _ = carry(displaced(state, -e), angle, velocity)
         slope[:, k] = error_between(ahead, behind) / 2e-5
-    # First order in the step: errors of a sample's turn times its length remain.
+    # First order in the step: the error is the rotation of a sample times its duration.
     assert transition == pytest.approx(slope, abs=3e-3, rel=5e-3)
 
 
@@ -83,7 +83,7 @@ def test_noise_of_many_samples_is_that_of_a_random_walk():
     n = 1000
     _, _, noise = carry(state, np.zeros((n, 3)), np.zeros((n, 3)))
     seconds = n * STEP
-    # White noise once integrated, and the walk of the bias twice.
+    # White noise integrated once, and the random walk of the bias twice.
     walks = 1e-6 * (seconds + seconds**3 / 3.0)
     assert noise[3, 3] == pytest.approx(walks, rel=2e-3)
     assert noise[6, 6] == pytest.approx(1e-6 * seconds)
@@ -190,7 +190,7 @@ def test_a_sample_that_no_lander_could_give_counts_as_missing(which, value):
 
 
 def test_a_turn_takes_scale_factors_and_misalignments_along():
-    """Turned about one axis and back; what is off is drawn, and the error compared."""
+    """Rotate about one axis and back with random errors; compare the attitude error."""
     errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
     state = StrapdownState(
         np.zeros(3), np.zeros(3), UPRIGHT, 1e-3, gyroscopes=errors, accelerometers=TriadErrors()
@@ -205,7 +205,7 @@ def test_a_turn_takes_scale_factors_and_misalignments_along():
 
 
 def test_scale_factor_and_misalignment_are_biases_under_steady_thrust():
-    """3 m/s^2 times each, beside the bias itself."""
+    """3 m/s^2 times each, in addition to the bias itself."""
     unit = TriadErrors(bias=3e-3, random_walk=1e-4, bias_walk=0.0, scale_factor=1e-3,
                        misalignment=2e-3)  # fmt: skip
     state = StrapdownState(

@@ -1,4 +1,4 @@
-"""When a filter doubts what it measures."""
+"""Test the innovation monitors."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_innovations_to_one_side_are_found_though_each_is_small():
 
 
 def test_a_drift_is_told_when_its_mean_stands_out():
-    """The mean that forgets, against sums written out."""
+    """Test the fading mean against explicit sums."""
     outcomes = list(whitened(np.random.default_rng(4), 120, np.array([0.9, 0.0, 0.0])))
     found = verdicts(InnovationMonitor(SPEEDS), outcomes)
     first = found.index(MonitorResult.DRIFT)
@@ -124,7 +124,7 @@ def test_what_cannot_jump_is_lost_at_once_and_stays_so():
 
 
 def test_a_drift_that_comes_again_and_again_is_lost():
-    """Something that no bias explains: found, explained, found again."""
+    """A drift that no bias explains: detected, compensated, detected again."""
     always = whitened(np.random.default_rng(6), 600, np.array([0.0, 0.0, 2.0]))
     watch = InnovationMonitor(SPEEDS)
     told = []
@@ -135,7 +135,7 @@ def test_a_drift_that_comes_again_and_again_is_lost():
     assert told[3][0] < SPEEDS.drift_window_s
     assert watch.lost
     verdicts(watch, whitened(np.random.default_rng(7), 600))
-    assert watch.lost, "what has gone along with it stays lost"
+    assert watch.lost, "the filter has followed the drift and stays lost"
 
 
 def test_without_patience_the_first_drift_is_lost():
@@ -148,11 +148,11 @@ def test_without_patience_the_first_drift_is_lost():
 
 def test_a_watch_is_calm_while_nothing_stands_out():
     watch = InnovationMonitor(SPEEDS)
-    assert not watch.is_calm(0.0), "nothing was measured"
+    assert not watch.is_calm(0.0), "there are no measurements"
     verdicts(watch, whitened(np.random.default_rng(10), 60))
     assert watch.is_calm(6.0)
-    assert not watch.is_calm(9.0), "not of late"
-    # A third refused is not yet doubted, and no longer calm.
+    assert not watch.is_calm(9.0), "no recent measurements"
+    # With a third rejected there is no alarm yet, but the monitor is not calm.
     for k in range(20):
         watch.record(
             6.0 + 0.1 * k, Outcome(400.0 if k % 3 == 0 else 3.0, 3, k % 3 != 0, np.zeros(3))
@@ -164,11 +164,11 @@ def test_a_watch_is_calm_while_nothing_stands_out():
         if drifting.record(0.1 * k, outcome) is not MonitorResult.CONSISTENT:
             break
         is_calm = drifting.is_calm(0.1 * k)
-    assert not is_calm, "before it is told it shows"
+    assert not is_calm, "not calm before the alarm"
 
 
 def test_drifts_far_apart_are_explained_each():
-    """A bias that jumps every 16 s, each time found and put right at once."""
+    """A bias that jumps every 16 s and is corrected each time at once."""
     rng = np.random.default_rng(8)
     watch, found, jumped = InnovationMonitor(SPEEDS), [], False
     for k in range(6 * 160):
@@ -182,7 +182,7 @@ def test_drifts_far_apart_are_explained_each():
 
 
 def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
-    """Each beam against sums written out; one to one side is found though others drop out."""
+    """Test each beam against explicit sums; a drift is detected despite dropouts."""
     rng = np.random.default_rng(9)
     times, white = 0.1 * np.arange(150), rng.normal(size=(150, 3)) + [0.0, 0.0, 0.9]
     white[rng.random(white.shape) < 0.4] = np.nan
@@ -226,12 +226,12 @@ def test_trust_does_not_come_back_while_it_was_doubted_of_late():
         if back is None and not watch.lost:
             back = 0.1 * k
     assert back is not None
-    # Widenings count for three windows of 2 s.
+    # Inflations count for three windows of 2 s.
     assert 4.0 < back < 6.5
 
 
 def test_what_was_doubted_drifts_by_what_comes_after():
-    """A doubt widens the state: how innovations lay before says nothing of it any more."""
+    """An inflation changes the state: earlier innovations no longer apply to it."""
     watch = InnovationMonitor(
         InnovationMonitorSettings(drift_time_scale_s=1e3, window_s=1.0, min_count=6)
     )

@@ -1,4 +1,4 @@
-"""The local frame: the same beliefs as in the site frame, told in other coordinates."""
+"""Test that the local frame gives the same estimates as the site frame."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def strapdown():
 
 
 def told():
-    """A filter in the site frame, without a frame of its own."""
+    """Return a filter in the site frame, without a local frame."""
     return ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])})
 
 
 def own():
-    """The same in a local frame."""
+    """Return the same filter in a local frame."""
     state = ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | empty_map_block())
     return state, LocalFrame(state)
 
 
 def flown(state, seed, steps=40):
-    """Carry a filter over a second of thrust and turning."""
+    """Propagate a filter over 1 s of thrust and rotation."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
         push = 0.01 * (np.array([0.2, -0.1, 2.5]) + 0.3 * rng.standard_normal(3))
@@ -59,7 +59,7 @@ def test_the_start_errs_in_the_site_frame_as_the_mission_says():
     plain, (_, frame) = told(), own()
     expected = plain.covariance[np.ix_(KEEP, KEEP)]
     assert frame.covariance_in_site() == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    # In its own frame the lander errs neither in position nor in azimuth.
+    # In the local frame, the lander has no error of position or azimuth.
     state, _ = own()
     up = quat_to_matrix(ATTITUDE)[2]
     assert not state.covariance[:3, :3].any()
@@ -69,7 +69,7 @@ def test_the_start_errs_in_the_site_frame_as_the_mission_says():
 
 
 def measure(state, off, at):
-    """Take in stars, a range and speeds that lie off what the pose `at` would give."""
+    """Process an attitude, a range and speeds with offsets from those of the pose `at`."""
     attitude = quat_multiply(
         at.attitude, quat_from_rotation_vector(off * np.array([1.0, 2.0, -3.0]))
     )
@@ -93,14 +93,14 @@ def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
     for one in (pilot, plain, state):
         flown(one, 5)
     for one in (plain, state):
-        # Twice: what was learnt the first time is expected the second.
+        # Twice: the second time the innovations are smaller.
         outcomes.append(measure(one, off, at) + measure(one, off, at))
     for one in (plain, state):
         flown(one, 6)
     p = frame.covariance_in_site()
     expected = plain.covariance[np.ix_(KEEP, KEEP)]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    # Off what was expected they linearise about places a little apart.
+    # With innovations, the linearisation points differ slightly.
     assert p / scale == pytest.approx(expected / scale, abs=close)
     for one, other in zip(*outcomes, strict=True):
         assert one.taken
@@ -113,7 +113,7 @@ def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
     )
     between = quat_multiply(quat_conjugate(plain.inertial.attitude), attitude)
     assert np.linalg.norm(quat_to_rotation_vector(between)) < 0.1 * sigma[6:].max()
-    # Stars turn the site, not the lander.
+    # An attitude reading rotates the site, not the lander.
     assert (abs(frame.azimuth) > off) == (off > 0.0)
 
 
@@ -157,7 +157,7 @@ def test_the_shift_is_the_transform_both_ways():
     there = frame.shift.to_local(points)
     assert frame.to_site(there) == pytest.approx(points)
     assert frame.shift.to_site(there) == pytest.approx(points)
-    # By hand: a turn about where the lander was told to begin, and a shift.
+    # By hand: a rotation about the initial position estimate, and a shift.
     turn = quat_from_rotation_vector([0.0, 0.0, 0.02])
     by_hand = quat_rotate(turn, there[0] - START - [3.0, -2.0, 1.0]) + START
     assert points[0] == pytest.approx(by_hand)
@@ -175,7 +175,7 @@ def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
     columns = np.r_[0:3, 9:12]
     frame.anchor(jacobian, columns, [])
     p = state.covariance
-    # The point errs in nothing any more, the lander by the tilt; what is believed is the same.
+    # The point has no error any more, the lander has that of the tilt; the estimate is the same.
     assert np.abs(jacobian @ p[np.ix_(columns, columns)] @ jacobian.T).max() < 1e-9
     assert 2.0 < np.sqrt(p[0, 0]) < 6.0
     assert frame.covariance_in_site() == pytest.approx(before, rel=1e-9, abs=1e-9)
@@ -195,7 +195,7 @@ def test_an_estimate_in_the_site_frame_is_turned_whole():
 
 
 def test_velocity_in_the_site_frame_errs_by_its_azimuth():
-    """Azimuth alone errs, by a: velocity in the site frame errs by a times up x velocity."""
+    """An azimuth error a causes the velocity error a times up x velocity in the site frame."""
     state, frame = own()
     state.covariance[:] = 0.0
     turned = state.block(MAP).start + 3
@@ -203,7 +203,7 @@ def test_velocity_in_the_site_frame_errs_by_its_azimuth():
     p = frame.covariance_in_site()
     across = np.cross([0.0, 0.0, 1.0], VELOCITY)
     assert p[3:6, 3:6] == pytest.approx(0.04**2 * np.outer(across, across), abs=1e-12)
-    assert not p[0:3, 0:3].any()  # it is where the turn's pivot is
+    assert not p[0:3, 0:3].any()  # it is at the centre of the rotation
 
 
 def test_what_else_is_kept_hangs_on_the_ground_too():
@@ -214,7 +214,7 @@ def test_what_else_is_kept_hangs_on_the_ground_too():
     columns, key = np.r_[0:3, 9:12], state.block("key")
     jacobian = np.hstack((np.eye(3), 100.0 * np.eye(3)))
     frame.anchor(jacobian, columns, [slice(key.start, key.start + 3)])
-    # The pose kept is that of now: they err as one before and after.
+    # The reference pose is the current pose: their errors are equal before and after.
     p = state.covariance
     same = np.zeros((3, state.size))
     same[:, :3], same[:, key.start : key.start + 3] = np.eye(3), -np.eye(3)

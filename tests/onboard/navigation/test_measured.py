@@ -1,4 +1,4 @@
-"""Ranges, speeds and attitudes: what they tell, against finite differences and drawn errors."""
+"""Test measurement models against finite differences and random errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BLOCKS = {"ground": [[1.0]], "stars": 1e-6 * np.eye(3), "beams": 4e-4 * np.eye(3
 
 
 class Truth:
-    """A lander, and a filter whose errors are drawn from its own covariance."""
+    """Lander and a filter with errors drawn from its covariance."""
 
     def __init__(self, seed: int) -> None:
         self.rng = rng = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ class Truth:
         return quat_multiply(self.attitude, quat_from_rotation_vector(turn))
 
     def error(self):
-        """Of position, velocity, attitude and blocks (16,), and its covariance."""
+        """Return the error of position, velocity, attitude and blocks (16,), and its covariance."""
         s = self.state
         turn = quat_to_rotation_vector(
             quat_multiply(quat_conjugate(s.inertial.attitude), self.attitude)
@@ -121,12 +121,12 @@ def test_what_readings_share_is_not_averaged_away():
     for _ in range(2000):
         TAKE["attitude"](t, 1e-4)
     sigma = np.sqrt(np.diag(t.state.covariance)[9:12])
-    # The tracker's mount is known to 1 mrad, the attitude before to 4.
+    # Prior uncertainty: 1 mrad of the tracker's mount, 4 mrad of the attitude.
     assert sigma == pytest.approx(1e-3 * 4.0 / np.hypot(1.0, 4.0), rel=0.01)
 
 
 def test_a_mount_that_has_been_found_is_expected():
-    """An attitude known to 0.1 mrad tells how a tracker known to 10 is mounted: 5 mrad off."""
+    """An attitude known to 0.1 mrad shows a mount error of 5 mrad (10 mrad prior)."""
     sure = StartSigmas(2.0, 0.2, 1e-4)
     state = ErrorState(
         StrapdownState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.6), sure,
@@ -184,7 +184,7 @@ def test_what_is_no_reading_changes_nothing(call):
 
 
 def test_an_attitude_whose_covariance_is_not_symmetric_speaks_against_nothing():
-    """Taken for an innovation beyond all bounds it would soon be a lander that is lost."""
+    """If it counted as a rejected innovation, navigation would soon be lost."""
     lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = update_with_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
     assert np.isnan(found.nis)
@@ -209,7 +209,7 @@ def test_whitened_speeds_keep_the_places_of_their_beams():
 
 
 def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
-    """One beam at a time, at many attitudes, while no time passes: tilts cannot be seen."""
+    """One beam at a time, at many attitudes and no time step: tilt is not observable."""
     rng = np.random.default_rng(8)
     attitude = quat_from_rotation_vector([0.1, -0.2, 0.05])
     state = ErrorState(
@@ -223,7 +223,7 @@ def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
         # Three readings of a beam, then the next one.
         seen[k // 3 % 3] = BEAMS[k // 3 % 3] @ own + 0.03 * rng.normal()
         update_with_speeds(state, seen, np.full(3, 0.03), BEAMS)
-    # The velocity is as well known as the tilt lets it be: 45 m/s times 4 mrad.
+    # The tilt limits the velocity accuracy: 45 m/s times 4 mrad.
     assert 0.05 < np.sqrt(np.diag(state.covariance)[3:6].max()) < 0.2
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)
 
@@ -236,7 +236,7 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
         rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", terrain_variance=10.0**2
     )
     assert found.nis < plain.nis
-    # Both innovations are the same; what they were expected to vary by differs by the rise.
+    # Both innovations are equal; their variances differ by the terrain variance.
     assert 1.0 / found.nis - 1.0 / plain.nis > 0.0
     ratio = (1.0 / found.nis) / (1.0 / plain.nis)
     variance = 10.0**2 / (ratio - 1.0)
@@ -246,7 +246,7 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 5.0])
 def test_a_start_far_off_in_tilt_and_azimuth_is_put_right_by_stars(degrees):
-    """Two turns that follow each other are not their sum: half their cross product is left."""
+    """Two successive rotations differ from their sum by half the cross product."""
     sigma = np.deg2rad(degrees)
     inertial = StrapdownState(np.array([0.0, 0, 300]), np.array([3.0, 0, -2]), [0, 0, 0, 1.0], 1.62)
     navigator = Navigator(

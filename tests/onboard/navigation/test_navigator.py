@@ -1,4 +1,4 @@
-"""Navigation by LiDAR on a map: lock, loss, consistency, and maps that are wrong."""
+"""Test LiDAR navigation on a map: lock, loss, consistency and wrong maps."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def test_it_locks_and_then_errs_as_it_says(world):
     for seed in range(14):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
-        # A lock holds the lander to the map: what its velocity errs by adds up no more.
+        # A lock bounds the position error: velocity errors no longer accumulate.
         assert descent.filter.adrift == (not descent.filter.locked)
         if descent.filter.locked:
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
-    # Whoever starts three sigma off sweeps the grass beside the field.
+    # A lander that starts three sigma off sweeps flat terrain beside the field.
     assert len(errors) >= 12
-    # A post's uses count less than they could, never more: the filter may only be too modest.
+    # Repeated uses of a post count less than they could: the filter may be conservative only.
     assert 1.0 / 6.0 < nees.ratio < ratio_bounds(nees.degrees)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (rms[:3] < 0.3).all()
@@ -56,7 +56,7 @@ def test_it_locks_and_then_errs_as_it_says(world):
 def test_before_the_lock_it_knows_that_it_does_not_know(world):
     nees = Consistency()
     for seed in range(12):
-        # Level grass, far from the field: nothing to find.
+        # Flat terrain far from the field: no match is possible.
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
         nees = nees.plus(descent.nees(), 6)
@@ -64,7 +64,7 @@ def test_before_the_lock_it_knows_that_it_does_not_know(world):
 
 
 def test_the_level_of_a_map_is_told_once(world):
-    """Every search finds the same one, with the same error."""
+    """Every search gives the same result with the same error."""
     descent = Descent(world, 3).fly(5.0, aim=np.array([0.0, 105.0, 0.0]))
     assert names(descent) == []
     known = np.sqrt(descent.estimate().covariance[2, 2])
@@ -86,12 +86,12 @@ def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
     f.rocks.add_known(np.array([[3.0, 4.0], [-20.0, 9.0]]), np.full(2, 0.2), np.ones(2), np.ones(2))
     before, sigma = f.rocks.relative_covariance(), f.covariance.diagonal()[:3].copy()
     f.take("flash", descent.scan(np.zeros(3)), 0.0)
-    assert (np.abs(f.covariance.diagonal()[:3] - sigma) > 0.1).any(), "it hangs elsewhere now"
+    assert (np.abs(f.covariance.diagonal()[:3] - sigma) > 0.1).any(), "its anchor has changed"
     np.testing.assert_allclose(f.rocks.relative_covariance(), before, atol=1e-9)
 
 
 def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
-    # One that errs about body x alone, which points north.
+    # An error about body x only, which points north.
     north = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])
     f = Navigator(StrapdownState(START, VELOCITY, north, 9.81), StartSigmas())
     f.state.widen([9], [[0.04]])
@@ -148,7 +148,7 @@ def test_odometry_slows_the_drift(world):
 @pytest.mark.statistical
 @pytest.mark.parametrize("relief", [0.0, 0.005])
 def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relief):
-    """The noise of slopes is all that level ground has, and once passed for slopes.
+    """On flat terrain all slopes are noise, which once counted as information.
 
     Velocities were off by 19 deviations then.
     """
@@ -164,12 +164,12 @@ def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relie
         off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
         assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
         nees = nees.plus(normalised_square(off, own), 3)
-    # On ground that is quite level errors are up to twice what is said.
+    # On very flat terrain, errors are up to twice the estimated ones.
     assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
 
 def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
-    """Ranges all too long by the same hardly show in a comparison of two scans.
+    """A range bias is hardly visible in a comparison of two scans.
 
     Each of some hundred comparisons once moved the bias by a dozen deviations of what it told.
     """
@@ -189,7 +189,7 @@ def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
 
 @pytest.mark.parametrize("step", [(0.04, 0.0), (-0.03, 0.05)])
 def test_a_scan_kept_holds_wherever_lander_and_scan_are_found_to_be(step):
-    """What moves both by many small steps leaves the next scan as it would have been.
+    """Many small corrections of both leave the next scan as it would have been.
 
     Carried on by its slopes alone the scan kept would not fit curved ground any more; what is left
     then moved the lander, which made it larger (12 deviations in one of 50 descents).
@@ -216,7 +216,7 @@ def test_lost_and_found_again_are_events(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
     hidden = descent.filter.matcher.prior
-    # The ground is another one for a while.
+    # The terrain is another one for a while.
     wrong = np.random.default_rng(0).normal(0.0, 3.0, hidden.elevation.shape)
     descent.filter.matcher.prior = PriorMap(hidden.grid, hidden.elevation + wrong, hidden.sigma)
     descent.fly(3.0)
@@ -231,7 +231,7 @@ def test_lost_and_found_again_are_events(world):
 def test_scans_of_too_few_posts_take_no_lock_away(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
-    # A metre across: nothing to compare, nothing against it.
+    # One metre wide: too small for evidence for or against the lock.
     descent.lidar = FlashLidar(24, 24, 0.003, 5e-5).build(descent.rng, 0.01)
     descent.fly(5.0, aim=np.zeros(3))
     assert names(descent) == ["lock"]
@@ -240,7 +240,7 @@ def test_scans_of_too_few_posts_take_no_lock_away(world):
 
 
 def told_of_height(descent, scans):
-    """Return what each scan of one place from one place tells of the height on the map, 1/m^2."""
+    """Return the height information of repeated scans from one position, 1/m^2."""
     state, place, told = descent.filter.state, descent.filter.frame.columns[2], []
     update_with_information = state.update_with_information
 
@@ -258,7 +258,7 @@ def told_of_height(descent, scans):
 
 
 def test_a_post_counts_once_however_often_it_is_seen(world):
-    """Its k-th use counts 1 / (k (k + 1)) of a full one."""
+    """The k-th use has the weight 1 / (k (k + 1))."""
     told = told_of_height(Descent(world, 1).fly(3.0), 4)
     use = np.arange(1.0, 5.0)
     expected = 1.0 / (0.1**2 * use * (use + 1.0) + 0.03**2)
@@ -286,7 +286,7 @@ def test_patches_out_of_date_do_not_mislead(world, share, least):
         descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
         if descent.filter.locked:
             errors.append(np.abs(descent.error()[:3]).max())
-    # It would rather find nothing than a wrong place.
+    # No match is better than a wrong one.
     assert len(errors) >= least
     assert np.median(errors) < 0.4
     assert max(errors) < 1.0
@@ -303,7 +303,7 @@ def test_a_map_wrong_by_100_m_gives_no_lock(world):
         first = descent.error()
         descent.fly(4.0)
         assert names(descent) == []
-        # What it believes has moved by no more than it drifts.
+        # The estimate has moved by no more than its drift.
         assert np.linalg.norm((descent.error() - first)[:3]) < 6.0
 
 
@@ -350,7 +350,7 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
         descent.fly(0.5)
         taken = descent.filter.watches["flash scans"].degrees
         p = descent.estimate().covariance
-        # Azimuth and place of the site: no less uncertain than the mission's word.
+        # Azimuth and position of the site: as uncertain as the briefing.
         assert p[8, 8] >= (1.0 - 2e-3) * told[8, 8]
         assert (np.diag(p)[:2] >= (1.0 - 2e-3) * np.diag(told)[:2]).all()
         assert p[6, 6] < told[6, 6]
@@ -380,7 +380,7 @@ def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world,
 
 
 def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
-    """Points of the first scans, turned as the navigator says, lie on the ground as it is."""
+    """Points of the first scans, rotated by the map rotation, lie on the true terrain."""
     off = {}
     descent = Descent(world, 2, errors=StartSigmas(5.0, 0.05, np.deg2rad(0.5)))
     seen = []

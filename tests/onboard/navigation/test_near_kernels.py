@@ -1,4 +1,4 @@
-"""The search for the nearest places on squares against sorting all of them."""
+"""Test the nearest-neighbour search against sorting all places."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def crowded(rng, n):
 
 
 def posts(rng, n):
-    """Lie as far from each other, so that many are as far from a point; some twice."""
+    """Return places on a grid, with many equal distances and some duplicates."""
     return np.rint(rng.uniform(-6.0, 6.0, (n, 2)))
 
 

@@ -1,4 +1,4 @@
-"""What two scans differ by: noise of slopes, squares that err by more, tilts not yet known."""
+"""Test the noise model of scan-to-scan differences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_noise_of_slopes_is_drawn_to_the_usual_one_and_ground_that_stands_out_is
     found = comparison_normals(new, old)
     assert (found[:, 2] == 1.0).all()
     assert np.abs(found[rough, :2] - true[rough]).max() < 0.02
-    # Of the noise next to nothing is left: 6 times its variance is seldom exceeded.
+    # Almost no noise remains: 6 times its variance is seldom exceeded.
     level = found[~rough, :2] - [0.02, -0.01]
     assert np.mean(level**2) < 0.02 * 0.005**2 / 2 + 1e-6
     assert np.median(np.abs(level)) < 5e-4

@@ -1,4 +1,4 @@
-"""The search for a place: against plain references on small rasters, and on maps that are wrong."""
+"""Test the place search against simple references, and on wrong maps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ POSTING = 1.0
 
 
 def bumps(rng, shape, height=0.3, share=0.04):
-    """Level ground with single bumps on it."""
+    """Return flat terrain with single bumps."""
     return height * (rng.random(shape) < share)
 
 
@@ -33,7 +33,7 @@ def small_map(rng, ground, sigma=0.1, voids=0):
 
 
 def points_of(ground, rows, cols, shift=(0.0, 0.0, 0.0), per=4):
-    """Points on posts of the ground, evenly over each, as a lander sees them that errs by shift."""
+    """Return evenly spread points on posts, seen with a position error `shift`."""
     u = (np.arange(per) + 0.5) / per - 0.5
     x = (np.arange(*cols)[:, None] + u).ravel()
     y = (np.arange(*rows)[:, None] + u).ravel()
@@ -50,7 +50,7 @@ def test_planes_are_those_of_least_squares():
     above, kept = subtract_plane(height, known, 3)
     expected = plain.above_plane(height, known, 3)
     assert 150 < kept.sum() < known.sum()
-    # All that is kept has a plane there, and what is not kept is at an edge or has few posts.
+    # All kept posts have a plane; the others are at an edge or have few known posts.
     assert not np.isnan(expected[kept]).any()
     assert above[kept] == pytest.approx(expected[kept], abs=1e-9)
     assert not above[~kept].any()
@@ -65,7 +65,7 @@ def test_features_are_what_stands_out():
     known[10, 20] = known[22, 5] = False
     above, kept = subtract_plane(0.3 * xx - 0.2 * yy + 5.0, known, 3)
     assert above == pytest.approx(0.0, abs=1e-9)
-    # A void takes itself away and nothing else.
+    # A void removes only itself.
     assert kept[3:-3, 3:-3].sum() == 34 * 24 - 2
 
 
@@ -103,7 +103,7 @@ def test_the_evidence_is_that_of_the_reference():
     match = search.search(2.0, mean, covariance)
     found, origin = search.evidence
     assert search.spacing == 0.5 * POSTING
-    # The reference: what was scanned above its planes, cut into tiles, at whole-post shifts.
+    # Reference: scanned heights above their planes, in tiles, at whole-post shifts.
     own, added = np.full((40, 40), np.nan), np.zeros((40, 40))
     scanned = ground[10:30, 10:30]
     own[10:30, 10:30] = plain.above_plane(scanned, np.ones((20, 20), bool), features.reach)
@@ -133,7 +133,7 @@ def test_the_evidence_is_that_of_the_reference():
     mine = found[2 * n[0] - origin[0] :: 2, 2 * n[0] - origin[1] :: 2][:7, :7]
     assert mine == pytest.approx(expected, abs=0.02)
     assert 3.0 < np.ptp(expected) < 12.0
-    # The place by all half-post shifts that were looked at.
+    # The place from all searched half-post shifts.
     rows, cols = (part.ravel() for part in np.indices(found.shape))
     shifts = 0.5 * POSTING * np.column_stack((cols + origin[1], rows + origin[0]))
     p = plain.posterior(found.ravel(), shifts, mean, covariance)
@@ -210,11 +210,11 @@ def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     features = MapFeatures(swept(sigma=0.1)[0])
     factors = features.factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
     changed = features.settings.changed_probability
-    # The worst fit, what the map does not know, and the most that one tile may tell.
+    # Worst fit, unknown map, and maximum evidence of one tile.
     assert factors[0] == pytest.approx(np.log(changed))
     assert factors[1] == pytest.approx(0.0, abs=1e-12)
     assert factors[2] == pytest.approx(np.log(0.8 * 1e6 + 0.2), abs=1e-6)
-    # On average over all places a tile tells nothing.
+    # On average over all places a tile gives no evidence.
     assert np.exp(
         features.factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)
     ).mean() == (pytest.approx(1.0))
@@ -230,7 +230,7 @@ def test_drift_blurs_what_is_known():
         spread.append(later.covariance[0, 0])
     assert np.all(np.diff(spread) > 0.0)
     assert later.certainty < 0.95 < match.certainty
-    # What is blurred is no more likely on the whole.
+    # Blurring does not increase the total probability.
     after = search.evidence[0]
     assert np.exp(after).sum() == pytest.approx(np.exp(before).sum(), rel=0.05)
 
@@ -249,7 +249,7 @@ def test_places_drift_by_a_speed_that_stays_wrong_for_seconds():
 def test_a_height_is_told_by_posts_that_agree():
     prior, points = swept(sigma=0.1)
     _, match = found_on(prior, points)
-    # Many posts; a place known to half a post leaves the height of its slopes open.
+    # Many posts; a position known to half a post leaves a height error on slopes.
     assert match.covariance[2, 2] == pytest.approx((0.4 * 0.5) ** 2, rel=0.1)
     changed = points.copy()
     changed[changed[:, 0] > 8.0, 2] += 1.5 * np.sin(3.0 * changed[changed[:, 0] > 8.0, 1])
@@ -269,13 +269,13 @@ def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
     prior = small_map(rng, np.zeros((70, 70)), sigma=0.1)
     search = PlaceSearch(MapFeatures(prior))
     search.add(points_of(np.zeros((70, 70)), (20, 50), (20, 50)))
-    # A search looks at 1,000 places to either side: here at some half of what was known.
+    # A search covers 1,000 places to either side, here about half of the prior.
     covariance = np.diag([3.0**2, 1600.0**2])
     search.search(0.0, np.zeros(2), covariance)
     match = search.search(2.0, np.zeros(2), covariance)
     found, origin = search.evidence
     unit = search.spacing
-    # All places that there are, those off the search without evidence for or against them.
+    # All places, with those outside the search without evidence.
     rows = np.arange(-int(9600.0 / unit), int(9600.0 / unit) + 1)
     cols = np.arange(-int(30.0 / unit), int(30.0 / unit) + 1)
     log = np.zeros((len(rows), len(cols)))
@@ -370,7 +370,7 @@ def test_level_ground_is_not_found_but_its_height_is():
     assert match.certainty < 0.5
     assert match.up == pytest.approx(12.0, abs=0.1)
     assert match.up_variance < 0.05
-    # On a slope the height is known no better than the place.
+    # On a slope the height is no more certain than the position.
     ramp = 0.1 * np.arange(90.0) + np.zeros((90, 90))
     search = PlaceSearch(MapFeatures(small_map(rng, ramp, sigma=0.1)))
     search.add(points_of(ramp, (25, 60), (25, 60)))
@@ -429,7 +429,7 @@ def test_what_is_alike_along_one_way_cannot_lock():
     ridge = flat(relief=lambda c: np.sin(c[..., 0] / 3.0))
     forecast = can_lock(ridge, (0.0, 0.0), 60.0, 20.0)
     assert not forecast.can_lock
-    # The rival lies along the ridges.
+    # The most probable wrong place lies along the ridges.
     assert abs(forecast.rival[0]) < 2.5
 
 
@@ -440,7 +440,7 @@ def test_rich_ground_can_lock_and_more_noise_takes_it_away():
         told.append(can_lock(prior, (0.0, 0.0), 40.0, 10.0))
     assert [f.can_lock for f in told] == [True, True, False]
     assert told[0].expected > told[1].expected > told[2].expected
-    # More places to tell apart need more; errors that are alike tell less.
+    # More possible places need more evidence; correlated errors give less.
     prior, _ = swept(sigma=0.06)
     assert can_lock(prior, (0.0, 0.0), 40.0, 20.0).needed > told[1].needed
     alike = PriorMap(prior.grid, prior.elevation, 0.06, 2.0)

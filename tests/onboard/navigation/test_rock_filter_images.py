@@ -1,4 +1,4 @@
-"""What images that tell nothing, views that turn and doubts do to lander and rocks."""
+"""Test empty images, rotating views and inflations of lander and rocks."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
     f.turn(sun, 0.3, 0.1, 0.2)
     p = f.covariance.copy()
     before = f.inertial.position.copy()
-    # A small turn is kept until it has grown.
+    # Small rotations accumulate until the threshold.
     for move in ([0.5, 0.0, -1.0], [39.5, -25.0, -39.0]):
         assert np.array_equal(p, f.covariance)
         f.inertial.correct(np.concatenate((move, np.zeros(12))))
@@ -118,7 +118,7 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
 
 
 def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span():
-    """As if from a range at which the pixels of one are those of the other."""
+    """A change of cameras acts like a range change with the same pixel footprint."""
     flight = Flight(np.random.default_rng(16), rocks=2)
     flight.image()
     f, sun = flight.filter, np.array([0.6, 0.0, 0.8])
@@ -144,7 +144,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     f.add_known(np.array([[1.0, 2.0], [5.0, -3.0]]), np.array([0.5, 0.4]), np.ones(2), np.ones(2))
     assert np.array_equal(state.covariance[:22, :22], shared)
     assert np.diag(state.covariance)[22:25] == pytest.approx([0.25, 0.25, 9.0], rel=2.0)
-    assert state.covariance[15, 24] == pytest.approx(9.0)  # the rock's height follows the ground
+    assert state.covariance[15, 24] == pytest.approx(9.0)  # follows the terrain
     state.measure([[1.0]], [15], [2.0], [1.0])
     assert f.ground == pytest.approx(1.8)
     assert f.xyz[0, 2] == pytest.approx(1.8)
@@ -153,7 +153,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
 
 
 def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
-    """Else the next scan would draw the lander back to where rocks say that it is not."""
+    """Otherwise the next scan would pull the lander back to the contradicted pose."""
     f = Navigator(
         StrapdownState([0.0, 0.0, 100.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0], GRAVITY),
         StartSigmas(), instruments={"flash": LidarInstrument(np.pi)}, rocks=True,
@@ -168,7 +168,7 @@ def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
     growth = np.diag(f.covariance)[key] / np.diag(before)[key]
     assert growth == pytest.approx(np.diag(f.covariance)[POSE] / np.diag(before)[POSE])
     assert (growth[:3] > 3.0).all()
-    # Lander and scan stay where they are to each other.
+    # The relative position of lander and scan does not change.
     assert f.covariance[between] == pytest.approx(f.covariance[key, key])
 
 
@@ -184,5 +184,5 @@ def test_a_doubt_widens_lander_and_rocks_alike():
     after = np.diag(f.covariance)
     assert after[3:6] == pytest.approx(4.5 * before[3:6], rel=1e-4)
     assert after[15:17] == pytest.approx(4.5 * before[15:17])
-    assert np.array_equal(after[6:9], before[6:9])  # biases of the inertial unit stay
+    assert np.array_equal(after[6:9], before[6:9])  # the biases of the inertial unit do not change
     assert not f.lost

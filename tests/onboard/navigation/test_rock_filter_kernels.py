@@ -1,4 +1,4 @@
-"""Products that are added to a covariance in place."""
+"""Test in-place additions of products to a covariance."""
 
 from __future__ import annotations
 

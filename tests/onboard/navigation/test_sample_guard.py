@@ -1,4 +1,4 @@
-"""Inertial samples that a lander cannot make, one by one and through whole flights."""
+"""Test the rejection of inertial outliers, singly and in complete flights."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_limits_are_those_of_thrusters_and_engine():
 
 
 def manoeuvres(rng, n=4000):
-    """Increments of thrusters and an engine that switch at random between their extremes."""
+    """Return increments with thrusters and engine at random extremes."""
     torque = np.repeat(rng.choice([-1.0, 1.0], (n // 10, 3)), 10, axis=0)
     torque *= np.array([600.0, 600.0, 300.0]) / np.array([1100.0, 1100.0, 1300.0])
     rate = np.cumsum(torque, axis=0) * STEP
@@ -105,7 +105,7 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
     _, before = honest.propagate(*(a[:20] for a in manoeuvres(np.random.default_rng(8), 40)))
     raise_variances = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
     assert raise_variances == pytest.approx([3.0, 0.5], abs=0.1)
-    # Velocity and attitude were summed with the wrong one for a while.
+    # Velocity and attitude were integrated with the wrong samples for a while.
     assert after[4, 4] > 2.0 * before[4, 4]
     assert after[11, 11] > 2.0 * before[11, 11]
     # 20 samples and the 3 that it took to be believed, with all of the jump.
@@ -174,7 +174,7 @@ def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
 
 
 def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[str]]:
-    """Return the greatest error in deviations up to 2 s after a spike, and what was told."""
+    """Return the maximum error in sigmas up to 2 s after a spike, and the events."""
     scenario = Scenario.load(SCENARIO).changed(
         sensors={"flash": None}, tasking={"flash": None}, mappers={"dem": None},
         terrain={"size_m": 400.0},
@@ -202,7 +202,7 @@ def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[
 
 
 def error(simulation: Simulation) -> np.ndarray:
-    """Of velocity and attitude in the site frame (6,), in deviations."""
+    """Return errors of velocity and attitude in the site frame (6,), in sigmas."""
     found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
     state = simulation.state
     turn = quat_to_rotation_vector(quat_multiply(found.attitude, quat_conjugate(state.attitude)))
@@ -217,7 +217,7 @@ def error(simulation: Simulation) -> np.ndarray:
      ("angle", 1, 1e3), ("velocity", 2, 1e2)],
 )  # fmt: skip
 def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, when):
-    """On either side of the limit: what is refused is told, what is believed does no harm."""
+    """At both sides of the limit: rejections are reported, accepted samples are harmless."""
     worst, told = flown(which, axis, size, when)
     assert worst < 5.0
     assert "lost" not in told

@@ -1,4 +1,4 @@
-"""Scans that cover too few posts, gathered until they cover enough."""
+"""Test the accumulation of scans that cover too few posts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TILT = quat_from_rotation_vector([0.02, -0.03, 0.1])
 
 
 def seen(east, half, position=(0.0, 0.0, 40.0), time=0.0) -> SeenScan:
-    """Return a scan of ground that rises to the north, about a point, from a tilted lander."""
+    """Return a scan of terrain that rises to the north, from a tilted lander."""
     t = np.linspace(-half, half, 30)
     x, y = (a.ravel() for a in np.meshgrid(east + t, t))
     ground = np.column_stack((x, y, 0.1 * y))
@@ -43,7 +43,7 @@ def test_narrow_scans_are_held_until_together_they_cover_enough():
     assert all(one is None for one in went[:-1])
     together = went[-1]
     assert len(went) > 3
-    # Seen from where the lander is now, on the ground where all of them were.
+    # Seen from the current pose, on the terrain of all scans.
     assert together.position == pytest.approx(narrow.position)
     points = together.points()
     assert count_posts_below(points, 1.0) >= 30
@@ -51,7 +51,7 @@ def test_narrow_scans_are_held_until_together_they_cover_enough():
     assert points[:, 0].max() > 1.5 * n
     assert points[:, 2] == pytest.approx(0.1 * points[:, 1], abs=0.02)
     assert np.isfinite(together.scan.sigma).all()
-    # What was gathered is used once.
+    # Accumulated scans are used once.
     assert gathering.take(narrow, 0.1 * n) is None
 
 

@@ -1,4 +1,4 @@
-"""Scans whose pixels cannot be the ground's, against neighbours looked at one by one."""
+"""Test spike removal and noise estimation of scans."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def slope(rows=40, cols=50):
 
 
 def spikes_by_hand(r, sigma):
-    """Pixels that lie farther off three of their neighbours, to one side, than ground may."""
+    """Return pixels too far from three of their neighbours in one direction."""
     out = np.zeros(r.shape, bool)
     for i in range(r.shape[0]):
         for j in range(r.shape[1]):
@@ -77,11 +77,11 @@ def test_a_scan_is_noisy_where_it_scatters_beyond_what_is_stated():
     rng = np.random.default_rng(3)
     r = slope() + 0.5 * rng.standard_normal((40, 50))
     assert is_noisy(scan_of(r, 0.02))
-    assert not is_noisy(scan_of(r, 0.1)), "three deviations and rough ground"
+    assert not is_noisy(scan_of(r, 0.1)), "three sigmas and rough terrain"
     assert is_noisy(scan_of(slope(), 0.2)), "so much noise is too much, stated or not"
     assert not is_noisy(scan_of(slope(), 0.02))
     assert not is_noisy(scan_of(np.full((40, 50), np.nan)))
-    assert np.isnan(range_noise(scan_of(np.full((9, 9), 10.0)))), "too few to tell"
+    assert np.isnan(range_noise(scan_of(np.full((9, 9), 10.0)))), "too few pixels"
 
 
 def test_rows_and_columns_that_are_not_those_of_the_pixels_are_refused():

@@ -1,4 +1,4 @@
-"""Columns that lag behind, errors that change places and rows that are put in."""
+"""Test deferred columns, moved errors and inserted rows."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ TAIL = 40
 
 
 def step(state, rng):
-    """Do to a state what pictures do to it, drawn at random."""
+    """Apply a random operation of the image processing to a state."""
     head, size = state.head, state.size
     what = rng.integers(0, 9)
-    if what == 8:  # as scans inform, which correct what rests too
+    if what == 8:  # like scans, which also correct frozen errors
         root = rng.normal(size=(6, 6))
         state.update_with_information(POSE, root @ root.T, 1e-3 * rng.normal(size=6))
     elif what == 7:
@@ -28,10 +28,10 @@ def step(state, rng):
     elif what <= 1:
         columns = rng.permutation(size)[:6]
         state.measure(rng.normal(size=(3, 6)), columns, 1e-3 * rng.normal(size=3), np.full(3, 0.5))
-    elif what == 2:  # few begin or cease to rest, or many
+    elif what == 2:  # freeze or release few errors or many
         changed = rng.random(state.tail) < rng.choice([0.05, 0.5])
         state.rest(np.logical_xor(np.arange(state.tail) >= 10, changed))
-    elif what == 3:  # some go, the last take their places
+    elif what == 3:  # remove some; the last ones take their indices
         removed = rng.random(state.tail) < 0.1
         left = int((~removed).sum())
         holes, movers = np.flatnonzero(removed[:left]), left + np.flatnonzero(~removed[left:])
@@ -50,7 +50,7 @@ def step(state, rng):
 
 
 def add(state, rng):
-    """Let new errors come, which do not rest."""
+    """Add new errors that are not frozen."""
     old, is_frozen = state.size, state.is_frozen
     state.reserve(state.tail + 2)
     p = state.for_rows()
@@ -63,7 +63,7 @@ def add(state, rng):
 @given(st.integers(0, 10_000))
 @settings(max_examples=60)
 def test_columns_that_lag_are_brought_up_to_date_bit_for_bit(seed):
-    """One state is asked for its whole covariance after every step, the other for rows alone."""
+    """Read the full covariance of one state after each step, and only rows of the other."""
     rng = np.random.default_rng(seed)
     lags = made(rng, TAIL)
     whole = copy.deepcopy(lags)
@@ -174,7 +174,7 @@ def test_errors_that_have_just_come_do_not_rest_while_columns_lag():
 
 
 def test_information_that_tells_nothing_leaves_nothing_put_off():
-    """Else what is put off is of as many errors as there were, and later ones are more."""
+    """Deferred updates have the old number of errors, later ones more."""
     state = made(np.random.default_rng(13), TAIL)
     before = state.covariance.copy()
     assert state.update_with_information(POSE, 1e-9 * np.eye(6), np.zeros(6)).degrees == 0
@@ -187,7 +187,7 @@ def test_information_that_tells_nothing_leaves_nothing_put_off():
 
 
 def test_what_all_are_corrected_by_is_taken_off_columns_that_are_up_to_date():
-    """Of more errors than are taken together in one block."""
+    """Test with more errors than fit into one block."""
     lags = made(np.random.default_rng(11), 800)
     lags.rest(np.arange(800) < 780)
     whole = copy.deepcopy(lags)

@@ -1,4 +1,4 @@
-"""The unscented filter against a linear Kalman filter written out, and what it makes of mass."""
+"""Test the unscented filter against a linear Kalman filter, and its mass estimate."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def made(attitude=TILT, *, errors=STARTS, settings=None, off=10.0, gyroscopes=ST
 
 
 class Linear:
-    """Position, velocity and bias of a lander that does not turn: a Kalman filter written out."""
+    """Explicit Kalman filter of position, velocity and bias without rotation."""
 
     def __init__(self) -> None:
         self.x = np.array([5.0, -8.0, 300.0, 12.0, 3.0, -9.0, 0.0, 0.0, 0.0])
@@ -76,7 +76,7 @@ class Linear:
     def speeds(self, z, sigma) -> None:
         h = np.zeros((3, 9))
         h[:, 3:6] = np.array(BEAMS) @ self.r.T
-        # What beams are off by, 0.02 m/s and a walk of 0.005 m/s a second, lasts for 100 readings.
+        # The beam bias (0.02 m/s, random walk 0.005 m/s in 1 s) persists for 100 readings.
         self.correct(h, z, (sigma**2 + 100.0 * (0.02**2 + 10.0 * 0.005**2)) * np.eye(3))
 
     def range(self, z, sigma, ground) -> None:
@@ -138,7 +138,7 @@ UP = np.array([0.0, 0.0, 0.0, 1.0])
 
 @pytest.mark.parametrize("lag", [0.0, 0.1, 0.7])
 def test_mass_falls_by_what_the_engine_burns(lag):
-    """With commands that change every second, and an engine that follows them late."""
+    """With commands that change every second, and a thrust lag."""
     own = made(UP, mass=1500.0, lag=lag)
     true = flown(own, lambda t: 2400.0 + 900.0 * (int(t) % 2), 1500.0, 20.0, lag)
     assert 1500.0 - true > 15.0
@@ -149,7 +149,7 @@ def test_mass_falls_by_what_the_engine_burns(lag):
 
 
 def test_mass_is_found_where_it_was_not_known():
-    """30 starts 40 kg off at random; the engine a hundredth off, another one each flight."""
+    """30 starts with random mass errors of 40 kg and thrust errors of 1 %."""
     settings = UnscentedNavigation(mass_sigma=40.0)
     squares = []
     for seed in range(30):
@@ -280,5 +280,5 @@ def test_a_covariance_that_is_not_positive_is_mended_and_goes_on():
     found = np.linalg.eigvalsh(own.kalman.P)
     assert found.min() > 0.0
     assert np.isfinite(own.estimate(0.1, 1.0).position).all()
-    # What was known otherwise still is.
+    # Other estimates are not affected.
     assert found.max() == pytest.approx(values.max(), rel=0.5)

@@ -1,4 +1,4 @@
-"""Kriging against a field with a level of its own, and against drawn heights."""
+"""Test kriging against a random field with unknown mean, and random heights."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import pytest
 
 from lunarsim.onboard.navigation.wandering_ground import interpolate_heights, kriging_weights
 
-INDIVIDUAL_SIGMA_M = 0.05  # m, of each place by itself
+INDIVIDUAL_SIGMA_M = 0.05  # individual part of each height
 
 
 def covariance(points, growth, level=1e4):
-    """Return the covariance (n, n) of heights about an unknown level: distances from afar."""
+    """Return the covariance (n, n) of heights about an unknown mean."""
     away = np.linalg.norm(points[:, None] - points[None], axis=-1)
     return level - 0.5 * growth * away + INDIVIDUAL_SIGMA_M**2 * np.eye(len(points))
 
@@ -35,6 +35,6 @@ def test_heights_of_level_ground_are_level_and_near_ones_count():
     at = rng.uniform(-20.0, 20.0, (9, 2))
     assert interpolate_heights(places, np.full(30, 3.7), at, 0.1) == pytest.approx(3.7)
     known = rng.normal(size=30)
-    # Beside a place its own height counts, apart from what places have of their own.
+    # Near a place, its height counts, apart from the individual part.
     assert interpolate_heights(places, known, places + 0.01, 10.0) == pytest.approx(known, abs=0.05)
     assert interpolate_heights(places[:1], known[:1], at, 0.1) == pytest.approx(known[0])
