@@ -40,7 +40,7 @@ def made(relief=0.1, sigma=5.0, instruments=INSTRUMENTS):
     return state, AidingMeasurements(state, instruments, ground, events), events
 
 
-def test_ground_wanders_with_the_way_flown():
+def test_terrain_height_noise_grows_with_distance_flown():
     state, aiding, _ = made(relief=0.2)
     before = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
     state.inertial.correct(np.array([30.0, 40.0, 5.0, *np.zeros(12)]))
@@ -51,7 +51,7 @@ def test_ground_wanders_with_the_way_flown():
     assert state.covariance[state.block(GROUND), state.block(GROUND)][0, 0] == after
 
 
-def test_ground_under_the_start_is_known_by_the_target_and_the_relief_between():
+def test_terrain_prior_uses_target_elevation_and_slope():
     start = StartEstimate(
         np.array([-300.0, 450.0, 200.0]), np.zeros(3), UPRIGHT, 5.0, 0.1, 0.01, ground_sigma=4.0
     )
@@ -74,7 +74,7 @@ def test_a_range_is_along_its_own_beam():
         assert state.inertial.position[2] == pytest.approx(100.0)
 
 
-def test_a_slanted_beam_tells_less_of_rough_ground():
+def test_slanted_beam_gives_less_information_on_rough_terrain():
     sigma = []
     for relief in (0.0, 0.3):
         state, aiding, _ = made(relief=relief)
@@ -87,7 +87,7 @@ def test_a_slanted_beam_tells_less_of_rough_ground():
     assert sigma[1] > 3.0
 
 
-def test_a_beam_of_which_nothing_is_known_tells_less_of_rough_ground_from_a_lander_that_leans():
+def test_uncalibrated_beam_gives_less_information_when_tilted():
     sigma = []
     lean = quat_from_rotation_vector([0.0, 0.6, 0.0])
     for relief in (0.0, 0.3):
@@ -105,7 +105,7 @@ def test_a_beam_of_which_nothing_is_known_tells_less_of_rough_ground_from_a_land
     assert sigma[1] > 3.0
 
 
-def test_refusals_widen_height_and_ground_until_the_gate_opens():
+def test_rejections_inflate_height_and_terrain_until_accepted():
     state, aiding, events = made(sigma=1.0)
     before = np.diag(state.covariance).copy()
     for k in range(6):
@@ -120,7 +120,7 @@ def test_refusals_widen_height_and_ground_until_the_gate_opens():
     assert aiding.watches["down range"].degrees == 1, "accepted in the end"
 
 
-def test_trust_that_comes_back_is_reported():
+def test_recovery_is_reported():
     _, aiding, events = made(sigma=1.0)
     for k in range(60):
         aiding.take("down", AltimeterReading(0.0, 1e4, 0.1), 0.1 * k)
@@ -131,7 +131,7 @@ def test_trust_that_comes_back_is_reported():
     assert [e.name for e in events][-1] == "believed"
 
 
-def test_a_lander_that_believes_itself_below_ground_is_told_so():
+def test_estimate_below_terrain_is_corrected():
     state, aiding, _ = made(sigma=0.1)
     state.inertial.correct(np.array([0.0, 0.0, -103.0, *np.zeros(12)]))
     for k in range(100):
@@ -141,7 +141,7 @@ def test_a_lander_that_believes_itself_below_ground_is_told_so():
 
 
 @pytest.mark.parametrize("kind", ["speed", "attitude"])
-def test_a_drift_lets_go_of_the_bias_behind_it(kind):
+def test_drift_inflates_the_related_bias(kind):
     state, aiding, events = made()
     own = slice(6, 9) if kind == "speed" else slice(12, 15)
     other = slice(12, 15) if kind == "speed" else slice(6, 9)
@@ -178,7 +178,7 @@ def fly_beams(aiding, state, off, seconds=8.0, start=0.0, seed=3):
 
 @pytest.mark.parametrize("beam", [0, 1, 2])
 @pytest.mark.parametrize("off", [0.1, -0.1, 2.0])
-def test_a_beam_that_lies_alone_is_shut_off(beam, off):
+def test_single_faulty_beam_is_excluded(beam, off):
     state, aiding, events = made()
     fly_beams(aiding, state, np.zeros(3))
     before = state.covariance[3:6, 3:6].copy()
@@ -207,7 +207,7 @@ def test_a_beam_that_lies_alone_is_shut_off(beam, off):
     "off", [(0.1, 0.1, 0.0), (0.1, 0.1, 0.1), (0.1, 0.0, np.nan), (2.0, 2.0, 2.0),
             (0.15, 0.08, 0.0)],
 )  # fmt: skip
-def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off):
+def test_faults_in_all_or_too_few_beams_lose_navigation(off):
     state, aiding, events = made()
     fly_beams(aiding, state, 0.0 * np.array(off))
     fly_beams(aiding, state, np.array(off), start=8.0, seed=4)
@@ -215,7 +215,7 @@ def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off
     assert "shut-off" not in {e.name for e in events}
 
 
-def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
+def test_new_contradicting_beam_loses_navigation():
     """The faulty beam cannot be identified: the estimate comes from the others."""
     state, aiding, events = made()
     fly_beams(aiding, state, np.array([0.0, 0.0, np.nan]))
@@ -224,7 +224,7 @@ def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
     assert "shut-off" not in {e.name for e in events}
 
 
-def test_a_second_beam_that_lies_is_lost():
+def test_second_faulty_beam_loses_navigation():
     state, aiding, _ = made()
     fly_beams(aiding, state, np.zeros(3))
     fly_beams(aiding, state, np.array([0.1, 0.0, 0.0]), start=8.0, seed=4)
@@ -234,7 +234,7 @@ def test_a_second_beam_that_lies_is_lost():
 
 
 @pytest.mark.parametrize("stated", [0.0, 0.1])
-def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
+def test_common_beam_bias_does_not_bias_velocity(stated):
     """The biases are not specified; the filter assumes its minimum uncertainty."""
     instruments = INSTRUMENTS | {"doppler": FixedBeams(BEAMS, stated)}
     state, aiding, events = made(instruments=instruments)
@@ -257,7 +257,7 @@ def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
 
 
 @pytest.mark.parametrize(("beam", "far"), [(0, True), (2, True), (2, False)])
-def test_a_bias_that_beams_cannot_have_is_lost(beam, far):
+def test_impossible_beam_bias_loses_navigation(beam, far):
     state, aiding, events = made()
     place = state.block("speeds of doppler").start + beam
     state.p[place, place] = 0.0
@@ -271,7 +271,7 @@ def test_a_bias_that_beams_cannot_have_is_lost(beam, far):
 
 
 @pytest.mark.parametrize(("place", "name"), [(7, "accelerometers"), (14, "gyroscopes")])
-def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
+def test_impossible_inertial_bias_loses_navigation(place, name):
     state, aiding, events = made()
     stated = state.inertial.bias_sigma[0 if place < 9 else 1]
     state.p[place, place] = 0.0
@@ -293,7 +293,7 @@ def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
     assert [(e.name, e.details["measurement"]) for e in events] == [("lost", name)]
 
 
-def test_a_bias_that_is_let_go_takes_no_tilt_along():
+def test_inflated_bias_does_not_correct_tilt():
     """The bias itself changed: its new estimate must not correct the tilt."""
     state, aiding, events = made()
     both = np.sqrt(state.covariance[6, 6] * state.covariance[10, 10])
@@ -316,7 +316,7 @@ def test_a_bias_that_is_let_go_takes_no_tilt_along():
 
 
 @pytest.mark.parametrize("kind", ["range", "speed", "attitude"])
-def test_a_reading_that_no_likely_error_explains_is_refused(kind):
+def test_implausible_reading_is_rejected(kind):
     state, aiding, _ = made(relief=0.0)
     before, given = state.covariance.copy(), np.full(3, np.nan)
     if kind == "range":
@@ -334,7 +334,7 @@ def test_a_reading_that_no_likely_error_explains_is_refused(kind):
     assert np.array_equal(state.covariance[np.ix_(keep, keep)], before[np.ix_(keep, keep)])
 
 
-def test_gates_refuse_alike_whatever_the_number_of_beams():
+def test_gate_has_equal_probability_for_any_beam_count():
     rng = np.random.default_rng(0)
     for degrees in (1, 3, 8):
         refused = (rng.chisquare(degrees, 2_000_000) > innovation_gate(degrees)).mean()
@@ -349,7 +349,7 @@ def test_gates_refuse_alike_whatever_the_number_of_beams():
         ("stars", AttitudeReading(0.0, UPRIGHT, np.eye(2)), "attitude"),
     ],
 )
-def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measurement, field):
+def test_readings_with_wrong_shape_are_rejected_without_change(sensor, measurement, field):
     state, aiding, _ = made()
     p, x = state.covariance.copy(), state.inertial.velocity.copy()
     with pytest.raises(InputError, match=field):
@@ -358,7 +358,7 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measur
     assert np.array_equal(state.inertial.velocity, x)
 
 
-def test_time_does_not_run_backwards_and_ground_is_a_number():
+def test_time_reversal_and_invalid_terrain_are_rejected():
     _, aiding, _ = made()
     aiding.take("down", AltimeterReading(0.0, 100.0, 1.0), 5.0)
     for time in (4.0, np.nan):
@@ -370,7 +370,7 @@ def test_time_does_not_run_backwards_and_ground_is_a_number():
 
 
 @pytest.mark.parametrize("relief", [0.05, 0.2])
-def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
+def test_repeated_views_of_a_slope_do_not_bias_tilt(relief):
     """Slant ranges from one position: the terrain error is the same in each reading."""
     state, aiding, _ = made(relief=relief, sigma=0.5)
     state.covariance[9:12, 9:12] = 0.02**2 * np.eye(3)
@@ -389,7 +389,7 @@ def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
     assert found > 4.0 / np.sqrt(0.02**-2 + 300.0 * by_ground**-2)
 
 
-def test_a_foot_that_moves_on_is_new_ground():
+def test_moved_footprint_is_new_terrain():
     state, aiding, _ = made(relief=0.2, sigma=0.5)
     place = state.block("ground under slanted").start
 
@@ -418,7 +418,7 @@ def slanted(aiding, time, sigma=1e3):
     aiding.take("slanted", AltimeterReading(time, 125.0, sigma), time)
 
 
-def test_the_foot_of_the_last_reading_is_remembered_and_not_the_first():
+def test_last_footprint_is_stored():
     state, aiding, _ = made(relief=0.2, sigma=0.5)
     place = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
 
@@ -437,7 +437,7 @@ def test_the_foot_of_the_last_reading_is_remembered_and_not_the_first():
     assert spread() < 0.3 * fresh
 
 
-def test_a_foot_seen_first_lies_as_high_as_the_ground_below():
+def test_first_footprint_has_height_below_lander():
     state, aiding, _ = made(relief=0.2)
     error = np.zeros(state.size)
     error[state.block(GROUND)] = 4.0
@@ -446,7 +446,7 @@ def test_a_foot_seen_first_lies_as_high_as_the_ground_below():
     assert state.value("ground under slanted")[0] == pytest.approx(4.0, abs=1e-3)
 
 
-def test_a_beam_meets_the_ground_as_far_aside_as_the_site_lies_below():
+def test_footprint_offset_uses_site_height():
     """Terrain and site are 50 m higher than specified, the lander 50 m above them."""
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
     ground = LevelGround(0.0, 0.5, 0.2)
@@ -462,7 +462,7 @@ def test_a_beam_meets_the_ground_as_far_aside_as_the_site_lies_below():
     assert p[0, 0] + p[1, 1] - 2.0 * p[0, 1] == pytest.approx(0.2**2 * 10.0 * 37.5, rel=1e-3)
 
 
-def test_what_beams_are_off_by_wanders():
+def test_beam_bias_is_a_random_walk():
     state, aiding, _ = made()
     nothing = np.full(3, np.nan)
     place, grown = state.block("speeds of doppler"), []
@@ -473,7 +473,7 @@ def test_what_beams_are_off_by_wanders():
     assert grown[1] - grown[0] == pytest.approx(100.0 * 0.005**2)
 
 
-def test_a_beam_shut_off_lets_go_of_the_accelerometers():
+def test_excluded_beam_inflates_accelerometer_bias():
     state, aiding, events = made()
     fly_beams(aiding, state, np.zeros(3))
     state.covariance[ACCELEROMETER, :] *= 1e-3

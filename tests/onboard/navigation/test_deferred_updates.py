@@ -29,7 +29,7 @@ def plainly(p, squares, is_frozen):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=20)
-def test_squares_are_taken_off_all_that_does_not_rest(seed):
+def test_squares_are_subtracted_from_active_rows(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 9))
     root = rng.normal(size=(n + 2, n + 2))
@@ -87,7 +87,7 @@ def steps(state, rng):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=60)
-def test_it_makes_no_difference_when_the_covariance_is_asked_for(seed):
+def test_time_of_reading_covariance_has_no_effect(seed):
     """Read one state after every step, and the other only at the end."""
     rng = np.random.default_rng(seed)
     put = made(rng, TAIL)
@@ -101,7 +101,7 @@ def test_it_makes_no_difference_when_the_covariance_is_asked_for(seed):
     assert put.inertial.position == pytest.approx(asked.inertial.position, abs=1e-9)
 
 
-def test_no_more_is_put_off_than_makes_a_pass_cheaper():
+def test_number_of_deferred_rows_is_limited():
     rng = np.random.default_rng(2)
     put = made(rng, TAIL)
     asked = copy.deepcopy(put)
@@ -117,7 +117,7 @@ def test_no_more_is_put_off_than_makes_a_pass_cheaper():
     assert put.covariance == pytest.approx(asked.covariance, rel=1e-9)
 
 
-def test_what_was_put_off_is_of_those_that_rested_then():
+def test_deferred_updates_use_errors_frozen_at_that_time():
     rng = np.random.default_rng(4)
     state = made(rng, TAIL)
     first = np.arange(TAIL) < 9
@@ -130,7 +130,7 @@ def test_what_was_put_off_is_of_those_that_rested_then():
     assert np.array_equal(state.covariance[block], before[block])
 
 
-def test_what_rests_is_not_corrected():
+def test_frozen_errors_are_not_corrected():
     state = made(np.random.default_rng(6), TAIL)
     is_frozen = np.arange(TAIL) < 9
     state.rest(is_frozen)

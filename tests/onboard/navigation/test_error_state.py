@@ -21,7 +21,7 @@ def still() -> StrapdownState:
 
 
 @given(st.integers(0, 10_000), st.integers(0, 9), st.integers(1, 4))
-def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
+def test_measurement_equals_joseph_form(seed, tail, m):
     rng = np.random.default_rng(seed)
     state = made(rng, tail)
     p = state.covariance.copy()
@@ -47,7 +47,7 @@ def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
 
 
 @given(st.integers(0, 10_000))
-def test_information_is_a_measurement_of_the_same(seed):
+def test_information_equals_measurement(seed):
     rng = np.random.default_rng(seed)
     one, other = made(rng), None
     other = ErrorState(
@@ -65,7 +65,7 @@ def test_information_is_a_measurement_of_the_same(seed):
 
 
 @given(st.integers(0, 10_000))
-def test_a_clone_errs_as_what_it_was_made_of(seed):
+def test_clone_has_error_of_source(seed):
     rng = np.random.default_rng(seed)
     state = made(rng)
     p = state.covariance.copy()
@@ -76,7 +76,7 @@ def test_a_clone_errs_as_what_it_was_made_of(seed):
     assert state.covariance == pytest.approx(copy @ p @ copy.T)
 
 
-def test_an_error_that_follows_others_errs_as_their_sum():
+def test_weighted_sum_has_error_of_sources():
     state = made(np.random.default_rng(3), tail=4)
     before = state.covariance.copy()
     at = state.size - 1
@@ -90,7 +90,7 @@ def test_an_error_that_follows_others_errs_as_their_sum():
     assert state.covariance == pytest.approx(expected)
 
 
-def test_time_carries_what_stands_behind_the_lander():
+def test_propagation_updates_cross_covariance():
     rng = np.random.default_rng(1)
     state = made(rng, 4)
     p = state.covariance.copy()
@@ -105,7 +105,7 @@ def test_time_carries_what_stands_behind_the_lander():
     assert state.covariance == pytest.approx(expected, rel=1e-10, abs=1e-12)
 
 
-def test_gates_and_what_is_not_finite_change_nothing():
+def test_gated_and_non_finite_innovations_change_nothing():
     state = made(np.random.default_rng(2))
     p, x = state.covariance.copy(), state.inertial.position.copy()
     for innovation, noise, gate in (
@@ -117,7 +117,7 @@ def test_gates_and_what_is_not_finite_change_nothing():
     assert np.array_equal(state.inertial.position, x)
 
 
-def test_what_others_do_not_tell_grows_and_all_else_stays():
+def test_inflation_scales_conditional_variance_only():
     state = made(np.random.default_rng(3))
     p, at = state.covariance.copy(), [3, 4, 5]
     others = np.setdiff1d(np.arange(SIZE), at)
@@ -133,7 +133,7 @@ def test_what_others_do_not_tell_grows_and_all_else_stays():
     assert np.linalg.eigvalsh(state.covariance).min() > 0.0
 
 
-def test_errors_that_no_other_tells_of_grow_whole():
+def test_uncorrelated_errors_are_inflated_entirely():
     state = ErrorState(still(), blocks={"two": [[4.0, 3.9], [3.9, 4.0]]})
     own, before = np.arange(15, 17), state.covariance.copy()
     state.inflate(own, 9.0, np.full(2, 1e3))
@@ -145,7 +145,7 @@ def test_errors_that_no_other_tells_of_grow_whole():
 
 
 @pytest.mark.parametrize("doubted", [0, 1])
-def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
+def test_inflated_errors_gain_no_information(doubted):
     """Two heights of 5 m, equal to 2 cm: inflating one gives no information on either."""
     both = 25.0 + np.diag([2e-4, 2e-4])
     state = ErrorState(still(), blocks={"heights": both})
@@ -158,7 +158,7 @@ def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
         assert np.sqrt(np.diag(state.covariance)[15:]).min() > 4.9
 
 
-def test_a_covariance_that_rounding_has_eaten_is_told_and_not_used():
+def test_indefinite_covariance_is_reported_and_not_used():
     state = made(np.random.default_rng(5))
     state.covariance[2, 2] = -10.0
     x = state.inertial.position.copy()
@@ -189,13 +189,13 @@ def test_samples_of_another_shape_are_refused(angle, velocity, field):
 @pytest.mark.parametrize(
     "given", [[[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]], [[np.nan]], [[1.0, 0.0]]]
 )
-def test_covariances_that_are_none_are_refused(given):
+def test_invalid_covariances_are_rejected(given):
     inertial = StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.6)
     with pytest.raises(InputError, match=r"navigation\.bias"):
         ErrorState(inertial, blocks={"bias": given})
 
 
-def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
+def test_precise_comparisons_keep_covariance_valid():
     """Two nearly identical poses, compared repeatedly to 0.1 mm."""
     rng = np.random.default_rng(3)
     state = ErrorState(still(), StartSigmas(30.0, 10.0, 0.2), blocks={"key": np.zeros((6, 6))})
@@ -214,7 +214,7 @@ def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf])
-def test_information_that_is_no_number_tells_nothing(broken):
+def test_non_finite_information_is_ignored(broken):
     state = ErrorState(still())
     before = state.covariance.copy()
     information, vector = np.eye(6), np.zeros(6)
@@ -225,7 +225,7 @@ def test_information_that_is_no_number_tells_nothing(broken):
     assert np.array_equal(state.covariance, before)
 
 
-def test_information_on_a_covariance_that_is_none_is_refused():
+def test_information_on_invalid_covariance_is_rejected():
     state = ErrorState(still())
     state.p[0, 0] = -1.0
     found = state.update_with_information(POSE, np.eye(6), np.zeros(6))
@@ -237,7 +237,7 @@ def test_information_on_a_covariance_that_is_none_is_refused():
     assert np.isfinite(state.covariance[np.ix_(POSE, POSE)]).all()
 
 
-def test_information_is_judged_as_the_measurement_of_the_same():
+def test_information_is_gated_like_measurement():
     rng = np.random.default_rng(8)
     one, other = made(np.random.default_rng(5)), made(np.random.default_rng(5))
     jacobian, innovation = rng.normal(size=(6, 6)), 0.3 * rng.normal(size=6)
@@ -249,7 +249,7 @@ def test_information_is_judged_as_the_measurement_of_the_same():
     assert found.white @ found.white == pytest.approx(found.nis)
 
 
-def test_directions_of_which_nothing_is_told_do_not_count():
+def test_directions_without_information_do_not_count():
     state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
     # 1e-4 of what is known of the height, and a vector in it of a hundred deviations.
     information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
@@ -262,7 +262,7 @@ def test_directions_of_which_nothing_is_told_do_not_count():
 
 
 @pytest.mark.parametrize(("deviations", "taken"), [(3.2, True), (3.4, False)])
-def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
+def test_improbable_correction_is_rejected(deviations, taken):
     """One degree of freedom and a probability of 0.001: 3.29 standard deviations."""
     state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
     before = state.covariance.copy()
@@ -276,7 +276,7 @@ def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
     assert bool(state.inertial.position.any()) == taken
 
 
-def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
+def test_raised_variances_reach_given_sigma():
     state = made(np.random.default_rng(6))
     before = state.covariance.copy()
     sigma = np.sqrt(before.diagonal())
@@ -288,7 +288,7 @@ def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
 
 
 @pytest.mark.parametrize("error", [np.full(15, np.nan), np.zeros(12)])
-def test_a_correction_that_is_none_changes_nothing(error):
+def test_invalid_correction_changes_nothing(error):
     state = ErrorState(still(), StartSigmas())
     state.listeners.append(lambda told: pytest.fail("told of it"))
     before = state.covariance.copy()
@@ -298,7 +298,7 @@ def test_a_correction_that_is_none_changes_nothing(error):
 
 
 @pytest.mark.parametrize("way", ["measure", "update_with_information", "at rest"])
-def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
+def test_invalid_covariance_elsewhere_rejects_updates(way):
     """The measured errors are valid, but errors correlated with them are not finite."""
     state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
     state.tail = 2
@@ -317,7 +317,7 @@ def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
 
 
 @pytest.mark.parametrize("size", [0.02, 0.3, 5.0])
-def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_under(size):
+def test_velocity_correction_transforms_error_with_tilt(size):
     """The conserved error, ``e_v + v x e_tilt``, is that of an invariant filter."""
     rng = np.random.default_rng(7)
     turned = rng.normal(size=4)
@@ -338,7 +338,7 @@ def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_und
     assert state.covariance == pytest.approx(expected, abs=1e-10)
 
 
-def test_what_is_doubted_grows_by_what_two_errors_that_are_the_same_do_not_tell():
+def test_inflation_works_with_identical_errors():
     # The first two errors are identical, and the third differs by 0.1.
     p = np.ones((3, 3))
     p[2, 2] = 1.01
@@ -346,7 +346,7 @@ def test_what_is_doubted_grows_by_what_two_errors_that_are_the_same_do_not_tell(
     assert p[2, 2] == pytest.approx(1.0 + 4.0 * 0.01, rel=1e-4)
 
 
-def test_what_is_doubted_grows_whole_where_nothing_can_be_told():
+def test_inflation_is_total_with_invalid_covariance():
     p = np.eye(3)
     p[0, 0] = np.nan
     inflate(p, [2], 4.0, 1e3)
@@ -356,7 +356,7 @@ def test_what_is_doubted_grows_whole_where_nothing_can_be_told():
 
 
 @pytest.mark.parametrize(("factor", "most"), [(0.5, 1.0), (np.nan, 1.0), (4.0, np.nan), (4.0, -1)])
-def test_growth_that_is_none_is_refused(factor, most):
+def test_invalid_inflation_is_rejected(factor, most):
     p = np.eye(3)
     with pytest.raises(InputError):
         inflate(p, [1], factor, most)

@@ -18,7 +18,7 @@ def test_heights_are_those_of_the_reference(places, count):
     assert found == pytest.approx(reference.kriged(where, known, at, *given), abs=1e-9)
 
 
-def test_a_place_told_twice_and_points_nowhere():
+def test_duplicate_places_and_non_finite_points():
     where = np.array([[3.0, 1.0], [3.0, 1.0], [-8.0, 2.0]])
     known, at = np.array([1.0, 2.0, 7.0]), np.array([[3.0, 1.0], [np.nan, 0.0], [0.0, np.inf]])
     found = kernels.interpolate_heights(where, known, at, 3, 1.0, 0.05)

@@ -146,7 +146,7 @@ def test_bad_starts_are_refused():
 
 
 @pytest.mark.parametrize("gravity", [0.0, -1.0, 1e3, np.nan, np.inf])
-def test_no_ground_pulls_upwards_or_like_that(gravity):
+def test_implausible_gravity_is_rejected(gravity):
     with pytest.raises(InputError, match=r"navigation\.gravity"):
         StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, gravity)
 
@@ -159,13 +159,13 @@ def test_no_ground_pulls_upwards_or_like_that(gravity):
         ([0.0, 0.0, 100.0], [1e6, 0.0, 0.0], "velocity"),
     ],
 )
-def test_no_lander_starts_so_far_off_or_so_fast(position, velocity, field):
+def test_implausible_start_is_rejected(position, velocity, field):
     with pytest.raises(InputError, match=rf"navigation\.{field}"):
         StrapdownState(np.array(position), np.array(velocity), UPRIGHT, 1.622)
 
 
 @pytest.mark.parametrize("error", [np.full(15, np.nan), np.r_[np.zeros(14), np.inf], np.zeros(14)])
-def test_a_correction_that_is_none_is_refused_and_changes_nothing(error):
+def test_invalid_correction_is_rejected_without_change(error):
     state = StrapdownState(np.ones(3), np.ones(3), UPRIGHT, 1.622)
     with pytest.raises(InputError, match=r"navigation\.error"):
         state.correct(error)
@@ -189,7 +189,7 @@ def test_a_sample_that_no_lander_could_give_counts_as_missing(which, value):
         assert np.array_equal(one, other)
 
 
-def test_a_turn_takes_scale_factors_and_misalignments_along():
+def test_rotation_adds_scale_factor_and_misalignment_errors():
     """Rotate about one axis and back with random errors; compare the attitude error."""
     errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
     state = StrapdownState(

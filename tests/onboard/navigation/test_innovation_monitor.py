@@ -24,7 +24,7 @@ def drawn(rng, n, degrees=3, times=1.0):
     return [Outcome(times * rng.chisquare(degrees), degrees, True) for _ in range(n)]
 
 
-def test_what_errs_as_it_says_is_believed():
+def test_consistent_filter_raises_no_alarm():
     doubts = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
@@ -36,7 +36,7 @@ def test_what_errs_as_it_says_is_believed():
     assert doubts == 0
 
 
-def test_refusals_open_the_gate_and_then_end_in_lost():
+def test_repeated_rejections_inflate_then_lose():
     watch = InnovationMonitor()
     found = verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     assert MonitorResult.INFLATE in found
@@ -46,13 +46,13 @@ def test_refusals_open_the_gate_and_then_end_in_lost():
     assert watch.lost
 
 
-def test_innovations_that_are_too_large_are_doubted_though_each_is_let_in():
+def test_large_accepted_innovations_raise_alarm():
     rng = np.random.default_rng(1)
     found = verdicts(InnovationMonitor(), drawn(rng, 60, times=5.0))
     assert MonitorResult.INFLATE in found
 
 
-def test_trust_comes_back():
+def test_recovers_after_alarm():
     watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
@@ -61,19 +61,19 @@ def test_trust_comes_back():
     assert not watch.lost
 
 
-def test_a_slow_sensor_is_judged_too():
+def test_slow_sensor_is_monitored():
     found = verdicts(InnovationMonitor(SPEEDS), [Outcome(400.0, 3, False)] * 10, step=1.0)
     assert MonitorResult.LOST in found
 
 
-def test_one_reading_after_silence_brings_no_trust():
+def test_one_reading_after_gap_does_not_recover():
     watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     watch.record(60.0, Outcome(400.0, 1, False))
     assert watch.lost
 
 
-def test_nothing_measured_says_nothing():
+def test_empty_outcomes_are_ignored():
     watch = InnovationMonitor()
     nothing = [Outcome(np.nan, 1, False), Outcome(0.0, 0, False)] * 100
     assert set(verdicts(watch, nothing)) == {MonitorResult.CONSISTENT}
@@ -88,7 +88,7 @@ def whitened(rng, n, shift=0.0, degrees=3):
 SPEEDS = InnovationMonitorSettings(max_inflations=None, drift_time_scale_s=8.0)
 
 
-def test_innovations_to_one_side_are_found_though_each_is_small():
+def test_biased_small_innovations_are_detected():
     rng = np.random.default_rng(3)
     found = verdicts(InnovationMonitor(SPEEDS), whitened(rng, 300, np.array([0.0, 1.2, 0.0])))
     assert MonitorResult.DRIFT in found
@@ -100,7 +100,7 @@ def test_innovations_to_one_side_are_found_though_each_is_small():
     assert all(v is MonitorResult.CONSISTENT for row in never for v in row)
 
 
-def test_a_drift_is_told_when_its_mean_stands_out():
+def test_drift_is_reported_above_threshold():
     """Test the fading mean against explicit sums."""
     outcomes = list(whitened(np.random.default_rng(4), 120, np.array([0.9, 0.0, 0.0])))
     found = verdicts(InnovationMonitor(SPEEDS), outcomes)
@@ -114,7 +114,7 @@ def test_a_drift_is_told_when_its_mean_stands_out():
     assert first == expected
 
 
-def test_what_cannot_jump_is_lost_at_once_and_stays_so():
+def test_jump_without_tolerance_is_lost_for_good():
     watch = InnovationMonitor(SPEEDS)
     assert MonitorResult.LOST in verdicts(watch, [Outcome(400.0, 3, False)] * 10)
     rng = np.random.default_rng(5)
@@ -123,7 +123,7 @@ def test_what_cannot_jump_is_lost_at_once_and_stays_so():
     assert watch.lost
 
 
-def test_a_drift_that_comes_again_and_again_is_lost():
+def test_repeated_drift_is_lost():
     """A drift that no bias explains: detected, compensated, detected again."""
     always = whitened(np.random.default_rng(6), 600, np.array([0.0, 0.0, 2.0]))
     watch = InnovationMonitor(SPEEDS)
@@ -138,7 +138,7 @@ def test_a_drift_that_comes_again_and_again_is_lost():
     assert watch.lost, "the filter has followed the drift and stays lost"
 
 
-def test_without_patience_the_first_drift_is_lost():
+def test_first_drift_is_lost_without_tolerance():
     watch = InnovationMonitor(replace(SPEEDS, max_drifts=0))
     found = verdicts(watch, whitened(np.random.default_rng(6), 30, np.array([0.0, 0.0, 2.0])))
     assert found.count(MonitorResult.CONSISTENT) < 30
@@ -146,7 +146,7 @@ def test_without_patience_the_first_drift_is_lost():
     assert watch.lost
 
 
-def test_a_watch_is_calm_while_nothing_stands_out():
+def test_monitor_is_calm_without_anomaly():
     watch = InnovationMonitor(SPEEDS)
     assert not watch.is_calm(0.0), "there are no measurements"
     verdicts(watch, whitened(np.random.default_rng(10), 60))
@@ -181,7 +181,7 @@ def test_drifts_far_apart_are_explained_each():
     assert not watch.lost
 
 
-def test_a_beam_that_comes_and_goes_keeps_its_own_mean():
+def test_intermittent_beam_keeps_its_mean():
     """Test each beam against explicit sums; a drift is detected despite dropouts."""
     rng = np.random.default_rng(9)
     times, white = 0.1 * np.arange(150), rng.normal(size=(150, 3)) + [0.0, 0.0, 0.9]
@@ -216,7 +216,7 @@ def test_settings_out_of_range_are_refused(name, value):
         InnovationMonitorSettings(**{name: value})
 
 
-def test_trust_does_not_come_back_while_it_was_doubted_of_late():
+def test_no_recovery_soon_after_alarm():
     watch = InnovationMonitor()
     verdicts(watch, [Outcome(400.0, 1, False)] * 40)
     rng = np.random.default_rng(2)
@@ -230,7 +230,7 @@ def test_trust_does_not_come_back_while_it_was_doubted_of_late():
     assert 4.0 < back < 6.5
 
 
-def test_what_was_doubted_drifts_by_what_comes_after():
+def test_drift_mean_restarts_after_inflation():
     """An inflation changes the state: earlier innovations no longer apply to it."""
     watch = InnovationMonitor(
         InnovationMonitorSettings(drift_time_scale_s=1e3, window_s=1.0, min_count=6)

@@ -55,7 +55,7 @@ def flown(state, seed, steps=40):
         state.propagate(0.01 * 0.05 * rng.standard_normal((1, 3)), push[None])
 
 
-def test_the_start_errs_in_the_site_frame_as_the_mission_says():
+def test_initial_site_covariance_is_that_of_briefing():
     plain, (_, frame) = told(), own()
     expected = plain.covariance[np.ix_(KEEP, KEEP)]
     assert frame.covariance_in_site() == pytest.approx(expected, rel=1e-9, abs=1e-12)
@@ -86,7 +86,7 @@ def measure(state, off, at):
 
 
 @pytest.mark.parametrize(("off", "close"), [(0.0, 1e-4), (2e-4, 0.02)])
-def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
+def test_both_frames_agree_after_flight(off, close):
     plain, (state, frame) = told(), own()
     at, outcomes = strapdown(), []
     pilot = ErrorState(at, ERRORS)
@@ -163,7 +163,7 @@ def test_the_shift_is_the_transform_both_ways():
     assert points[0] == pytest.approx(by_hand)
 
 
-def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
+def test_anchored_frame_correlates_tilt_and_position():
     state, frame = own()
     before = frame.covariance_in_site()
     away = np.array([300.0, -40.0, -220.0])
@@ -206,7 +206,7 @@ def test_velocity_in_the_site_frame_errs_by_its_azimuth():
     assert not p[0:3, 0:3].any()  # it is at the centre of the rotation
 
 
-def test_what_else_is_kept_hangs_on_the_ground_too():
+def test_other_positions_are_anchored_too():
     blocks = {"key": np.zeros((6, 6))} | empty_map_block()
     state = ErrorState(strapdown(), ERRORS, blocks=blocks)
     frame = LocalFrame(state)

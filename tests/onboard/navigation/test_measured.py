@@ -98,7 +98,7 @@ SIGMA = {"range": 0.5, "speeds": 0.05, "biased speeds": 0.01, "attitude": 1e-3}
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("kind", list(TAKE))
-def test_errors_after_a_measurement_are_as_it_says(kind):
+def test_errors_match_covariance_after_update(kind):
     before, nees, nis, degrees = 0.0, 0.0, 0.0, 0
     flights = 400
     for seed in range(flights):
@@ -116,7 +116,7 @@ def test_errors_after_a_measurement_are_as_it_says(kind):
         assert low < total / count < high
 
 
-def test_what_readings_share_is_not_averaged_away():
+def test_common_errors_are_not_averaged():
     t = Truth(3)
     for _ in range(2000):
         TAKE["attitude"](t, 1e-4)
@@ -125,7 +125,7 @@ def test_what_readings_share_is_not_averaged_away():
     assert sigma == pytest.approx(1e-3 * 4.0 / np.hypot(1.0, 4.0), rel=0.01)
 
 
-def test_a_mount_that_has_been_found_is_expected():
+def test_estimated_mount_is_used():
     """An attitude known to 0.1 mrad shows a mount error of 5 mrad (10 mrad prior)."""
     sure = StartSigmas(2.0, 0.2, 1e-4)
     state = ErrorState(
@@ -141,7 +141,7 @@ def test_a_mount_that_has_been_found_is_expected():
     assert found.nis < 1e-6
 
 
-def test_beams_tell_the_velocity_and_not_the_place():
+def test_speeds_do_not_inform_on_position():
     t = Truth(4)
     p = np.diag(t.state.covariance).copy()
     for _ in range(50):
@@ -175,7 +175,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("call", BAD)
-def test_what_is_no_reading_changes_nothing(call):
+def test_invalid_reading_changes_nothing(call):
     state = Truth(5).state
     p, x = state.covariance.copy(), state.inertial.position.copy()
     assert not call(state).taken
@@ -183,7 +183,7 @@ def test_what_is_no_reading_changes_nothing(call):
     assert np.array_equal(state.inertial.position, x)
 
 
-def test_an_attitude_whose_covariance_is_not_symmetric_speaks_against_nothing():
+def test_asymmetric_attitude_covariance_is_ignored():
     """If it counted as a rejected innovation, navigation would soon be lost."""
     lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = update_with_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
@@ -208,7 +208,7 @@ def test_whitened_speeds_keep_the_places_of_their_beams():
     assert np.nansum(found.white**2) == pytest.approx(found.nis)
 
 
-def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
+def test_successive_velocity_updates_do_not_inform_on_tilt():
     """One beam at a time, at many attitudes and no time step: tilt is not observable."""
     rng = np.random.default_rng(8)
     attitude = quat_from_rotation_vector([0.1, -0.2, 0.05])
@@ -228,7 +228,7 @@ def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)
 
 
-def test_ground_that_may_rise_makes_a_range_vaguer():
+def test_terrain_variance_adds_to_range_noise():
     t, rough = Truth(5), Truth(5)
     far = t.range(BEAMS[0], 0.0) + 3.0
     plain = take_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
@@ -245,7 +245,7 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 5.0])
-def test_a_start_far_off_in_tilt_and_azimuth_is_put_right_by_stars(degrees):
+def test_star_tracker_corrects_large_initial_attitude_error(degrees):
     """Two successive rotations differ from their sum by half the cross product."""
     sigma = np.deg2rad(degrees)
     inertial = StrapdownState(np.array([0.0, 0, 300]), np.array([3.0, 0, -2]), [0, 0, 0, 1.0], 1.62)

@@ -51,7 +51,7 @@ def places(count, seed=0, height=0.0):
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.15, -0.1)])
 @pytest.mark.parametrize("off", [0.0, 1.5])
-def test_laying_rocks_equals_a_plain_update(gradient, off):
+def test_height_correction_equals_plain_update(gradient, off):
     ground = Plane(gradient, off)
     rocks, _ = rocks_seen(places(9))
     before = rocks.covariance.copy()
@@ -85,7 +85,7 @@ def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_
     assert np.sqrt(rocks.relative_covariance()[:, 2, 2]).max() < 0.25
 
 
-def test_rocks_that_are_known_as_well_are_told_nothing():
+def test_well_known_rocks_are_not_corrected():
     rocks, _ = rocks_seen(places(6))
     rocks.measured = Plane()
     assert rocks.lay_on_measured().taken
@@ -103,7 +103,7 @@ class Crest(Plane):
         return -0.4 * np.abs(xy[:, 0])
 
 
-def test_less_is_told_where_ground_bends():
+def test_curvature_reduces_information():
     """A horizontal error causes a height error: two steps of 4 m down, 1.6 m."""
     xyz = np.array([[0.0, -3.0, 0.0], [0.0, 4.0, 0.0], [20.0, 1.0, -8.0]])
     rocks, _ = rocks_seen(xyz)
@@ -122,7 +122,7 @@ def test_less_is_told_where_ground_bends():
     np.testing.assert_allclose(rocks.covariance, before - gain @ h @ before, rtol=1e-4, atol=1e-4)
 
 
-def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
+def test_inconsistent_terrain_is_rejected():
     rocks, _ = rocks_seen(places(6))
     rocks.measured = Plane(height=60.0)
     before = rocks.xyz.copy()
@@ -131,14 +131,14 @@ def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
 
 
 @pytest.mark.parametrize("ground", [None, Plane(west=1e3)])
-def test_without_measured_ground_nothing_is_told(ground):
+def test_no_correction_without_measured_terrain(ground):
     rocks, _ = rocks_seen(places(6))
     rocks.measured = ground
     assert not rocks.lay_on_measured().taken
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.3, -0.1)])
-def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
+def test_new_rock_on_measured_terrain_has_its_error(gradient):
     """Height, lander and tilt apart: the first by what ground errs by, others as neighbours do.
 
     Ground and rock are seen from one pose, and turn and move with it as one, however it slopes.
@@ -165,7 +165,7 @@ def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
     assert sigma[west].min() > 1.0 > sigma[~west].max()
 
 
-def test_what_rocks_are_told_of_height_is_consistent():
+def test_height_corrections_are_consistent():
     """Return normalised squared errors of rock positions over flights with random errors."""
     squares = []
     for seed in range(40):

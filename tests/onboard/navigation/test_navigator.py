@@ -33,7 +33,7 @@ def world():
 
 
 @pytest.mark.statistical
-def test_it_locks_and_then_errs_as_it_says(world):
+def test_filter_is_consistent_after_lock(world):
     nees, errors = Consistency(), []
     for seed in range(14):
         descent = Descent(world, seed).fly(6.0)
@@ -53,7 +53,7 @@ def test_it_locks_and_then_errs_as_it_says(world):
 
 
 @pytest.mark.statistical
-def test_before_the_lock_it_knows_that_it_does_not_know(world):
+def test_filter_is_consistent_before_lock(world):
     nees = Consistency()
     for seed in range(12):
         # Flat terrain far from the field: no match is possible.
@@ -63,7 +63,7 @@ def test_before_the_lock_it_knows_that_it_does_not_know(world):
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
 
-def test_the_level_of_a_map_is_told_once(world):
+def test_map_level_is_used_once(world):
     """Every search gives the same result with the same error."""
     descent = Descent(world, 3).fly(5.0, aim=np.array([0.0, 105.0, 0.0]))
     assert names(descent) == []
@@ -71,7 +71,7 @@ def test_the_level_of_a_map_is_told_once(world):
     assert RegistrationSettings().height_sigma < known < 1.0
 
 
-def test_rocks_that_are_tracked_hold_the_lander(world):
+def test_tracked_rocks_bound_the_position_error(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     assert f.adrift
     f.rocks.add_known(np.array([[5.0, 2.0]]), np.array([0.3]), np.array([0.5]), np.array([0.01]))
@@ -100,7 +100,7 @@ def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
     assert turned[1, 1] == pytest.approx(0.04, rel=0.05)
 
 
-def test_shadows_that_fall_elsewhere_lose_the_navigator(world):
+def test_wrong_shadow_direction_loses_navigation(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     for k in range(60):
         assert f.lost == f.rocks.pictures.lost
@@ -147,7 +147,7 @@ def test_odometry_slows_the_drift(world):
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("relief", [0.0, 0.005])
-def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relief):
+def test_flat_terrain_gives_no_motion_information(relief):
     """On flat terrain all slopes are noise, which once counted as information.
 
     Velocities were off by 19 deviations then.
@@ -168,7 +168,7 @@ def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relie
     assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
 
-def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
+def test_odometry_does_not_change_unobservable_errors(world):
     """A range bias is hardly visible in a comparison of two scans.
 
     Each of some hundred comparisons once moved the bias by a dozen deviations of what it told.
@@ -188,7 +188,7 @@ def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
 
 
 @pytest.mark.parametrize("step", [(0.04, 0.0), (-0.03, 0.05)])
-def test_a_scan_kept_holds_wherever_lander_and_scan_are_found_to_be(step):
+def test_reference_scan_follows_corrections(step):
     """Many small corrections of both leave the next scan as it would have been.
 
     Carried on by its slopes alone the scan kept would not fit curved ground any more; what is left
@@ -228,7 +228,7 @@ def test_lost_and_found_again_are_events(world):
     assert np.linalg.norm(descent.error()[:3]) < 1.0
 
 
-def test_scans_of_too_few_posts_take_no_lock_away(world):
+def test_small_scans_do_not_end_lock(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
     # One metre wide: too small for evidence for or against the lock.
@@ -265,7 +265,7 @@ def test_a_post_counts_once_however_often_it_is_seen(world):
     assert told / told[0] == pytest.approx(expected / expected[0], rel=0.25)
 
 
-def test_what_sets_scans_apart_from_posts_makes_them_tell_less(world):
+def test_model_noise_reduces_information(world):
     told = []
     for sigma in (0.03, 1.0):
         descent = Descent(world, 1).fly(3.0)
@@ -314,7 +314,7 @@ def test_a_map_that_does_not_cover_the_ground_gives_no_lock(world):
     assert np.isfinite(descent.filter.covariance).all()
 
 
-def test_scans_that_tell_nothing_change_nothing(world):
+def test_empty_scans_change_nothing(world):
     descent = Descent(world, 2).fly(1.0)
     before = descent.filter.covariance.copy(), descent.inertial.position.copy()
     n = 128 * 128
@@ -379,7 +379,7 @@ def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world,
     assert now[6:8].max() < 1.02 * told[6:8].max()
 
 
-def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
+def test_map_rotates_when_tilt_is_corrected(world):
     """Points of the first scans, rotated by the map rotation, lie on the true terrain."""
     off = {}
     descent = Descent(world, 2, errors=StartSigmas(5.0, 0.05, np.deg2rad(0.5)))
@@ -409,7 +409,7 @@ def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
 
 
 @pytest.mark.statistical
-def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
+def test_scanner_errors_are_estimated(world):
     nees, values = Consistency(), Consistency()
     for seed in range(6):
         descent = Descent(world, seed, lidar=STATED).fly(6.0)
@@ -433,7 +433,7 @@ def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
     [{"range_bias": 0.3}, {"boresight_off": np.deg2rad(0.5)}, {"late": 0.02}],
     ids=lambda fault: next(iter(fault)),
 )
-def test_what_nobody_told_of_a_scanner_is_no_silent_error(world, fault):
+def test_unspecified_scanner_error_is_detected(world, fault):
     for seed in (0, 1):
         descent = Descent(world, seed, lidar=replace(LIDAR, **fault)).fly(5.0)
         sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]

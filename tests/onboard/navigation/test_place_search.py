@@ -257,7 +257,7 @@ def test_a_height_is_told_by_posts_that_agree():
     assert other.share < 0.9 * match.share
 
 
-def test_the_right_place_outside_what_is_looked_at_is_not_forgotten():
+def test_probability_outside_search_is_kept():
     prior, points = swept(sigma=0.1)
     # 9 m off at a stated 1.5 m: six deviations.
     _, match = found_on(prior, points, sigma=1.5)
@@ -314,7 +314,7 @@ def test_places_lie_as_far_apart_as_when_the_search_began(first, spacing):
     assert search.spacing == 0.5 * search.prior.grid.posting
 
 
-def test_a_prior_that_leans_weighs_places_as_it_leans():
+def test_correlated_prior_weights_places():
     rng = np.random.default_rng(2)
     ground = bumps(rng, (40, 40), height=0.2)
     search = PlaceSearch(MapFeatures(small_map(rng, ground, sigma=0.12)))
@@ -351,7 +351,7 @@ def test_settings_that_cannot_be_are_refused(kind, given):
      ({"covariance": np.full((2, 2), np.nan)}, "covariance"), ({"speed_sigma": -1.0}, "speed"),
      ({"speed_sigma": np.nan}, "speed"), ({"time": 1.0}, "time"), ({"time": np.nan}, "time")],
 )  # fmt: skip
-def test_what_cannot_be_known_of_a_place_is_refused(given, match):
+def test_invalid_prior_is_rejected(given, match):
     search, _ = found_on(*swept(sigma=0.1))
     before = search.evidence[0].copy()
     known = {"time": 3.0, "mean": np.zeros(2), "covariance": np.eye(2), "speed_sigma": 0.1} | given
@@ -425,7 +425,7 @@ def test_noise_and_slopes_cannot_lock(seed):
         assert str(forecast).startswith("cannot lock")
 
 
-def test_what_is_alike_along_one_way_cannot_lock():
+def test_ridges_cannot_lock():
     ridge = flat(relief=lambda c: np.sin(c[..., 0] / 3.0))
     forecast = can_lock(ridge, (0.0, 0.0), 60.0, 20.0)
     assert not forecast.can_lock

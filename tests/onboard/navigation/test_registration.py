@@ -260,7 +260,7 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
     assert told[1][2, 2] < 0.9 * told[0][2, 2]
 
 
-def test_a_fit_of_nothing_says_nothing():
+def test_fit_without_data_gives_no_information():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
     assert result.used == result.compared == 0
     assert result.share == 0.0

@@ -42,7 +42,7 @@ def shifted(rocks, error):
     return RockFilter.of(inertial)
 
 
-def test_rocks_begun_anew_are_as_those_begun_then():
+def test_reset_rocks_equal_new_rocks():
     """Earlier observations are discarded, as if there had been none."""
     filters = []
     for early in (True, False):
@@ -69,7 +69,7 @@ def test_rocks_begun_anew_are_as_those_begun_then():
     np.testing.assert_allclose(anew.covariance, then.covariance, rtol=1e-9, atol=1e-12)
 
 
-def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
+def test_reset_rocks_keep_height_errors_only():
     """A reset equals a measurement with an uninformative prior."""
     flight = Flight(np.random.default_rng(9), ground=LevelGround(0.0, 2.0, 0.1))
     flight.draw_heights(2.0, 0.1)
@@ -96,7 +96,7 @@ def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
     assert (np.abs(f.covariance - anew) / scale).max() < 1e-3
 
 
-def test_rocks_begun_anew_where_no_ground_is_seen_are_refused_and_stay():
+def test_reset_without_terrain_is_rejected():
     flight = Flight(np.random.default_rng(7))
     flight.advance()
     flight.image()
@@ -203,7 +203,7 @@ def test_births_carry_the_full_cross_covariance():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rocks_that_rest_are_considered(seed):
+def test_frozen_rocks_follow_schmidt_filter(seed):
     """Images and ranges against Joseph's form with zero gains of frozen rocks."""
     rng = np.random.default_rng(seed)
     flight = Flight(rng, rocks=9)
@@ -298,7 +298,7 @@ def test_removing_a_rock_leaves_the_others_as_they_were():
     assert np.array_equal(f.xyz, xyz[keep])
 
 
-def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
+def test_missing_samples_increase_covariance_and_images_reduce_it():
     flight = Flight(np.random.default_rng(7))
     fly(flight, 4.0)
     f = flight.filter

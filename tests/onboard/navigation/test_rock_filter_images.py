@@ -18,7 +18,7 @@ from tests.rock_scene import GRAVITY, Flight
 
 
 @pytest.mark.parametrize("bad", ["pixel", "covariance", "singular"])
-def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
+def test_rock_with_non_finite_pixel_is_ignored(bad):
     one, other = (Flight(np.random.default_rng(12), rocks=5) for _ in range(2))
     for flight in (one, other):
         flight.advance()
@@ -46,7 +46,7 @@ def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
 
 
 @pytest.mark.parametrize(("radius", "variance"), [(np.nan, 0.04), (0.5, np.nan), (0.5, 0.0)])
-def test_a_radius_that_is_no_number_tells_nothing(radius, variance):
+def test_non_finite_radius_is_ignored(radius, variance):
     flight = Flight(np.random.default_rng(13), rocks=3)
     flight.image()
     f = flight.filter
@@ -70,7 +70,7 @@ def test_an_image_of_nothing_changes_nothing():
     assert np.array_equal(f.covariance, p)
 
 
-def test_an_image_that_is_off_as_a_whole_is_refused():
+def test_shifted_image_is_rejected():
     flight = Flight(np.random.default_rng(15), rocks=9)
     flight.advance()
     flight.image()
@@ -152,7 +152,7 @@ def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
         RockFilter(state, AidingMeasurements(state, {}, level, events))
 
 
-def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
+def test_rock_alarm_inflates_reference_pose():
     """Otherwise the next scan would pull the lander back to the contradicted pose."""
     f = Navigator(
         StrapdownState([0.0, 0.0, 100.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0], GRAVITY),
@@ -172,7 +172,7 @@ def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
     assert f.covariance[between] == pytest.approx(f.covariance[key, key])
 
 
-def test_a_doubt_widens_lander_and_rocks_alike():
+def test_alarm_inflates_lander_and_rocks():
     flight = Flight(np.random.default_rng(18), rocks=3)
     flight.advance()
     flight.image()

@@ -53,7 +53,7 @@ def manoeuvres(rng, n=4000):
 
 
 @pytest.mark.parametrize("length", [1, 3, 10])
-def test_the_hardest_manoeuvres_are_believed(length):
+def test_extreme_manoeuvres_are_accepted(length):
     rng = np.random.default_rng(3)
     guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng)
@@ -77,7 +77,7 @@ def test_a_spike_is_refused_and_nothing_else(at, axis):
     assert not any(f.jump.any() for f in found)
 
 
-def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
+def test_persistent_jump_is_accepted_and_bias_inflated():
     rng = np.random.default_rng(5)
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
@@ -93,7 +93,7 @@ def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
     assert state.pop_events() == []
 
 
-def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
+def test_rate_jump_inflates_bias_and_attitude():
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
     angle, velocity = manoeuvres(np.random.default_rng(8), 40)

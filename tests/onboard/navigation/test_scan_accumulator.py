@@ -65,7 +65,7 @@ def test_old_scans_are_left_out():
     assert found.points()[:, 0].min() > 90.0
 
 
-def test_nothing_covers_nothing():
+def test_empty_scan_covers_no_post():
     assert count_posts_below(np.full((5, 3), np.nan), 1.0) == 0
 
 

@@ -108,7 +108,7 @@ def test_arrays_that_are_none_of_a_scan_are_refused_by_name(field, value, match)
 
 
 @pytest.mark.parametrize("sigma", [np.nan, -0.01, np.inf])
-def test_a_range_without_a_deviation_tells_nothing(sigma):
+def test_range_without_sigma_is_ignored(sigma):
     scan = scan_of(slope())
     broken = scan.sigma.copy()
     broken[::3] = sigma

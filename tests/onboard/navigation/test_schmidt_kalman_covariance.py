@@ -173,7 +173,7 @@ def test_errors_that_have_just_come_do_not_rest_while_columns_lag():
     assert not state.for_rows(new)[new].any()
 
 
-def test_information_that_tells_nothing_leaves_nothing_put_off():
+def test_empty_information_defers_nothing():
     """Deferred updates have the old number of errors, later ones more."""
     state = made(np.random.default_rng(13), TAIL)
     before = state.covariance.copy()
@@ -186,7 +186,7 @@ def test_information_that_tells_nothing_leaves_nothing_put_off():
     assert state.covariance.shape == (state.size, state.size)
 
 
-def test_what_all_are_corrected_by_is_taken_off_columns_that_are_up_to_date():
+def test_full_update_uses_current_columns():
     """Test with more errors than fit into one block."""
     lags = made(np.random.default_rng(11), 800)
     lags.rest(np.arange(800) < 780)

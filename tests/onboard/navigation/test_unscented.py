@@ -187,7 +187,7 @@ def test_attitude_is_what_the_tracker_gives_and_what_turns_do_since():
     assert own.watches["stars attitude"].refused == 1
 
 
-def test_what_cannot_be_explained_is_lost():
+def test_unexplained_measurements_lose_navigation():
     own = made()
     for k in range(1, 41):
         reading = DopplerReading(
@@ -234,7 +234,7 @@ def test_an_attitude_that_errs_by_more_than_a_turn_tells_nothing(spread):
         ("stars", AttitudeReading(0.1, TILT[:3], np.eye(3)), "attitude"),
     ],
 )
-def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measurement, field):
+def test_readings_with_wrong_shape_are_rejected_without_change(sensor, measurement, field):
     own = made()
     x, p = own.kalman.x.copy(), own.kalman.P.copy()
     with pytest.raises(InputError, match=field):
@@ -244,7 +244,7 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measur
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -1.0])
-def test_figures_that_no_lander_has_are_refused(value):
+def test_implausible_parameters_are_rejected(value):
     with pytest.raises(InputError, match="mass"):
         made(mass=value)
     with pytest.raises(InputError, match="exhaust"):
@@ -259,7 +259,7 @@ def test_figures_that_no_lander_has_are_refused(value):
         own.commanded(100.0, value if value else -1.0)
 
 
-def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
+def test_measurements_move_site_not_lander_in_local_frame():
     own = made(off=0.5)
     before = own.estimate(0.0, 1.0).position
     own.take("down", AltimeterReading(0.0, 260.0, 0.5), 0.0)
@@ -269,7 +269,7 @@ def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
     np.testing.assert_allclose(own.site_to_local.to_local(found), before, atol=1e-9)
 
 
-def test_a_covariance_that_is_not_positive_is_mended_and_goes_on():
+def test_indefinite_covariance_is_repaired():
     own = made()
     root = np.random.default_rng(3).normal(size=(10, 10))
     own.kalman.P = root @ root.T

@@ -56,7 +56,7 @@ def velocity_off(descent):
 
 
 @pytest.mark.parametrize(("seed", "off"), [(11, 0.4), (11, 1.0), (12, 4.0)])
-def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed, off):
+def test_range_bias_is_attributed_to_scanner(ground, seed, off):
     """With a bias above six specified sigmas, the scanner is out of specification."""
     descent, worst = flown(ground, seed, lambda s: replace(s, range=s.range + off), 8)
     assert names(descent)[:2] == ["lock", "doubted"]
@@ -67,7 +67,7 @@ def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed, off)
     assert abs(bias) == pytest.approx(off, abs=0.3)
 
 
-def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
+def test_undetected_rotation_is_not_attributed_to_boresight(ground):
     """The tilt is 1.1 deg: the boresight is released but cannot explain it."""
     descent = Descent(ground[0], 11, ground[1]).fly(FROM)
     honest = descent.filter.propagate
@@ -83,7 +83,7 @@ def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
     assert descent.filter.events[-1].details["measurement"] == "scanner"
 
 
-def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
+def test_impossible_scanner_error_loses_navigation(ground):
     """The base of the gimbal rotates: no range, boresight or latency error."""
     turn = quat_to_matrix(quat_from_rotation_vector([np.deg2rad(1.0), 0.0, 0.0]))
     descent, worst = flown(ground, 11, lambda s: replace(s, mount=turn @ s.mount), 10)
@@ -91,7 +91,7 @@ def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
     assert descent.filter.lost and worst < 4.0
 
 
-def test_flecks_are_taken_out_before_they_draw_a_fit_along(ground):
+def test_spikes_are_removed_before_registration(ground):
     rng = np.random.default_rng(0)
 
     def flecks(scan):
@@ -103,7 +103,7 @@ def test_flecks_are_taken_out_before_they_draw_a_fit_along(ground):
     assert worst < 4.0 and velocity_off(descent) < 4.0
 
 
-def test_noise_that_drowns_the_ground_tells_nothing(ground):
+def test_excessive_noise_is_ignored(ground):
     rng = np.random.default_rng(0)
 
     def noise(scan):
@@ -119,7 +119,7 @@ def test_noise_that_drowns_the_ground_tells_nothing(ground):
     assert names(descent)[-1] == "scans-accepted"
 
 
-def test_noise_that_the_scanner_owns_up_to_tells_nothing_either(ground):
+def test_excessive_specified_noise_is_ignored(ground):
     """Noise of 0.3 m from the start: noise slopes once biased the velocity by 12 sigmas."""
     noisy = replace(LIDAR, noise_ratio=1.2e-3)
     descent, worst = flown(ground, 11, lambda scan: scan, 6, noisy)
