@@ -132,9 +132,9 @@ class ErrorState(SchmidtKalmanCovariance):
         """Return whether a block exists."""
         return name in self._blocks
 
-    def inflate(self, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
+    def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
         """Multiply the variances of errors (k,) by a factor; see `covariance_inflation.inflate`."""
-        inflate(self.covariance, columns, factor, most)
+        inflate(self.covariance, columns, factor, max_sigma)
 
     def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:
         """Raise the standard deviations of errors (k,) to at least `sigma` (k,)."""

@@ -47,11 +47,13 @@ def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Arr
     square = left**2
     squared_slope = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
     is_flat = used & (squared_slope <= np.median(squared_slope[used]))
-    least = max(float(np.mean(square[is_flat])), _MIN_SIGMA_M**2)
+    min_variance = max(float(np.mean(square[is_flat])), _MIN_SIGMA_M**2)
     is_steep = used & ~is_flat
     slope_sum = float(np.sum(squared_slope[is_steep]))
-    growth = max(float(np.sum(square[is_steep])) - least * int(is_steep.sum()), 0.0)
-    return np.asarray(least + (growth / slope_sum if slope_sum > 0.0 else 0.0) * squared_slope)
+    growth = max(float(np.sum(square[is_steep])) - min_variance * int(is_steep.sum()), 0.0)
+    return np.asarray(
+        min_variance + (growth / slope_sum if slope_sum > 0.0 else 0.0) * squared_slope
+    )
 
 
 def linearisation_variance(prior: Array, displacements: Array) -> float:

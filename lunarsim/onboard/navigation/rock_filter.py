@@ -376,17 +376,17 @@ class RockFilter(RockStates):
             nis_ratio = self.pictures.watches[kind].nis_ratio
             growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
-            most = np.full(size, _MAX_POSITION_SIGMA_M)
-            most[VELOCITY], most[ATTITUDE] = _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD
+            max_sigma = np.full(size, _MAX_POSITION_SIGMA_M)
+            max_sigma[VELOCITY], max_sigma[ATTITUDE] = _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD
             columns = np.r_[0:6, 9:12, self.first : size]
             # If only the pose were inflated, scans would pull it back to the reference pose and to
             # the estimated map offset.
             for name in (REFERENCE_POSE, MAP):
                 if self.state.has(name):
                     block = self.state.block(name)
-                    most[block.start + 3 : block.stop] = _MAX_ATTITUDE_SIGMA_RAD
+                    max_sigma[block.start + 3 : block.stop] = _MAX_ATTITUDE_SIGMA_RAD
                     columns = np.r_[columns, block]
-            self.state.inflate(columns, growth, most[columns])
+            self.state.inflate(columns, growth, max_sigma[columns])
         return remedy
 
     # --- adding and removing --------------------------------------------------------------

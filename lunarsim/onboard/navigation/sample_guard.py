@@ -42,19 +42,19 @@ class SampleLimits:
         if the vehicle is unknown.
     noise
         Maximum additional change by noise (6,), rad/s and m/s^2.
-    most
+    maximum
         Maximum rate and specific force (6,), rad/s and m/s^2.
     """
 
     step: Array
     noise: Array
-    most: Array
+    maximum: Array
 
     @classmethod
     def unknown(cls) -> SampleLimits:
         """Return the limits of an unknown lander."""
-        most = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
-        return cls(np.full(6, np.inf), np.zeros(6), most)
+        maximum = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
+        return cls(np.full(6, np.inf), np.zeros(6), maximum)
 
     @classmethod
     def of(
@@ -95,8 +95,8 @@ class SampleLimits:
         response = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
         change = _DYNAMICS_MARGIN * np.concatenate((rotation, np.full(3, acceleration * response)))
         noise = np.repeat([_noise(unit, step) for unit in (gyroscopes, accelerometers)], 3)
-        most = np.repeat([_MAX_RATE_RAD_S, 2.0 * acceleration + noise[3]], 3)
-        return cls(change, noise, np.minimum(most, cls.unknown().most))
+        maximum = np.repeat([_MAX_RATE_RAD_S, 2.0 * acceleration + noise[3]], 3)
+        return cls(change, noise, np.minimum(maximum, cls.unknown().maximum))
 
 
 def _noise(unit: TriadErrors, step: float) -> float:
@@ -143,7 +143,7 @@ class ImuOutlierDetector:
     def __init__(self, limits: SampleLimits, step: float) -> None:
         if not 0.0 < step < np.inf:
             raise InputError("step", step, "must be a positive time in seconds")
-        for name in ("step", "noise", "most"):
+        for name in ("step", "noise", "maximum"):
             limit = np.asarray(getattr(limits, name))
             if limit.shape != (6,) or not (limit >= 0.0).all():
                 raise InputError(f"limits.{name}", limit, "must be six non-negative numbers")
@@ -160,7 +160,7 @@ class ImuOutlierDetector:
         """Check increments (n, 3) and (n, 3), rad and m/s; NaN marks missing samples."""
         samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
-            is_implausible = np.asarray((np.abs(samples) > self.limits.most).any(axis=1))
+            is_implausible = np.asarray((np.abs(samples) > self.limits.maximum).any(axis=1))
         is_present: NDArray[np.bool_] = np.asarray(
             np.isfinite(samples).all(axis=1) & ~is_implausible
         )

@@ -26,16 +26,16 @@ class ScanAccumulator:
     ----------
     posting
         Distance of the map's posts, m.
-    least
+    min_agreeing
         Number of posts that must agree.
-    longest
+    max_time_s
         Maximum time of an accumulation, s.
     """
 
-    def __init__(self, posting: float, least: int, longest: float) -> None:
+    def __init__(self, posting: float, min_agreeing: int, max_time_s: float) -> None:
         self._posting = posting
-        self._min_posts = _POSTS_RATIO * least
-        self._max_time = longest
+        self._min_posts = _POSTS_RATIO * min_agreeing
+        self._max_time = max_time_s
         self._submap: Submap | None = None
         self._since = -np.inf
 
@@ -64,11 +64,11 @@ class ScanAccumulator:
         return replace(corrected, scan=scan)
 
 
-def count_posts_below(points: Array, posting: float, most: int = 1 << 40) -> int:
-    """Count the posts below points (n, 3), up to `most`; NaN marks missing points."""
-    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, most))
+def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -> int:
+    """Count the posts below points (n, 3), up to `max_count`; NaN marks missing points."""
+    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
     if count >= 0:
         return count
     xy = points[np.isfinite(points[:, :2]).all(axis=1), :2]
     place = np.floor((xy - xy.min(axis=0)) / posting)
-    return min(len(np.unique(place @ (1.0, 1e7))), most)
+    return min(len(np.unique(place @ (1.0, 1e7))), max_count)

@@ -136,7 +136,7 @@ def test_impossible_slews_are_refused(slew):
         SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS, slew=slew)
 
 
-@pytest.mark.parametrize("name", ["step", "noise", "most"])
+@pytest.mark.parametrize("name", ["step", "noise", "maximum"])
 @pytest.mark.parametrize("wrong", [np.nan, -1.0])
 def test_impossible_limits_are_refused(name, wrong):
     with pytest.raises(InputError, match=f"limits.{name}"):
