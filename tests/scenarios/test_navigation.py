@@ -145,7 +145,7 @@ def test_fits_begun_at_the_stated_error_are_not_wrong_and_would_be_seen(script, 
     def blind(seen, features, covariance):
         return np.zeros(len(covariance)), False, np.zeros((2, 2))
 
-    monkeypatch.setattr("lunarsim.onboard.navigation.registration._begin", blind)
+    monkeypatch.setattr("lunarsim.onboard.navigation.registration._initial_error", blind)
     assert any(f.wrong for task in tasks for f in study.fits(task))
 
 

@@ -1,4 +1,4 @@
-"""How a scan's points move with what it errs by, against the scan itself with small errors."""
+"""Test the Jacobian of scan points against scans with small errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def seen() -> SeenScan:
-    """Return a scan of ten rays from a lander that moves and turns, the mount askew."""
+    """Return a scan of ten rays from a moving, rotating lander with a tilted mount."""
     rng = np.random.default_rng(4)
     rays = np.column_stack((rng.uniform(-0.3, 0.3, (10, 2)), np.ones(10)))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Ranges, speeds and attitudes as a filter takes them: ground, beams, doubts."""
+"""Test ranges, speeds and attitudes: terrain height, beams and monitors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ from lunarsim.frames import quat_from_rotation_vector, quat_multiply
 from lunarsim.messages.briefing import StartEstimate
 from lunarsim.messages.measurements import AltimeterReading, AttitudeReading, DopplerReading
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import Aids, blocks_of, gate_of
+from lunarsim.onboard.navigation.aiding_measurements import (
+    AidingMeasurements,
+    aiding_blocks,
+    innovation_gate,
+)
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import ACCELEROMETER, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
-from lunarsim.onboard.navigation.local_frame import blank_block
+from lunarsim.onboard.navigation.local_frame import empty_map_block
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 BEAMS = ((0.6, 0.0, -0.8), (-0.6, 0.0, -0.8), (0.0, 0.6, -0.8))
@@ -30,22 +34,24 @@ INSTRUMENTS = {
 def made(relief=0.1, sigma=5.0, instruments=INSTRUMENTS):
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
     ground, events = LevelGround(0.0, sigma, relief), []
-    state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks_of(instruments, ground))
-    return state, Aids(state, instruments, ground, events), events
+    state = ErrorState(
+        inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks(instruments, ground)
+    )
+    return state, AidingMeasurements(state, instruments, ground, events), events
 
 
-def test_ground_wanders_with_the_way_flown():
-    state, aids, _ = made(relief=0.2)
+def test_terrain_height_noise_grows_with_distance_flown():
+    state, aiding, _ = made(relief=0.2)
     before = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
     state.inertial.correct(np.array([30.0, 40.0, 5.0, *np.zeros(12)]))
-    aids.travel()
+    aiding.add_terrain_noise()
     after = state.covariance[state.block(GROUND), state.block(GROUND)][0, 0]
     assert after - before == pytest.approx(0.2**2 * 10.0 * 50.0)
-    aids.travel()
+    aiding.add_terrain_noise()
     assert state.covariance[state.block(GROUND), state.block(GROUND)][0, 0] == after
 
 
-def test_ground_under_the_start_is_known_by_the_target_and_the_relief_between():
+def test_terrain_prior_uses_target_elevation_and_slope():
     start = StartEstimate(
         np.array([-300.0, 450.0, 200.0]), np.zeros(3), UPRIGHT, 5.0, 0.1, 0.01, ground_sigma=4.0
     )
@@ -60,19 +66,19 @@ def test_ground_under_the_start_is_known_by_the_target_and_the_relief_between():
 
 def test_a_range_is_along_its_own_beam():
     for sensor, distance in (("down", 100.0), ("slanted", 125.0)):
-        state, aids, _ = made()
-        aids.take(sensor, AltimeterReading(0.0, distance, 0.1), 0.0)
-        watch = aids.watches[f"{sensor} range"]
+        state, aiding, _ = made()
+        aiding.take(sensor, AltimeterReading(0.0, distance, 0.1), 0.0)
+        watch = aiding.watches[f"{sensor} range"]
         assert watch.refused == 0
         assert watch.total == pytest.approx(0.0, abs=1e-12)
         assert state.inertial.position[2] == pytest.approx(100.0)
 
 
-def test_a_slanted_beam_tells_less_of_rough_ground():
+def test_slanted_beam_gives_less_information_on_rough_terrain():
     sigma = []
     for relief in (0.0, 0.3):
-        state, aids, _ = made(relief=relief)
-        aids.take("slanted", AltimeterReading(0.0, 125.0, 0.1), 0.0)
+        state, aiding, _ = made(relief=relief)
+        aiding.take("slanted", AltimeterReading(0.0, 125.0, 0.1), 0.0)
         at = np.array([2, state.block(GROUND).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
@@ -81,16 +87,16 @@ def test_a_slanted_beam_tells_less_of_rough_ground():
     assert sigma[1] > 3.0
 
 
-def test_a_beam_of_which_nothing_is_known_tells_less_of_rough_ground_from_a_lander_that_leans():
+def test_uncalibrated_beam_gives_less_information_when_tilted():
     sigma = []
     lean = quat_from_rotation_vector([0.0, 0.6, 0.0])
     for relief in (0.0, 0.3):
         inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.zeros(3), lean, 1.6)
         ground = LevelGround(0.0, 5.0, relief)
-        state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks_of({}, ground))
-        aids = Aids(state, {}, ground, [])
-        aids.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
-        assert aids.watches["new range"].degrees == 1
+        state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=aiding_blocks({}, ground))
+        aiding = AidingMeasurements(state, {}, ground, [])
+        aiding.take("new", AltimeterReading(0.0, 100.0 / np.cos(0.6), 0.1), 0.0)
+        assert aiding.watches["new range"].degrees == 1
         at = np.array([2, state.block(GROUND).start])
         over = np.array([1.0, -1.0])
         sigma.append(np.sqrt(over @ state.covariance[np.ix_(at, at)] @ over))
@@ -99,60 +105,60 @@ def test_a_beam_of_which_nothing_is_known_tells_less_of_rough_ground_from_a_land
     assert sigma[1] > 3.0
 
 
-def test_refusals_widen_height_and_ground_until_the_gate_opens():
-    state, aids, events = made(sigma=1.0)
+def test_rejections_inflate_height_and_terrain_until_accepted():
+    state, aiding, events = made(sigma=1.0)
     before = np.diag(state.covariance).copy()
     for k in range(6):
-        aids.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.1 * k)
+        aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.1 * k)
     after = np.diag(state.covariance)
     place = state.block(GROUND).start
     assert [e.name for e in events] == ["doubted"]
     assert after[2] >= 4.0 * before[2]
     assert after[place] >= 4.0 * before[place]
     assert after[:2] == pytest.approx(before[:2])
-    aids.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
-    assert aids.watches["down range"].degrees == 1, "taken at last"
+    aiding.take("down", AltimeterReading(0.0, 160.0, 0.1), 0.7)
+    assert aiding.watches["down range"].degrees == 1, "accepted in the end"
 
 
-def test_trust_that_comes_back_is_reported():
-    _, aids, events = made(sigma=1.0)
+def test_recovery_is_reported():
+    _, aiding, events = made(sigma=1.0)
     for k in range(60):
-        aids.take("down", AltimeterReading(0.0, 1e4, 0.1), 0.1 * k)
-    assert aids.lost
+        aiding.take("down", AltimeterReading(0.0, 1e4, 0.1), 0.1 * k)
+    assert aiding.lost
     for k in range(200):
-        aids.take("down", AltimeterReading(0.0, 100.0, 0.1), 6.0 + 0.1 * k)
-    assert not aids.lost
+        aiding.take("down", AltimeterReading(0.0, 100.0, 0.1), 6.0 + 0.1 * k)
+    assert not aiding.lost
     assert [e.name for e in events][-1] == "believed"
 
 
-def test_a_lander_that_believes_itself_below_ground_is_told_so():
-    state, aids, _ = made(sigma=0.1)
+def test_estimate_below_terrain_is_corrected():
+    state, aiding, _ = made(sigma=0.1)
     state.inertial.correct(np.array([0.0, 0.0, -103.0, *np.zeros(12)]))
     for k in range(100):
-        aids.take("down", AltimeterReading(0.0, 120.0, 0.1), 0.1 * k)
-    assert aids.watches["down range"].refused > 0
-    assert aids.lost or abs(state.inertial.position[2] - 120.0) < 10.0
+        aiding.take("down", AltimeterReading(0.0, 120.0, 0.1), 0.1 * k)
+    assert aiding.watches["down range"].refused > 0
+    assert aiding.lost or abs(state.inertial.position[2] - 120.0) < 10.0
 
 
 @pytest.mark.parametrize("kind", ["speed", "attitude"])
-def test_a_drift_lets_go_of_the_bias_behind_it(kind):
-    state, aids, events = made()
+def test_drift_inflates_the_related_bias(kind):
+    state, aiding, events = made()
     own = slice(6, 9) if kind == "speed" else slice(12, 15)
     other = slice(12, 15) if kind == "speed" else slice(6, 9)
     before = np.diag(state.covariance).copy()
     for k in range(100):
-        # Always a little more than is believed, however the filter follows.
+        # Always slightly above the estimate, which follows it.
         if kind == "speed":
             seen = np.array(BEAMS) @ (state.inertial.velocity + [0.05, 0.0, 0.0])
             seen = seen + state.value("speeds of doppler")
             reading = DopplerReading(
                 0.0, seen, np.full(3, np.nan), np.full(3, 0.03), np.full(3, np.nan)
             )
-            aids.take("doppler", reading, 0.1 * k)
+            aiding.take("doppler", reading, 0.1 * k)
         else:
             off = state.value("mount of stars") + [2e-4, 0.0, 0.0]
             seen = quat_multiply(state.inertial.attitude, quat_from_rotation_vector(off))
-            aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.1 * k)
+            aiding.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.1 * k)
     after = np.diag(state.covariance)
     assert {e.name for e in events} == {"drift", "lost"}
     assert [e.name for e in events][:2] == ["drift", "lost"]
@@ -160,40 +166,40 @@ def test_a_drift_lets_go_of_the_bias_behind_it(kind):
     assert (after[other] <= before[other] * (1.0 + 1e-9)).all()
 
 
-def fly_beams(aids, state, off, seconds=8.0, start=0.0, seed=3):
-    """Give readings of beams that are off by so much (3,), m/s, NaN for none, at 10 Hz."""
+def fly_beams(aiding, state, off, seconds=8.0, start=0.0, seed=3):
+    """Feed readings at 10 Hz with given beam errors (3,), m/s; NaN for no reading."""
     rng = np.random.default_rng(seed)
     nothing = np.full(3, np.nan)
     for k in range(round(10.0 * seconds)):
         seen = np.array(BEAMS) @ np.array([3.0, 0.0, -2.0]) + 0.03 * rng.standard_normal(3) + off
         reading = DopplerReading(0.0, seen, nothing, np.full(3, 0.03), nothing)
-        aids.take("doppler", reading, start + 0.1 * k)
+        aiding.take("doppler", reading, start + 0.1 * k)
 
 
 @pytest.mark.parametrize("beam", [0, 1, 2])
 @pytest.mark.parametrize("off", [0.1, -0.1, 2.0])
-def test_a_beam_that_lies_alone_is_shut_off(beam, off):
-    state, aids, events = made()
-    fly_beams(aids, state, np.zeros(3))
+def test_single_faulty_beam_is_excluded(beam, off):
+    state, aiding, events = made()
+    fly_beams(aiding, state, np.zeros(3))
     before = state.covariance[3:6, 3:6].copy()
     lie = np.zeros(3)
     lie[beam] = off
-    fly_beams(aids, state, lie, start=8.0, seed=4)
+    fly_beams(aiding, state, lie, start=8.0, seed=4)
     assert [(e.name, e.details["measurement"]) for e in events] == [
         ("shut-off", f"speed of beam {beam + 1}")
     ]
-    assert not aids.lost
+    assert not aiding.lost
     after = state.covariance[3:6, 3:6]
     assert (np.diag(after) >= 0.99 * np.diag(before)).all()
     assert np.diag(after).max() > 2.0 * np.diag(before).max()
     error = state.inertial.velocity - [3.0, 0.0, -2.0]
     assert error @ np.linalg.solve(after, error) < 16.0
-    # Whatever it says from now on.
+    # Later readings of this beam have no influence.
     told = state.inertial.velocity.copy()
     reading = np.full(3, np.nan)
     reading[beam] = 1.0
     nothing = np.full(3, np.nan)
-    aids.take("doppler", DopplerReading(0.0, reading, nothing, np.full(3, 0.03), nothing), 16.1)
+    aiding.take("doppler", DopplerReading(0.0, reading, nothing, np.full(3, 0.03), nothing), 16.1)
     assert np.array_equal(state.inertial.velocity, told)
 
 
@@ -201,95 +207,95 @@ def test_a_beam_that_lies_alone_is_shut_off(beam, off):
     "off", [(0.1, 0.1, 0.0), (0.1, 0.1, 0.1), (0.1, 0.0, np.nan), (2.0, 2.0, 2.0),
             (0.15, 0.08, 0.0)],
 )  # fmt: skip
-def test_beams_that_contradict_what_is_believed_together_or_too_few_are_lost(off):
-    state, aids, events = made()
-    fly_beams(aids, state, 0.0 * np.array(off))
-    fly_beams(aids, state, np.array(off), start=8.0, seed=4)
-    assert aids.lost
+def test_faults_in_all_or_too_few_beams_lose_navigation(off):
+    state, aiding, events = made()
+    fly_beams(aiding, state, 0.0 * np.array(off))
+    fly_beams(aiding, state, np.array(off), start=8.0, seed=4)
+    assert aiding.lost
     assert "shut-off" not in {e.name for e in events}
 
 
-def test_a_beam_that_comes_into_sight_and_contradicts_the_others_is_lost():
-    """Which of them lies nobody can tell: what is believed came from those that were there."""
-    state, aids, events = made()
-    fly_beams(aids, state, np.array([0.0, 0.0, np.nan]))
-    fly_beams(aids, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
-    assert aids.lost
+def test_new_contradicting_beam_loses_navigation():
+    """The faulty beam cannot be identified: the estimate comes from the others."""
+    state, aiding, events = made()
+    fly_beams(aiding, state, np.array([0.0, 0.0, np.nan]))
+    fly_beams(aiding, state, np.array([0.0, 0.0, 2.0]), start=8.0, seed=4)
+    assert aiding.lost
     assert "shut-off" not in {e.name for e in events}
 
 
-def test_a_second_beam_that_lies_is_lost():
-    state, aids, _ = made()
-    fly_beams(aids, state, np.zeros(3))
-    fly_beams(aids, state, np.array([0.1, 0.0, 0.0]), start=8.0, seed=4)
-    assert not aids.lost
-    fly_beams(aids, state, np.array([0.1, 1.0, 0.0]), start=16.0, seed=5)
-    assert aids.lost
+def test_second_faulty_beam_loses_navigation():
+    state, aiding, _ = made()
+    fly_beams(aiding, state, np.zeros(3))
+    fly_beams(aiding, state, np.array([0.1, 0.0, 0.0]), start=8.0, seed=4)
+    assert not aiding.lost
+    fly_beams(aiding, state, np.array([0.1, 1.0, 0.0]), start=16.0, seed=5)
+    assert aiding.lost
 
 
 @pytest.mark.parametrize("stated", [0.0, 0.1])
-def test_beams_that_are_all_off_do_not_pass_for_velocity(stated):
-    """Nobody told of it; what each may be off by is known no better than the filter allows."""
+def test_common_beam_bias_does_not_bias_velocity(stated):
+    """The biases are not specified; the filter assumes its minimum uncertainty."""
     instruments = INSTRUMENTS | {"doppler": FixedBeams(BEAMS, stated)}
-    state, aids, events = made(instruments=instruments)
+    state, aiding, events = made(instruments=instruments)
     truth, rng = state.inertial.velocity.copy(), np.random.default_rng(6)
     for k in range(300):
         seen = np.array(BEAMS) @ truth + 0.03 + 0.03 * rng.normal(size=3)
         reading = DopplerReading(
             0.1 * k, seen, np.full(3, np.nan), np.full(3, 0.03), np.full(3, np.nan)
         )
-        aids.take("doppler", reading, 0.1 * k)
+        aiding.take("doppler", reading, 0.1 * k)
     sigma = np.sqrt(np.diag(state.covariance)[3:6])
     assert not events
-    # Along body z all three tell the same: of 0.1 m/s at the start 0.02 / 0.8 / sqrt(3) is left.
+    # All three beams measure body z: the initial 0.1 m/s is reduced to 0.02 / 0.8 / sqrt(3).
     assert sigma[2] > (0.012 if stated == 0.0 else 0.05)
     assert (np.abs(state.inertial.velocity - truth) < 3.0 * sigma).all()
-    # What they are off by has wandered since, by no less than is thought likely.
+    # The biases have changed since by at least the minimum random walk.
     own = state.block("speeds of doppler")
     wandered = np.diag(state.covariance)[own] - 0.005**2 * 30.0
     assert (wandered < max(stated, 0.02) ** 2).all()
 
 
 @pytest.mark.parametrize(("beam", "far"), [(0, True), (2, True), (2, False)])
-def test_a_bias_that_beams_cannot_have_is_lost(beam, far):
-    state, aids, events = made()
+def test_impossible_beam_bias_loses_navigation(beam, far):
+    state, aiding, events = made()
     place = state.block("speeds of doppler").start + beam
     state.p[place, place] = 0.0
     change = np.zeros(state.size)
     change[place] = 0.121 if far else 0.119
     state.correct(change)
-    aids.doubt_units()
-    assert aids.lost == far
+    aiding.check_sensor_biases()
+    assert aiding.lost == far
     lost = [("lost", "doppler", "speeds")] if far else []
     assert [(e.name, e.details["sensor"], e.details["measurement"]) for e in events] == lost
 
 
 @pytest.mark.parametrize(("place", "name"), [(7, "accelerometers"), (14, "gyroscopes")])
-def test_a_bias_that_the_unit_cannot_have_is_lost(place, name):
-    state, aids, events = made()
+def test_impossible_inertial_bias_loses_navigation(place, name):
+    state, aiding, events = made()
     stated = state.inertial.bias_sigma[0 if place < 9 else 1]
     state.p[place, place] = 0.0
     change = np.zeros(15)
     change[place] = -5.9 * stated
     state.inertial.correct(change)
-    aids.doubt_units()
-    assert not aids.lost
+    aiding.check_sensor_biases()
+    assert not aiding.lost
     change[place] = -0.2 * stated
     state.inertial.correct(change)
-    # Not as long as it is no better known than that.
+    # Not while the uncertainty of the bias is larger.
     state.p[place, place] = stated**2
-    aids.doubt_units()
-    assert not aids.lost
+    aiding.check_sensor_biases()
+    assert not aiding.lost
     state.p[place, place] = 0.0
     for _ in range(3):
-        aids.doubt_units()
-    assert aids.lost
+        aiding.check_sensor_biases()
+    assert aiding.lost
     assert [(e.name, e.details["measurement"]) for e in events] == [("lost", name)]
 
 
-def test_a_bias_that_is_let_go_takes_no_tilt_along():
-    """It moved by itself: where it is found tells nothing of the tilt that it erred with."""
-    state, aids, events = made()
+def test_inflated_bias_does_not_correct_tilt():
+    """The bias itself changed: its new estimate must not correct the tilt."""
+    state, aiding, events = made()
     both = np.sqrt(state.covariance[6, 6] * state.covariance[10, 10])
     state.covariance[6, 10] = state.covariance[10, 6] = 0.95 * both
     for k in range(100):
@@ -298,7 +304,7 @@ def test_a_bias_that_is_let_go_takes_no_tilt_along():
         seen = seen + state.value("speeds of doppler")
         nothing = np.full(3, np.nan)
         reading = DopplerReading(0.0, seen, nothing, np.full(3, 0.03), nothing)
-        aids.take("doppler", reading, 0.1 * k)
+        aiding.take("doppler", reading, 0.1 * k)
         if events:
             break
     assert events[0].name == "drift"
@@ -310,28 +316,28 @@ def test_a_bias_that_is_let_go_takes_no_tilt_along():
 
 
 @pytest.mark.parametrize("kind", ["range", "speed", "attitude"])
-def test_a_reading_that_no_likely_error_explains_is_refused(kind):
-    state, aids, _ = made(relief=0.0)
+def test_implausible_reading_is_rejected(kind):
+    state, aiding, _ = made(relief=0.0)
     before, given = state.covariance.copy(), np.full(3, np.nan)
     if kind == "range":
-        aids.take("down", AltimeterReading(0.0, 140.0, 0.1), 0.0)
+        aiding.take("down", AltimeterReading(0.0, 140.0, 0.1), 0.0)
     elif kind == "speed":
         seen = np.array(BEAMS) @ (state.inertial.velocity + [0.5, 0.5, -2.0])
-        aids.take("doppler", DopplerReading(0.0, seen, given, np.full(3, 0.03), given), 0.0)
+        aiding.take("doppler", DopplerReading(0.0, seen, given, np.full(3, 0.03), given), 0.0)
     else:
         seen = quat_from_rotation_vector([0.01, 0.0, 0.0])
-        aids.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
-    refused = [watch.refused for watch in aids.watches.values() if watch.refused]
+        aiding.take("stars", AttitudeReading(0.0, seen, 4e-8 * np.eye(3)), 0.0)
+    refused = [watch.refused for watch in aiding.watches.values() if watch.refused]
     assert refused == [1] * (3 if kind == "speed" else 1)
-    # Where a beam meets the ground has moved, whatever it measured.
+    # The footprint of a beam has moved, independent of the measured range.
     keep = np.r_[0 : state.block("ground").stop]
     assert np.array_equal(state.covariance[np.ix_(keep, keep)], before[np.ix_(keep, keep)])
 
 
-def test_gates_refuse_alike_whatever_the_number_of_beams():
+def test_gate_has_equal_probability_for_any_beam_count():
     rng = np.random.default_rng(0)
     for degrees in (1, 3, 8):
-        refused = (rng.chisquare(degrees, 2_000_000) > gate_of(degrees)).mean()
+        refused = (rng.chisquare(degrees, 2_000_000) > innovation_gate(degrees)).mean()
         assert refused == pytest.approx(5e-5, rel=0.5)
 
 
@@ -343,35 +349,35 @@ def test_gates_refuse_alike_whatever_the_number_of_beams():
         ("stars", AttitudeReading(0.0, UPRIGHT, np.eye(2)), "attitude"),
     ],
 )
-def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measurement, field):
-    state, aids, _ = made()
+def test_readings_with_wrong_shape_are_rejected_without_change(sensor, measurement, field):
+    state, aiding, _ = made()
     p, x = state.covariance.copy(), state.inertial.velocity.copy()
     with pytest.raises(InputError, match=field):
-        aids.take(sensor, measurement, 0.0)
+        aiding.take(sensor, measurement, 0.0)
     assert np.array_equal(state.covariance, p)
     assert np.array_equal(state.inertial.velocity, x)
 
 
-def test_time_does_not_run_backwards_and_ground_is_a_number():
-    _, aids, _ = made()
-    aids.take("down", AltimeterReading(0.0, 100.0, 1.0), 5.0)
+def test_time_reversal_and_invalid_terrain_are_rejected():
+    _, aiding, _ = made()
+    aiding.take("down", AltimeterReading(0.0, 100.0, 1.0), 5.0)
     for time in (4.0, np.nan):
         with pytest.raises(InputError, match="time"):
-            aids.take("down", AltimeterReading(0.0, 100.0, 1.0), time)
+            aiding.take("down", AltimeterReading(0.0, 100.0, 1.0), time)
     for changes in ({"sigma": -1.0}, {"relief": np.nan}, {"elevation": np.inf}):
         with pytest.raises(InputError, match="ground"):
             LevelGround(**changes)
 
 
 @pytest.mark.parametrize("relief", [0.05, 0.2])
-def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
-    """Ranges along slanted beams from one place: the ground there is off by the same each time."""
-    state, aids, _ = made(relief=relief, sigma=0.5)
+def test_repeated_views_of_a_slope_do_not_bias_tilt(relief):
+    """Slant ranges from one position: the terrain error is the same in each reading."""
+    state, aiding, _ = made(relief=relief, sigma=0.5)
     state.covariance[9:12, 9:12] = 0.02**2 * np.eye(3)
     for k in range(300):
         noise = np.array([0.8, -0.6, 0.3]) * (-1.0) ** k
         given = np.full(3, np.nan)
-        aids.take("doppler", DopplerReading(
+        aiding.take("doppler", DopplerReading(
             0.1 * k, given, 125.0 + noise, given, np.full(3, 1.0)), 0.1 * k)  # fmt: skip
     # 75 m aside heights differ by so much, which turns the beams' triangle by as much as this.
     spread = relief * np.sqrt(10.0 * 75.0)
@@ -379,12 +385,12 @@ def test_a_slope_seen_again_and_again_does_not_pass_for_a_tilt(relief):
     expected = 1.0 / np.sqrt(0.02**-2 + by_ground**-2)
     found = np.sqrt(np.diag(state.covariance)[9])
     assert 0.6 * expected < found < 1.4 * expected
-    # Had each reading been a new one, the slope would have been averaged away.
+    # With independent terrain errors, the slope would have been averaged away.
     assert found > 4.0 / np.sqrt(0.02**-2 + 300.0 * by_ground**-2)
 
 
-def test_a_foot_that_moves_on_is_new_ground():
-    state, aids, _ = made(relief=0.2, sigma=0.5)
+def test_moved_footprint_is_new_terrain():
+    state, aiding, _ = made(relief=0.2, sigma=0.5)
     place = state.block("ground under slanted").start
 
     def spread() -> float:
@@ -393,86 +399,86 @@ def test_a_foot_that_moves_on_is_new_ground():
 
     full = 0.2**2 * 10.0 * 75.0
     for k in range(50):
-        aids.take("slanted", AltimeterReading(0.1 * k, 125.0, 0.1), 0.1 * k)
+        aiding.take("slanted", AltimeterReading(0.1 * k, 125.0, 0.1), 0.1 * k)
     known = spread()
     move = np.zeros(state.size)
     move[0] = 10.0
     state.inertial.correct(move[:15])
-    aids.take("slanted", AltimeterReading(5.0, 125.0, 1e3), 5.0)
+    aiding.take("slanted", AltimeterReading(5.0, 125.0, 1e3), 5.0)
     near = spread()
     move[0] = 700.0
     state.inertial.correct(move[:15])
-    aids.take("slanted", AltimeterReading(5.1, 125.0, 1e3), 5.1)
+    aiding.take("slanted", AltimeterReading(5.1, 125.0, 1e3), 5.1)
     far = spread()
     assert known < near < far
     assert far == pytest.approx(full, rel=0.1)
 
 
-def slanted(aids, time, sigma=1e3):
-    aids.take("slanted", AltimeterReading(time, 125.0, sigma), time)
+def slanted(aiding, time, sigma=1e3):
+    aiding.take("slanted", AltimeterReading(time, 125.0, sigma), time)
 
 
-def test_the_foot_of_the_last_reading_is_remembered_and_not_the_first():
-    state, aids, _ = made(relief=0.2, sigma=0.5)
+def test_last_footprint_is_stored():
+    state, aiding, _ = made(relief=0.2, sigma=0.5)
     place = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
 
     def spread():
         p = state.covariance[np.ix_(place, place)]
         return p[0, 0] + p[1, 1] - 2.0 * p[0, 1]
 
-    slanted(aids, 0.0)
+    slanted(aiding, 0.0)
     state.inertial.correct(np.r_[700.0, np.zeros(14)])
-    slanted(aids, 0.1)
+    slanted(aiding, 0.1)
     fresh = spread()
     for k in range(50):
-        slanted(aids, 0.2 + 0.1 * k, 0.1)
-    # The same ground once more: nothing new is met.
-    slanted(aids, 6.0, 1e6)
+        slanted(aiding, 0.2 + 0.1 * k, 0.1)
+    # The same terrain again gives no new information.
+    slanted(aiding, 6.0, 1e6)
     assert spread() < 0.3 * fresh
 
 
-def test_a_foot_seen_first_lies_as_high_as_the_ground_below():
-    state, aids, _ = made(relief=0.2)
+def test_first_footprint_has_height_below_lander():
+    state, aiding, _ = made(relief=0.2)
     error = np.zeros(state.size)
     error[state.block(GROUND)] = 4.0
     state.correct(error)
-    slanted(aids, 0.0, 1e6)
+    slanted(aiding, 0.0, 1e6)
     assert state.value("ground under slanted")[0] == pytest.approx(4.0, abs=1e-3)
 
 
-def test_a_beam_meets_the_ground_as_far_aside_as_the_site_lies_below():
-    """Ground and site stand 50 m higher than told, the lander 50 m above them."""
+def test_footprint_offset_uses_site_height():
+    """Terrain and site are 50 m higher than specified, the lander 50 m above them."""
     inertial = StrapdownState(np.array([0.0, 0.0, 100.0]), np.array([3.0, 0, -2]), UPRIGHT, 1.6)
     ground = LevelGround(0.0, 0.5, 0.2)
-    blocks = blocks_of(INSTRUMENTS, ground) | blank_block()
+    blocks = aiding_blocks(INSTRUMENTS, ground) | empty_map_block()
     state = ErrorState(inertial, StartSigmas(1.0, 0.1, 1e-3), blocks=blocks)
-    aids = Aids(state, INSTRUMENTS, ground, [])
+    aiding = AidingMeasurements(state, INSTRUMENTS, ground, [])
     error = np.zeros(state.size)
     error[state.block(MAP).start + 2] = 50.0
     state.correct(error)
-    slanted(aids, 0.0, 1e6)
+    slanted(aiding, 0.0, 1e6)
     at = np.array([state.block("ground under slanted").start, state.block(GROUND).start])
     p = state.covariance[np.ix_(at, at)]
     assert p[0, 0] + p[1, 1] - 2.0 * p[0, 1] == pytest.approx(0.2**2 * 10.0 * 37.5, rel=1e-3)
 
 
-def test_what_beams_are_off_by_wanders():
-    state, aids, _ = made()
+def test_beam_bias_is_a_random_walk():
+    state, aiding, _ = made()
     nothing = np.full(3, np.nan)
     place, grown = state.block("speeds of doppler"), []
     for time in (0.0, 100.0):
         reading = DopplerReading(time, nothing, nothing, nothing, nothing)
-        aids.take("doppler", reading, time)
+        aiding.take("doppler", reading, time)
         grown.append(np.diag(state.covariance)[place].copy())
     assert grown[1] - grown[0] == pytest.approx(100.0 * 0.005**2)
 
 
-def test_a_beam_shut_off_lets_go_of_the_accelerometers():
-    state, aids, events = made()
-    fly_beams(aids, state, np.zeros(3))
+def test_excluded_beam_inflates_accelerometer_bias():
+    state, aiding, events = made()
+    fly_beams(aiding, state, np.zeros(3))
     state.covariance[ACCELEROMETER, :] *= 1e-3
     state.covariance[:, ACCELEROMETER] *= 1e-3
-    fly_beams(aids, state, np.array([0.0, 2.0, 0.0]), start=8.0, seed=4)
+    fly_beams(aiding, state, np.array([0.0, 2.0, 0.0]), start=8.0, seed=4)
     assert [e.name for e in events] == ["shut-off"]
     stated = state.inertial.bias_sigma[0]
     assert (np.sqrt(np.diag(state.covariance)[ACCELEROMETER]) > 0.9 * stated).all()
