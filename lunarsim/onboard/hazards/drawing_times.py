@@ -1,4 +1,4 @@
-"""When a map is to be drawn anew: no oftener than its mapper is told to."""
+"""Limit on how often a map is recomputed."""
 
 from __future__ import annotations
 
@@ -8,39 +8,41 @@ from lunarsim.errors import InputError
 
 
 class DrawingTimes:
-    """Lets a map be drawn once an interval; where nobody tells the time, always.
+    """Limit the recomputation of a map to once per interval.
+
+    Without a known time, recomputation is always allowed.
 
     Parameters
     ----------
     interval
-        Least time between two drawings, s.
+        Minimum time between two recomputations, s.
 
     Raises
     ------
     InputError
-        If it is negative or not finite.
+        If `interval` is negative or not finite.
     """
 
     def __init__(self, interval: float) -> None:
         if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "0 or a positive number of seconds")
+            raise InputError("interval", interval, "must be 0 or more, in seconds")
         self._interval = interval
         self._time: float | None = None
         self._next = -np.inf
 
     def tell(self, time: float) -> None:
-        """Note the time (s)."""
+        """Set the current time (s)."""
         self._time = time
 
     @property
     def due(self) -> bool:
-        """Whether the map may be drawn now."""
+        """Whether the map may be recomputed now."""
         return self._time is None or self._time >= self._next - 1e-9
 
     def drawn(self) -> None:
-        """Note that it has been drawn."""
+        """Record that the map has been recomputed."""
         self._next = (self._time or 0.0) + self._interval
 
     def at_once(self) -> None:
-        """Let it be drawn again whatever the time."""
+        """Allow the next recomputation at any time."""
         self._next = -np.inf

@@ -1,4 +1,4 @@
-"""Ground that was mapped before the lander's tilt was known, and turns when it is learnt."""
+"""Terrain mapped before the tilt of the lander was known, which is rotated later."""
 
 from __future__ import annotations
 
@@ -11,26 +11,38 @@ Array = NDArray[np.float64]
 
 
 class EarlyGround:
-    """Tells which of what a mapper takes in is to turn with the tilt.
+    """Decide which measurements must be rotated when the tilt is corrected.
 
-    That is all from the first scan on, until one comes with a tilt known to `SURE_TILT`: scans
-    before agree with each other and err by one tilt, later ones lie where they are.
+    These are all measurements from the first scan until the first scan whose tilt is known to
+    `SURE_TILT`. They share one tilt error; later measurements are placed correctly.
     """
 
     def __init__(self) -> None:
         self._open = True
 
     def takes(self, tilt_sigma: float) -> bool:
-        """Tell whether what comes with a tilt known so well (rad) is to turn with those before."""
-        self._open = self._open and not tilt_sigma <= SURE_TILT  # NaN: not known
+        """Return whether a measurement with this tilt uncertainty must be rotated later.
+
+        Parameters
+        ----------
+        tilt_sigma
+            Standard deviation of the tilt, rad; NaN if unknown.
+        """
+        self._open = self._open and not tilt_sigma <= SURE_TILT  # NaN: unknown
         return self._open
 
     def known(self, tilt_sigma: float) -> bool:
-        """Tell whether what was turned stays where it is from now on."""
+        """Return whether the tilt is known, so that rotated measurements become final.
+
+        Parameters
+        ----------
+        tilt_sigma
+            Standard deviation of the tilt, rad; NaN if unknown.
+        """
         self._open = self._open and not tilt_sigma <= SURE_TILT
         return tilt_sigma <= SURE_TILT
 
 
 def turned_about(points: Array, turn: Array, pivot: Array) -> Array:
-    """Return points (..., 3) turned by (3, 3) about a pivot (3,)."""
+    """Return points (..., 3) rotated by a matrix (3, 3) about a pivot (3,)."""
     return np.asarray((points - pivot) @ turn.T + pivot)

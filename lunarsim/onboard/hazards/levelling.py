@@ -1,4 +1,4 @@
-"""Maps turned once the tilt with which they were drawn is known to have been wrong."""
+"""Rotation of maps that were built with a wrong tilt estimate."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from lunarsim.onboard.navigation.estimate import Navigation
 
 
 class Levelling:
-    """Keeps maps level with the ground as navigation has it.
+    """Rotate maps when navigation corrects the tilt with which they were built.
 
     Parameters
     ----------
     mappers
-        By name.
+        Mappers by name.
     navigation
-        Tells by what mapped ground has turned.
+        Estimates the rotation of the mapped terrain.
     """
 
     def __init__(self, mappers: Mapping[str, HazardMapper], navigation: Navigation) -> None:
@@ -26,7 +26,13 @@ class Levelling:
         self._levelled = np.eye(3)
 
     def follow(self, time: float, mass: float) -> None:
-        """Turn what was mapped; time (s) and mass (kg) are what an estimate is asked with."""
+        """Rotate the maps by the tilt correction since the last call.
+
+        Parameters
+        ----------
+        time, mass
+            Time (s) and mass (kg) passed to the navigation estimate.
+        """
         found = self._navigation.ground_turn
         if found is None:
             return
