@@ -1,4 +1,4 @@
-"""Gaussian digital elevation map: mean and variance of the elevation in every cell.
+"""Gaussian digital elevation map (DEM): mean and variance of each cell's height.
 
 Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
 """

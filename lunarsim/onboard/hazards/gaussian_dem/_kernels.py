@@ -9,9 +9,9 @@ from lunarsim._jit import kernel
 
 @kernel()
 def splat(points, base, x0, y0, p, rows, cols):
-    """Spread points (n, 3) over the four nearest cell centres: Eq. 1, accumulated.
+    """Spread points (n, 3) over the four nearest cell centres (Eq. 1).
 
-    Heights are taken above `base`. Returns the weighted heights and the weights (rows, cols).
+    Returns the sums of weighted heights above `base` and of weights (rows, cols).
     """
     height = np.zeros((rows, cols), np.float32)
     weight = np.zeros((rows, cols), np.float32)
@@ -19,7 +19,7 @@ def splat(points, base, x0, y0, p, rows, cols):
         u = (points[n, 0] - x0) / p
         v = (points[n, 1] - y0) / p
         z = points[n, 2] - base
-        # Written so that NaN fails.
+        # This form of the comparison rejects NaN.
         if not (u > -1.0 and v > -1.0 and u < cols and v < rows and np.isfinite(z)):
             continue
         j = int(np.floor(u))
@@ -39,7 +39,7 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 @kernel(shared=True, allocates=False)
 def measured_cells(share, height, weight, base, least, noise, prior, mean, variance, observed):
-    """Write mean, variance and observed: samples where they weigh enough, else the prior."""
+    """Write mean, variance and observed: the measurement if its weight suffices, else the prior."""
     rows, cols = height.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
@@ -55,7 +55,7 @@ def measured_cells(share, height, weight, base, least, noise, prior, mean, varia
 
 @kernel()
 def fill_holes(z):
-    """Fill NaN cells in place by the mean of their known neighbours, ring by ring."""
+    """Fill NaN cells in place with the mean of their known neighbours, repeatedly."""
     rows, cols = z.shape
     left = np.empty((rows * cols, 2), np.int64)
     count = 0
@@ -87,22 +87,24 @@ def fill_holes(z):
             else:
                 z[i, j] = value[n]
         if kept == count:
-            break  # nothing known at all
+            break  # no known cell at all
         count = kept
 
 
-_NEIGHBOURS = 2  # vertices further apart on the detector have a missing return between them
+_NEIGHBOURS = (
+    2  # vertices that are farther apart on the detector have a missing return between them
+)
 
 
-# A triangle with an edge this many times longer than the samples are apart spans an occlusion.
+# A triangle spans an occlusion if an edge exceeds the sample spacing by this factor.
 _GAP = 3.0
 
 
 @kernel(shared=True, allocates=False)
 def edges(share, points, triangles, row, col, spacing, longest, usable):
-    """Write the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+    """Write the longest edge of each triangle (m,), and which are usable (m,).
 
-    See `gaussian.triangle_edges`; `row` and `col` are the places of the points on their detector.
+    `row` and `col` are the detector positions of the points. See `gaussian.triangle_edges`.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         most = 0.0
@@ -123,7 +125,7 @@ def edges(share, points, triangles, row, col, spacing, longest, usable):
 
 @kernel(fast=True)
 def _decay(x):
-    """Return exp(-x); a polynomial good to 2e-11 for the small x of near neighbours."""
+    """Return exp(-x), by a polynomial with an error below 2e-11 for x < 0.1."""
     if x < 0.1:
         return 1.0 - x * (
             1.0
@@ -136,16 +138,16 @@ def _decay(x):
 
 @kernel(fast=True)
 def _correlation(x, y, u, v, per_length):
-    """Return the exponential kernel of Eq. 4 between two places, for a variance of 1."""
+    """Return the exponential kernel of Eq. 4 between two points, for unit variance."""
     return _decay(np.sqrt((x - u) * (x - u) + (y - v) * (y - v)) * per_length)
 
 
 @kernel()
 def _edge(points, u, v):
-    """Return start, direction and turn of the edge from u to v.
+    """Return start, direction and orientation of the edge from u to v.
 
-    Both triangles of an edge get the same start and direction, the lower index first, so that
-    rounding cannot give a cell two owners or none; see `_inside`.
+    Both triangles of an edge get the same start and direction, the lower index first. Rounding can
+    then not assign a cell to two triangles or to none.
     """
     first, last = min(u, v), max(u, v)
     x, y = points[first, 0], points[first, 1]
@@ -154,9 +156,10 @@ def _edge(points, u, v):
 
 @kernel()
 def _inside(edge, x, across):
-    """Tell whether a place is inside of an edge; `across` is its own part of the product.
+    """Return whether a point lies on the inner side of an edge.
 
-    A point on the edge belongs to the triangle that runs from the lower index.
+    `across` is the part of the cross product that depends on the y of the point only. A point on
+    the edge belongs to the triangle that traverses it from the lower index.
     """
     return (across - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
 
@@ -176,7 +179,7 @@ def _regress_triangle(
     j1 = min(int(np.floor((max(max(ax, bx), cx) - x0) / p)), cols - 1)
     if i0 > i1 or j0 > j1:
         return
-    # The Gram matrix and its inverse, symmetric.
+    # Gram matrix and its inverse, both symmetric.
     da = prior + noise[a]
     db = prior + noise[b]
     dc = prior + noise[c]
@@ -227,13 +230,20 @@ def regress(
     share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least,
     mean, variance, observed,
 ):  # fmt: skip
-    """Write mean and variance (Eqs. 4 to 6) of the cells without samples, triangle by triangle.
+    """Write mean and variance (Eqs. 4 to 6) of the unmeasured cells, per triangle.
 
-    `noise` (n,) is the variance of each point, `prior` (m,) that of the field in each triangle,
-    `length` (m,) its length scale.
-    The prior mean is the plane through the three vertices' mean with the gradient (m, 2) of each
-    triangle. Triangles (m,) that are not usable span an occlusion: they give a mean, the prior
-    variance, and leave `observed` False.
+    Parameters
+    ----------
+    noise
+        Variance of each point (n,), m^2.
+    prior, length
+        Variance (m,), m^2, and length scale (m,), m, of the random field in each triangle.
+    gradient
+        Slope of the prior mean in each triangle (m, 2). The prior mean is the plane through the
+        centroid of the vertices with this slope.
+    usable
+        False for triangles that span an occlusion (m,). They yield a mean and the prior variance,
+        and leave `observed` False.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         _regress_triangle(

@@ -1,4 +1,4 @@
-"""Compiled kernels of the pooled samples and of the roughness between them."""
+"""Compiled kernels of the pooled samples and of the terrain roughness between them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
     """Add points (n, 3) to the sums of `SamplePool`; return how many fell on the grid.
 
-    `own` (rows, cols) gets the weights of these points alone.
+    `own` (rows, cols) receives the bilinear weights of these points only.
     """
     x0, y0, p = frame
     rows, cols = least.shape
@@ -50,9 +50,10 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
 
 @kernel(shared=True, allocates=False)
 def triangle_growth(share, points, variance, triangles, gradient, out):
-    """Write what the edges of each triangle have grown, and twice their lengths (m, 2).
+    """Write the variogram increment and twice the edge length of triangles (m, 2).
 
-    The squared differences in height off the gradient (m, 2), less what noise adds to them.
+    The increment is the sum over the edges of the squared height difference relative to the
+    gradient (m, 2), minus the noise variance of both ends.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         grown = 0.0
@@ -71,10 +72,10 @@ def triangle_growth(share, points, variance, triangles, gradient, out):
 
 @kernel(shared=True, allocates=False)
 def measured_pool(share, splat, base, least, growth, square, sub, prior, mean, variance, observed):
-    """Write mean, variance and observed of the cells that were measured, else the prior's.
+    """Write mean, variance and observed: the measurement, or the prior without one.
 
-    `growth` (m) is that of squares of `square` cells; `sub` times it is what the ground differs
-    by between a single sample and the cell's centre, m^2; many lie about the centre.
+    `growth`, m, is the variogram growth in squares of `square` cells. `sub` times `growth` is the
+    variance between a single sample and the cell centre, m^2; it falls with the number of samples.
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):
@@ -93,11 +94,11 @@ def measured_pool(share, splat, base, least, growth, square, sub, prior, mean, v
 
 @kernel(shared=True, allocates=False)
 def add_kinks(share, mean, measured, noise, part, variance):
-    """Add to the variance of measured cells what the ground bends by there.
+    """Add the terrain curvature to the variance of measured cells.
 
-    On the edge of a rock a cell's samples lie above or below its centre. The bend is the second
-    difference of the mean, the greatest of four directions; what is not three times its noise is
-    none.
+    On the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
+    second difference of the mean, the maximum of four directions. It is ignored below three times
+    its noise.
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):
@@ -107,7 +108,7 @@ def add_kinks(share, mean, measured, noise, part, variance):
             most = 0.0
             for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 if i < di or i + di >= rows or j < abs(dj) or j + abs(dj) >= cols:
-                    continue  # along the edge of the map there is one direction left
+                    continue  # at the edge of the map only one direction exists
                 bend = 0.5 * (mean[i + di, j + dj] + mean[i - di, j - dj]) - mean[i, j]
                 if np.isfinite(bend):
                     most = max(most, bend * bend)

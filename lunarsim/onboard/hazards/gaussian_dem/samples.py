@@ -1,9 +1,9 @@
-"""All returns of a descent, thinned to the cells of a map.
+"""Returns of all scans of a descent, accumulated per map cell.
 
-Maps of single scans cannot be averaged as if their errors were independent: scans from one place
-look between the same points, so that their interpolation errors are the same. What is kept here
-are the samples themselves; the map is interpolated once, between all of them. Noise then averages
-where cells were measured again, and interpolation errors shrink only where new points fall.
+Maps of single scans must not be averaged as if their errors were independent: scans from one place
+sample the same points and share their interpolation errors. The pool therefore stores the samples,
+and the map is interpolated once between all of them. Noise averages out where a cell is measured
+again; interpolation errors shrink only where new points fall.
 """
 
 from __future__ import annotations
@@ -26,40 +26,40 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import (
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# No deviation or spacing of samples is longer, m.
+# Maximum standard deviation or spacing of samples, m.
 _LONGEST = 1e4
-# Ranges are not known better than this, whatever a sensor says.
+# Minimum standard deviation of a height, m, whatever the sensor states.
 _LEAST_SIGMA = 1e-4
-# Cells that two scans share for a height of one above the other to be told.
+# Minimum number of shared cells for the height offset between two scans.
 _FEWEST = 30
-# Standard deviation of normal values over their median absolute deviation, and of their median over
-# that of their mean.
+# Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
+# the standard errors of their median and mean.
 _MAD, _MEDIAN = 1.4826, 1.2533
 
 
 class SamplePool:
-    """Sums of the samples of each cell of a grid; memory does not grow with the scans.
+    """Sums over the samples in each cell of a grid; memory does not grow with scans.
 
     Parameters
     ----------
     grid
-        The cells.
+        Cells of the pool.
 
     Attributes
     ----------
     base
-        Height from which heights are counted, m; None before the first sample.
+        Reference of the heights, m; None before the first sample.
     centroid
-        Sums of precision, and of precision times east, north (from the cell's centre) and height
-        (above `base`), of the samples that fell into each cell (rows, cols, 4).
+        Sums of precision, and of precision times east, north (from the cell centre) and height
+        (above `base`), over the samples in each cell (rows, cols, 4).
     splat
-        Of the samples about each cell (rows, cols, 4): the greatest sum of bilinear weights (Eq. 1)
-        that one call of `add` gave it, and the sums of all weights over the variance, of height
-        times these, and of squared weights over the variance. A far corner that is hit again and
-        again does not make a cell measured.
+        Sums over the samples about each cell (rows, cols, 4): the maximum sum of bilinear weights
+        (Eq. 1) in one call of `add`, then the sums of weight over variance, of the same times
+        height, and of squared weight over variance. The maximum prevents that repeated hits of a
+        far corner make a cell count as measured.
     spacing
-        Least distance of neighbouring samples, as their scans had them (rows, cols), m; inf for
-        none.
+        Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
+        samples.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -71,26 +71,26 @@ class SamplePool:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the sums."""
+        """Memory of the sums, bytes."""
         return self.centroid.nbytes + self.splat.nbytes + self.spacing.nbytes
 
     def add(self, points: ArrayLike, sigma: ArrayLike, spacing: ArrayLike) -> int:
-        """Take in samples; return how many fell on the grid.
+        """Add samples and return how many fell on the grid.
 
         Parameters
         ----------
         points
-            East, north, up (n, 3), m; rows with NaN are left out.
+            East, north, up (n, 3), m; rows with NaN are ignored.
         sigma
-            Standard deviation of each height, one or (n,), m.
+            Standard deviation of each height, scalar or (n,), m.
         spacing
-            Distance to the neighbouring samples of its scan, one or (n,), m.
+            Distance of neighbouring samples in the scan, scalar or (n,), m.
 
         Raises
         ------
         InputError
-            If points are infinite or more than 8 km up or down, or a deviation or
-            spacing is not positive.
+            If points are infinite or beyond 8 km in height, or if a standard deviation or spacing
+            is not positive.
         """
         try:
             raw = plain(points)
@@ -113,20 +113,20 @@ class SamplePool:
             self.centroid, self.splat, own, self.spacing,
         )  # fmt: skip
         np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
-        # A cloud beside the grid leaves it as empty as it was.
+        # A cloud outside the grid leaves the pool empty.
         self.base = base if own.any() else self.base
         return int(count)
 
     def height_of(self, points: ArrayLike) -> tuple[float, float] | None:
-        """Return how high points stand above the samples of the same cells, and its deviation.
+        """Return the height offset of points from the samples in the same cells.
 
-        The median of the differences and its standard deviation, m; None where too few cells have
-        both. What stands in a cell, and where in it the points lie, differs either way.
+        The result is the median difference and its standard error, m; None if too few cells contain
+        both. The position of the points within a cell contributes differences of either sign.
 
         Parameters
         ----------
         points
-            East, north, up (n, 3), m; rows with NaN are left out.
+            East, north, up (n, 3), m; rows with NaN are ignored.
         """
         cloud = np.asarray(points, dtype=np.float64)
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
@@ -141,7 +141,7 @@ class SamplePool:
         return middle, _MEDIAN * spread / float(np.sqrt(len(off)))
 
     def raised(self, by: float) -> SamplePool:
-        """Return the same samples, all so much higher, m."""
+        """Return the same samples shifted up by a height, m."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + by
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
@@ -150,7 +150,7 @@ class SamplePool:
     def about(self, centre: ArrayLike) -> SamplePool:
         """Return the same samples on a grid about another point (2,) or (3,), m.
 
-        It moves by whole cells, and those that leave it are dropped; without samples, exactly.
+        The grid moves by whole cells and drops samples that leave it. An empty pool moves exactly.
         """
         g = self.grid
         if self.base is None:
@@ -161,9 +161,9 @@ class SamplePool:
         return SamplePool(g.about(centre)) if out.base is None else out
 
     def laid(self, grid: Grid) -> SamplePool:
-        """Return the same samples on a grid that lies some whole cells aside of this one.
+        """Return the same samples on a grid shifted by whole cells.
 
-        Those that leave it are dropped.
+        Samples that leave the grid are dropped.
         """
         out, g = SamplePool(grid), self.grid
         by = np.rint((np.asarray(grid.centre) - g.centre) / g.posting)
@@ -175,22 +175,27 @@ class SamplePool:
         return out
 
     def turned(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
-        """Return the samples turned by (3, 3) about a pivot (3,), m; those that leave are dropped.
+        """Return the samples rotated about a pivot, without those that leave the grid.
 
-        The mean point of a cell's samples is turned, which is exact but for samples that would come
-        to lie in another cell than their mean; what was splatted about a cell moves with the point
-        above its centre, by whole cells.
+        The mean point of each cell is rotated. This is exact except for samples that would move to
+        another cell than their mean. The splatted sums of a cell move by whole cells with the point
+        above its centre.
+
+        Parameters
+        ----------
+        turn, pivot
+            Rotation (3, 3) about a point (3,), m.
 
         Raises
         ------
         InputError
-            If it is no turn, or the pivot no point.
+            If `turn` is not a rotation or `pivot` is not a point.
         """
         r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
         if not (r.shape == (3, 3) and np.allclose(r @ r.T, np.eye(3), atol=1e-6)):
-            raise InputError("turn", turn, "a rotation matrix (3, 3)")
+            raise InputError("turn", turn, "must be a rotation matrix (3, 3)")
         if not (c.shape == (3,) and np.isfinite(c).all()):
-            raise InputError("pivot", pivot, "a finite point (3,)")
+            raise InputError("pivot", pivot, "must be a finite point (3,)")
         out = SamplePool(self.grid)
         if self.base is None:
             return out
@@ -219,7 +224,7 @@ class SamplePool:
         return out
 
     def with_those_of(self, other: SamplePool) -> SamplePool:
-        """Return these samples and those of another pool over the same grid."""
+        """Return the union of these samples and those of another pool on the same grid."""
         if other.base is None or self.base is None:
             return self if other.base is None else other
         out = SamplePool(self.grid)
@@ -234,7 +239,7 @@ class SamplePool:
         return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
-        """Return a point a cell (n, 3) with variance (n,), m^2, and spacing (n,)."""
+        """Return one point per cell (n, 3), m, its variance (n,), m^2, and spacing (n,), m."""
         rows, cols = np.nonzero(self.centroid[..., 0])
         total = self.centroid[rows, cols]
         mean = total[:, 1:] / total[:, :1]
@@ -244,14 +249,14 @@ class SamplePool:
 
 
 def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
-    """Return rows and columns of the points (n, 3) that lie on a grid, and which do (n,)."""
+    """Return rows and columns of the points (n, 3) on a grid, and which points lie on it (n,)."""
     keep = np.asarray(grid.contains(points[:, :2]))
     row, col = grid.cell(points[keep, :2])
     return (np.asarray(row), np.asarray(col)), keep
 
 
 def _overlap(count: int, by: int) -> tuple[slice, slice]:
-    """Return which of a number of cells, moved by some, lie on which of them before."""
+    """Return the slices of a shifted axis and of the original axis that overlap."""
     kept = max(count - abs(by), 0)
     return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
 
@@ -260,6 +265,6 @@ def _positive(name: str, values: Array) -> Array:
     out = np.ascontiguousarray(values, dtype=np.float64)
     wrong = ~((out > 0.0) & (out <= _LONGEST))
     if wrong.any():
-        told = f"positive lengths of at most {_LONGEST:g} m"
-        raise InputError(name, float(out[wrong][0]), told)
+        problem = f"must be positive and at most {_LONGEST:g} m"
+        raise InputError(name, float(out[wrong][0]), problem)
     return out
