@@ -222,7 +222,7 @@ class HazardMap:
 
 
 def _weighted(p: FloatMap, row: int, col: int, sigma: float) -> float:
-    """Return the Gaussian mean of p about a cell, with `sigma` in cells, cut at 3 sigma.
+    """Return the Gaussian mean of p about a cell; `sigma` in cells, cut at 3 sigma.
 
     Cells off the map count as 0.
     """

@@ -1,4 +1,4 @@
-"""One map of what several mappers know: their evidence is joined, not their probabilities."""
+"""Fusion of the evidence of several mappers into one hazard map."""
 
 from lunarsim.onboard.hazards.fusion.fuse import fused_map
 from lunarsim.onboard.hazards.fusion.mapper import FusedMapper, FusedMapping

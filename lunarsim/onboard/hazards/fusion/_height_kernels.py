@@ -1,4 +1,4 @@
-"""Compiled search of the samples about rocks."""
+"""Compiled search for the highest sample near rocks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from lunarsim._jit import kernel
 
 @kernel()
 def highest(rises, x0, y0, posting, xy, reach):
-    """Return the highest rise about each place (n,): 0 where no sample lies within its reach.
+    """Return the maximum residual height near points (n,); 0 without a sample.
 
-    `rises` (rows, cols) are of the samples of cells, NaN where there are none.
+    `rises` (rows, cols) holds the residual height of the sample of each cell, NaN without one.
     """
     rows, cols = rises.shape
     out = np.zeros(xy.shape[0])

@@ -1,12 +1,12 @@
-"""Rocks that one eye tracks, looked for in the elevations of another.
+"""Update of the existence of tracked rocks with elevations of another sensor.
 
-A hazardous rock raises the ground. Where elevations were measured densely about a rock that
-is tracked, and they show no rise of even half the lander's limit, either no rock stands there, or
-one too low to matter, or all samples missed it. The odds that a hazardous rock stands there are
-multiplied by the chance of the last. A rock that the elevations do show keeps its odds: what is
-seen twice is not seen better for that, and the elevations count it already.
+A hazardous rock raises the terrain. Suppose that elevations near a tracked rock were measured
+densely and show no rise of even half the roughness limit. Then either no rock stands there, or it
+is too low to matter, or all samples missed it. The odds that a hazardous rock stands there are
+multiplied by the probability of the last case. A rock that the elevations do show keeps its odds,
+because the elevations already count it.
 
-A rock is sought by its place relative to the lander: both maps lie in its local frame.
+Rocks are located by their position relative to the lander, since both maps use its local frame.
 """
 
 from __future__ import annotations
@@ -21,34 +21,35 @@ from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
 
 Array = NDArray[np.float64]
 
-# Both eyes miss a rock for one reason at least so often: flat on the far side, dark as the ground.
+# Minimum probability that both sensors miss a rock for a common reason, for instance because it is
+# flat on the far side and as dark as the terrain.
 COMMON = 0.05
-# A rise of this share of the lander's limit shows.
+# Height variation that counts as a visible rise, relative to the roughness limit.
 _SHOWS = 0.5
-# Share of the area of a half ellipsoid that stands above half its height.
+# Share of the area of a half ellipsoid that is above half its height.
 _TOP = 0.75
-# Rocks are sought so many deviations about their places, and cells.
+# Search radius about a rock beyond its own radius: standard deviations of its position, and cells.
 _WITHIN, _CELLS = 2.0, 1.0
-# Rocks are not taken to be smaller than that, m.
+# Minimum radius of a rock, m.
 _LEAST_RADIUS = 0.1
-# The ground about a rock is a mean over so many times the legs' radius.
+# Width of the window for the mean terrain about a rock, in leg radii.
 _ABOUT = 3.0
 
 
 def existence_given_relief(tracks: RockTracks, relief: ReliefEvidence, lander: Lander) -> Array:
-    """Return the probability that each rock is one that matters (n,), given the elevations.
+    """Return the probability that each track is a hazardous rock, given elevations.
 
-    Never more than it was; as it was where a rise shows, where not all ground about the rock was
-    measured, or where nothing is known of the samples.
+    The probability never increases. It is unchanged if a rise is visible, if the terrain about the
+    rock was not measured completely, or if the sampling is unknown.
 
     Parameters
     ----------
     tracks
-        The rocks.
+        Tracked rocks.
     relief
-        The elevations, and how densely they were measured.
+        Elevations and their sampling density.
     lander
-        Its limits.
+        Limits of the lander.
     """
     drawn = relief.surface
     if relief.judged is None or drawn.elevation is None or not len(tracks.radius):
@@ -73,7 +74,7 @@ def existence_given_relief(tracks: RockTracks, relief: ReliefEvidence, lander: L
 
 
 def _above_ground(z: Array, grid: Grid, lander: Lander) -> Array:
-    """Return how far elevations (rows, cols) stand above those about them; NaN where unknown, m."""
+    """Return heights above the mean of their surroundings (rows, cols), m; NaN where unknown."""
     width = 2 * round(0.5 * _ABOUT * lander.leg_radius / grid.posting) + 1
     known = np.isfinite(z)
     share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")
@@ -83,7 +84,7 @@ def _above_ground(z: Array, grid: Grid, lander: Lander) -> Array:
 
 
 def _disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
-    """Return rows and columns (k,) of the cells within a disc; None if it leaves the grid."""
+    """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid."""
     west, east, south, north = grid.extent
     if not (
         west <= xy[0] - radius

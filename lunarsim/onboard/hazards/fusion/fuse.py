@@ -1,18 +1,19 @@
-"""Evidence of an eye for the ground and of an eye for rocks, as one probability.
+"""Fusion of terrain evidence and rock evidence into one probability.
 
-p = pi x exp(-Lambda) x prod_i (1 - r_i q_i): the ground is fit to land on, no rock that nobody has
-seen stands there, and none of those that were. A calibrated map of elevations tells the first
-two in one, from features that rise with the expected number of unseen rocks. Of these, only
-so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so the same
-regression judges what is left. Rocks that are tracked are multiplied up, each with the
-odds that the elevations leave it (`existence_given_relief`).
+p = pi x exp(-Lambda) x prod_i (1 - r_i q_i). The factors are: the terrain is suitable for landing,
+no undetected rock is hazardous, and no tracked rock is hazardous. A calibrated map of elevations
+provides the first two together, from features that increase with the expected number of undetected
+rocks. The rock sensor reduces this number to the rocks that it also misses
+(`lunarsim.safety.thinning`), and the same regression evaluates the remainder. Tracked rocks are
+multiplied, each with the odds that remain after the elevations (`existence_given_relief`).
 
-Where the regression knows no frequency its bound says little, and the form itself counts instead if
-it is more (`level_ground`): both fall with worse evidence of either eye, and so does the greater of
-them.
+Outside the calibrated domain the bound of the regression is weak. There the formula itself is used
+if it is larger (`level_ground`). Both decrease with worse evidence of either sensor, and so does
+their maximum.
 
-So the map is nowhere less than that of the elevations where the other eye saw nothing; where no
-elevation was measured it is the other eye's, times what the map says of ground that was.
+Where the rock sensor has no observation, the fused probability is at least that of the elevation
+map. Where no elevation was measured, it is the probability of the rock map times a prior estimated
+from the measured terrain.
 """
 
 from __future__ import annotations
@@ -46,32 +47,33 @@ from lunarsim.safety.thinning import Thinning
 
 Array = NDArray[np.float64]
 
-# Of single precision, as sums over discs leave it.
+# Rounding of single precision in sums over discs.
 _ROUNDING = np.float32(1e-5)
 
 
 def fused_map(
     relief: ReliefEvidence | None, rocks: RockEvidence | None, terms: FusionTerms
 ) -> HazardMap:
-    """Return the map of two eyes, either of which may have seen nothing yet.
+    """Return the map of two sensors, of which either may have no evidence yet.
 
-    It lies on the cells of the elevations' map, if there is one.
+    If there are elevations, the map has their cells.
 
     Parameters
     ----------
     relief, rocks
-        Evidence of an eye for the ground and of an eye for rocks; None: none so far. At least one.
+        Evidence of a mapper of elevations and of a mapper of rocks; None without evidence. At least
+        one is required.
     terms
-        What is known beforehand.
+        Prior knowledge.
 
     Raises
     ------
     InputError
-        If there is no evidence at all.
+        If both are None.
     """
     if relief is None:
         if rocks is None:
-            raise InputError("fused_map", None, "evidence of at least one mapper")
+            raise InputError("fused_map", None, "must have evidence of at least one mapper")
         return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
     if rocks is None:
         return _of_relief(relief, terms)
@@ -89,11 +91,11 @@ def fused_map(
         level = within_ceiling(judged, untracked * clear)
         free_of_tracks = np.maximum(p, within_ceiling(judged, untracked))
     prior = prior_beside(free_of_tracks[seen], free_of_unseen[seen], ground.grid.posting, terms)
-    # What the eye for rocks has said nothing of is claimed as the elevations claim it.
+    # Where the rock sensor has no observation, the claim of the elevations remains valid.
     whole = ~thinning.touched & (clear == 1.0)
     surely_not = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
-    # Rocks are as high there as where both eyes have seen some.
+    # Rocks on unmeasured terrain have the height scale of the rocks seen by both sensors.
     unmeasured = np.float32(prior) * np.minimum(alone.p_safe, clear)
     elevation = ground.elevation
     if elevation is not None and alone.elevation is not None:
@@ -107,7 +109,7 @@ def fused_map(
 
 
 def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
-    """Return the map of an eye for the ground while the other says nothing."""
+    """Return the map of the elevations without rock evidence."""
     if relief.judged is None:
         return relief.drawn
     p, known = _of_elevations(relief, relief.judged)
@@ -117,11 +119,11 @@ def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
 
 
 def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:
-    """Return the probability that no tracked rock matters, and that none is missed (rows, cols).
+    """Return the probabilities of no hazardous tracked rock and of no missed rock.
 
-    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as
-    high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
-    gives them, and count by what rises the elevations show.
+    Both (rows, cols). With known samples, rocks are registered to the elevations (`registered`) and
+    get the height that both sensors support (`heights_of`). Otherwise they keep the outlines of the
+    rock sensor, and their existence depends on the rises in the elevations.
     """
     tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
     if relief.rises is None or relief.judged is None:
@@ -137,19 +139,20 @@ def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> t
 
 
 def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
-    """Return what an eye for rocks leaves of those that another has not seen, site by site.
+    """Return the ratio of rocks that remain undetected by the rock sensor, per site.
 
-    Two eyes may miss a rock for one reason: no look leaves less than `COMMON`. Off its map it has
-    seen nothing. What is left under a footprint is the mean over where a rock's middle may lie.
+    Both sensors may miss a rock for the same reason, so no observation reduces the ratio below
+    `COMMON`. Off the map of the rock sensor the ratio is 1. The ratio under a footprint is the mean
+    over the possible rock centres.
 
     Parameters
     ----------
     rocks
-        The evidence.
+        Evidence of the rock sensor.
     grid
-        The sites.
+        Sites.
     terms
-        What is known beforehand.
+        Prior knowledge.
     """
     lander = terms.lander
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
@@ -167,9 +170,9 @@ def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning
 
 
 def _thinned(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
-    """Return what elevations are judged by once unseen rocks are thinned out, its own if none is.
+    """Return the site evidence with undetected rocks reduced by the rock sensor.
 
-    None where they do not tell it.
+    The original if no rocks are reduced; None if the elevations provide no site evidence.
     """
     if relief.judged is None or not (thinning.touched & relief.surface.observed).any():
         return relief.judged
@@ -177,9 +180,10 @@ def _thinned(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
 
 
 def _of_elevations(relief: ReliefEvidence, judged: Evidence | None) -> tuple[FloatMap, BoolMap]:
-    """Return the elevations' probability (rows, cols), and where it is a frequency.
+    """Return the probability from elevations, and where it is a frequency.
 
-    By their own evidence that is their own map, bit for bit; it is asked for only then.
+    Both (rows, cols). With the original evidence it is the mapper's own map, bit for bit, which is
+    computed only then.
     """
     if judged is not None and judged is not relief.judged:
         return calibrated_safety(judged, refit=relief.refit)
@@ -189,9 +193,9 @@ def _of_elevations(relief: ReliefEvidence, judged: Evidence | None) -> tuple[Flo
 
 
 def _of_rocks(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
-    """Return the map of an eye for rocks on other cells, the ground as the mission expects it.
+    """Return the rock map on other cells, multiplied by a prior for the terrain.
 
-    Nowhere is it a frequency: how the ground lies was not measured.
+    It is nowhere a calibrated frequency, because the terrain was not measured.
     """
     drawn, own = rocks.drawn, rocks.drawn.grid
     seen = on_grid(drawn.observed, own, grid, False, "least")

@@ -1,16 +1,17 @@
-"""How many of the large rocks that a camera tracks are rocks.
+"""Precision of large rock tracks: the share of them that are rocks.
 
-Not only rocks throw shadows. Hollows do, in every picture the same: a track of one is as sure to
-exist as any, and reads as a large rock. Samples tell them apart, all tracks together: rocks they
-show so often, and any other place by chance. So of the tracks that are told to be too high for the
-lander a share s is taken for rocks, with
+Not only rocks cast shadows. Hollows do too, in the same way in every image: a track of a hollow has
+a high probability of existence and looks like a large rock. Samples of elevation distinguish them
+statistically, over all tracks together: the samples show a rise at a rock with a known probability,
+and at any other place with the false-alarm probability. Among the tracks that would be too high for
+the lander, the share s of rocks has the posterior
 
     L(s) = s^3 prod_i (s P(i shows, or not | rock) + (1 - s) P(the same | any place))
 
-For each track the product is over the others: what its own samples say of it counts by itself
-(`lunarsim.onboard.hazards.fusion.heights`). The mean of s over what is expected of it counts, if it
-is less than 1: where samples are too few to show a rock, tracks are as likely as the camera says.
-Tracks count as independent of each other.
+For each track the product is over the other tracks, because its own samples are used separately
+(`lunarsim.onboard.hazards.fusion.heights`). The mean of s relative to its prior mean is applied if
+it is less than 1. If samples are too sparse to show a rock, tracks thus keep their probability from
+the camera. Tracks are treated as independent.
 """
 
 from __future__ import annotations
@@ -22,23 +23,25 @@ from lunarsim.onboard.hazards.fusion.rises import Samples
 
 Array = NDArray[np.float64]
 
-# Shares that are tried. Before any sample four tracks in five are rocks, as if by five tracks.
+# Grid of shares, and its prior: mean 4/5 with the weight of five tracks.
 _SHARES = (np.arange(200) + 0.5) / 200.0
 _BEFORE = _SHARES ** (4.0 - 1.0)
 _EXPECTED = float(_BEFORE @ _SHARES / _BEFORE.sum())
 
 
 def genuine_share(xy: Array, height: Array, tells: NDArray[np.bool_], samples: Samples) -> Array:
-    """Return the share of rocks among the others of each track, over that expected, at most 1 (n,).
+    """Return the share of rocks among the other tracks over its prior mean (n,).
+
+    It is at most 1.
 
     Parameters
     ----------
     xy, height
-        Of the tracks (n, 2), local frame, m, and (n,), m.
+        Positions (n, 2), local frame, m, and heights (n,), m, of the tracks.
     tells
-        Which of them count (n,); off the map none does.
+        Which tracks are used (n,); tracks off the map are not.
     samples
-        About them.
+        Elevation samples.
     """
     grid = samples.grid
     tells = tells & np.asarray(grid.contains(xy))
@@ -47,7 +50,7 @@ def genuine_share(xy: Array, height: Array, tells: NDArray[np.bool_], samples: S
     row, col = grid.cell(xy[tells])
     rock = samples.showing(height[tells], samples.density[row, col])
     seen = samples.top[row, col] >= rock.least
-    # Over the chance that any place shows nothing, where nothing shows.
+    # Where nothing shows, both likelihoods are relative to that of no rise at any place.
     if_rock = np.where(seen, rock.hit, 1.0 - rock.shows)
     if_not = np.where(seen, rock.chance, 1.0)
     own = np.zeros((len(height), len(_SHARES)))

@@ -1,25 +1,26 @@
-"""How high the rocks stand that one eye tracks and another has sampled.
+"""Heights of rocks that one sensor tracks and another has sampled.
 
-A shadow tells the size of a rock up to its shape: half spheres that are read as cubes are given
-0.7 of their radius, all alike. Samples tell heights, and miss tops. So the scale, height over
-radius, is measured on rocks that both eyes have seen, and each rock's height follows from its own
-shadow.
+A shadow determines the size of a rock only up to its shape: hemispheres that are read as cubes get
+0.7 of their radius, all by the same factor. Samples of elevation measure heights, but miss the
+tops. The height scale, height over radius, is therefore measured on rocks that both sensors have
+observed. The height of each rock then follows from its own shadow.
 
-- **Scale.** A sample falls on a rock's top so and so often; of n samples on a half ellipsoid the
-  highest stands above ``sqrt(1 - log 2 / n)`` of its height in one case of two. The median over
-  the rocks of what that makes of height over radius is drawn to what is usual, as if by two rocks:
-  more than the mission expects, since shadows tell radii too small rather than too large. Samples
-  only ever fall short, and confused rises make it less, so it is taken to be no less than the
-  mission expects.
-- **Height.** Log-normal about scale times radius, by how well the radius is known and the scale.
-- **Samples that show nothing.** On a rock of height H with no sample above m they are
-  ``exp(-c (H^2 - m^2))`` likely, c their density times pi / (2 height_ratio)^2. The odds of a rock
-  that is too high are multiplied by the ratio of this likelihood if it is, to that if it is lower
-  or none, and by no less than `COMMON`. A rise as high as the limit leaves the odds as they are:
-  the elevations count it already. For a given scale and share the ratio rises with m and falls with
-  the density: fewer samples, or higher ones, never make a rock less likely.
-- **Tracks that are no rocks.** Those told to be higher than the limit are rocks by the share of
-  them that samples find to be some (`genuine_share`): hollows throw shadows too.
+- **Scale.** Of n random samples on a half ellipsoid, the highest has a median of ``sqrt(1 - log 2 /
+  n)`` of its height. The median over the rocks of the resulting height over radius is combined with
+  a prior of the weight of two rocks. The prior exceeds the expectation of the mission, since
+  shadows yield radii too small rather than too large. Samples only underestimate the height, and
+  false rises lower the scale, so the scale is at least the expectation of the mission.
+- **Height.** Log-normal about scale times radius; its spread follows from the uncertainties of
+  radius and scale.
+- **Samples without a rise.** For a rock of height H, the likelihood of no sample above m is
+  ``exp(-c (H^2 - m^2))``, with c the sample density times pi / (2 height_ratio)^2. The odds that a
+  rock is too high are multiplied by the ratio of this likelihood for rocks above the limit to that
+  for lower or absent rocks, and by no less than `COMMON`. A rise up to the limit leaves the odds
+  unchanged, because the elevations already count it. For a given scale and share the ratio
+  increases with m and decreases with the density: fewer or higher samples never make a rock less
+  likely.
+- **False tracks.** Tracks above the limit are rocks with the share that samples support
+  (`genuine_share`), because hollows cast shadows too.
 """
 
 from __future__ import annotations
@@ -41,40 +42,41 @@ from lunarsim.onboard.hazards.shadows.probability import cover_probability
 
 Array = NDArray[np.float64]
 
-# Samples belong to a rock within so many radii of it and so far, m, and as far as its place is
-# unknown, but no farther than that, m.
+# Samples belong to a rock within this many radii, plus this distance, m, plus the position
+# uncertainty up to this maximum, m.
 _RADII, _ASIDE, _FARTHEST = 1.4, 0.1, 0.3
-# Rocks tell the scale from so many samples on; each counts by this share of what is usual: so many
-# times what the mission expects, give or take this share, 1 sigma.
+# The scale is measured on rocks with at least this many samples, each with this weight. Prior of
+# the scale: this multiple of the expectation of the mission, with this relative 1 sigma.
 _LEAST_SAMPLES, _WORTH = 1.5, 0.5
 USUAL, _UNMEASURED = 1.2, 0.2
-# What no look averages out: spread of a height, as a share, and of a place, an axis, in radii.
+# Errors that do not average out: relative spread of a height, and of a position per axis in radii.
 _SPREAD, _PLACE = 0.12, 0.2
-# Spread of how far the part of a rock reaches that is too high, as a share and m.
+# Spread of the reach of the part of a rock that is too high: relative, and in m.
 _REACH_SPREAD, _LEAST_SPREAD = 0.15, 0.02
-# Heights that are tried, over the limit; rocks that are higher still are judged as the highest.
+# Heights relative to the limit; higher rocks count as the highest.
 _TRIED = np.geomspace(0.04, 16.0, 160)
-# No rock is taken to be smaller, m.
+# Minimum radius of a rock, m.
 LEAST_RADIUS = 0.05
 _DISTANCES = 65
-# A rock's reach ends where its probability is below this, and rarer rocks are left out.
+# Cutoff of a rock's reach in standard deviations, and probability below which a rock is ignored.
 _TAIL, _RARE = 3.9, 1e-4
-# Shapes that are narrower above; of others all of the outline may be too high.
+# Shapes that are narrower above; with others the complete outline may be too high.
 _ROUNDED = ("hemisphere", "ellipsoid")
 
 
 @dataclass(frozen=True)
 class Heights:
-    """What two eyes make of rocks.
+    """Height scale and hazard of rocks from two sensors.
 
     Attributes
     ----------
     scale
-        Height over radius as the first eye tells it.
+        Height over the radius from the first sensor.
     hazard
-        Probability that each is a rock, and higher than the lander's limit (n,).
+        Probability that each track is a rock higher than the limit of the lander (n,).
     reach
-        How far the part that is too high reaches from the rock's middle, if so (n,), m.
+        Distance to which the part above the limit reaches from the rock centre, given a hazard
+        (n,), m.
     """
 
     scale: float
@@ -85,18 +87,18 @@ class Heights:
 def heights_of(
     tracks: RockTracks, samples: Samples, lander: Lander, shape: str = "hemisphere"
 ) -> Heights:
-    """Return what the rocks are, given the samples about them.
+    """Estimate heights and hazard of tracked rocks from the samples about them.
 
     Parameters
     ----------
     tracks
-        The rocks.
+        Tracked rocks.
     samples
-        About them.
+        Elevation samples.
     lander
-        Its limits.
+        Limits of the lander.
     shape
-        Of the rocks that the mission expects.
+        Shape of the rocks expected by the mission.
     """
     height_ratio = samples.height_ratio
     radius = np.maximum(tracks.radius, LEAST_RADIUS)
@@ -132,23 +134,23 @@ def heights_of(
 def height_scale(
     radius: Array, existence: Array, top: Array, density: Array, height_ratio: float
 ) -> tuple[float, float]:
-    """Return height over radius, from rocks on which enough samples fell, and what it errs by.
+    """Estimate height over radius from sufficiently sampled rocks.
 
     Parameters
     ----------
     radius, existence
-        Of the rocks (n,), m.
+        Radius (n,), m, and probability of existence (n,) of the rocks.
     top
-        Highest rise of a sample about each (n,), m.
+        Maximum residual height near each rock (n,), m.
     density
-        Samples on a square metre about each (n,).
+        Samples per square metre near each rock (n,).
     height_ratio
-        Height over diameter that the mission expects.
+        Height over diameter expected by the mission.
 
     Returns
     -------
     scale, sigma
-        The ratio, and its standard deviation as a share of it.
+        Height over radius, and its relative standard deviation.
     """
     samples = density * np.pi * radius**2
     told = 2.0 * height_ratio
@@ -163,14 +165,14 @@ def height_scale(
 
 
 def highest(tracks: RockTracks, rises: NDArray[np.float32], grid: Grid) -> Array:
-    """Return the highest rise of a sample about each rock (n,), m; 0 where there is none.
+    """Return the maximum residual height near each rock (n,), m; 0 without a sample.
 
     Parameters
     ----------
     tracks
-        The rocks.
+        Tracked rocks.
     rises, grid
-        As for `Samples`.
+        Residual heights (rows, cols), m, and their cells, as in `Samples`.
     """
     reach = _RADII * tracks.radius + np.minimum(tracks.sigma, _FARTHEST) + _ASIDE
     found: Array = kernels.highest(
@@ -180,18 +182,19 @@ def highest(tracks: RockTracks, rises: NDArray[np.float32], grid: Grid) -> Array
 
 
 def clear_of(tracks: RockTracks, heights: Heights, grid: Grid, lander: Lander) -> Array:
-    """Return the probability that no rock that is too high stands under the lander (rows, cols).
+    """Return the probability that no rock above the limit is under the lander.
 
-    Its body and legs lie within the circle of the legs' middles, at any heading.
+    The result has shape (rows, cols). Body and legs lie within the circle through the leg centres
+    at any heading.
 
     Parameters
     ----------
     tracks, heights
-        The rocks.
+        Tracked rocks and their height estimates.
     grid
-        The sites.
+        Sites.
     lander
-        Its geometry.
+        Geometry of the lander.
     """
     clear = np.ones(grid.shape)
     at = np.flatnonzero(heights.hazard > _RARE)
@@ -210,12 +213,12 @@ def clear_of(tracks: RockTracks, heights: Heights, grid: Grid, lander: Lander) -
 
 
 def _wide(height: Array, limit: float) -> Array:
-    """Return twice the height ratio times the radius at which half ellipsoids are so high."""
+    """Return the radius at which half ellipsoids exceed the limit, times twice the height ratio."""
     return np.asarray(np.sqrt(np.maximum(height**2 - limit**2, 0.0)))
 
 
 def _at(layer: Array, grid: Grid, xy: Array) -> Array:
-    """Return a layer (rows, cols) at points (n, 2); 0 off it."""
+    """Return a layer (rows, cols) at points (n, 2); 0 off the grid."""
     row, col = grid.cell(xy)
     found = layer[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
     return np.asarray(np.where(grid.contains(xy), found, 0.0), np.float64)

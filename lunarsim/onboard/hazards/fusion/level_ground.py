@@ -1,29 +1,30 @@
-"""Ground that was measured to be level, on which few unseen rocks and none of those seen can stand.
+"""Probability of a safe landing on measured flat terrain, from a formula.
 
-A calibrated map of elevations bounds what it knows no frequency of by the worst that a footprint
-may hold, and that hardly orders the sites: on cratered ground those of a few per million and of
-one half are safe alike. So the form itself counts too, where it gives more:
+Outside its calibrated domain a map of elevations is bounded by the worst that a footprint may
+contain. This bound hardly ranks the sites: on cratered terrain, sites with probabilities of a few
+per million and of one half are equally safe. The following formula is therefore used where it is
+larger:
 
     p = prior x level x exp(-Lambda) x P(no tracked rock reaches in)
 
-`level` falls from 1 where slope and roughness, as measured, are well within the limits to 0 at
-either limit. Lambda are the rocks under the lander that are too high and that nobody has seen, by
-the less of two bounds:
+`level` falls from 1, where measured slope and roughness are well within the limits, to 0 at either
+limit. Lambda is the expected number of undetected hazardous rocks under the lander, the smaller of
+two bounds:
 
-- what samples let expect, of which an eye for rocks leaves fewer or more, ten times over: the share
-  of samples that stand high is little known where they are few;
-- where an eye for rocks has looked, those that it misses of what the mission expects.
+- ten times the number expected from the samples, after thinning by the rock sensor: with few
+  samples the share of high samples is poorly known;
+- where the rock sensor has observed, the rocks that it misses of those expected by the mission.
 
-The prior is less than surely safe, and no frequency is claimed. It is never more than what was seen
-allows (`ceiling`), and 0 for samples noisier, or farther apart, than any that maps were tried on.
-p falls with each of its factors, and holds wherever either eye has looked: where one has and the
-other has not, sites are still told by one measure. What it does not ask for are rocks and holes
-that are lower than the limit of roughness, but would tilt the lander on a slope: the regression
+The prior is below the threshold for claimed safety, and the result is not a calibrated frequency.
+It never exceeds the limit set by the measurements (`ceiling`), and it is 0 for samples noisier or
+sparser than those of the calibration. p decreases with each of its factors, and applies wherever
+either sensor has observed, so that all sites are compared by the same measure. The formula ignores
+rocks and holes below the roughness limit that would tilt the lander on a slope; the regression
 counts them.
 
-An eye that finds far fewer rocks than it should is not believed (`lunarsim.onboard.hazards.
-shadows.plausible`), unless that is because it reads them too small: here they count by the scale
-that the samples tell.
+A rock sensor that finds far fewer rocks than expected is rejected
+(`lunarsim.onboard.hazards.shadows.plausible`), unless it underestimates their size: here rocks are
+counted with the height scale from the samples.
 """
 
 from __future__ import annotations
@@ -40,25 +41,25 @@ from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
 
 Array = NDArray[np.float64]
 
-# Slope and roughness are well within their limits up to these shares of them short of 1.
+# Slope and roughness count as well within the limits up to 1 minus these shares.
 _SLOPE, _ROUGHNESS = 0.2, 0.7
-# As many unseen rocks may be there as samples let expect, times this.
+# Factor on the number of undetected rocks expected from the samples.
 _MISCOUNTED = 10.0
 
 
 def level_ground(judged: Evidence, prior: float, free_of_unseen: Array) -> Array:
-    """Return the probability of safe ground but for tracked rocks (rows, cols).
+    """Return the probability of safe terrain, ignoring tracked rocks (rows, cols).
 
-    Of what was not measured it means nothing, see `within_ceiling`.
+    It is meaningless where nothing was measured; see `within_ceiling`.
 
     Parameters
     ----------
     judged
-        What was measured, with what an eye for rocks leaves of those that were not.
+        Site evidence from elevations, with undetected rocks thinned by the rock sensor.
     prior
-        Probability that slope and relief are within the limits, as the mission expects it.
+        Probability that slope and relief are within the limits, as expected by the mission.
     free_of_unseen
-        Probability that no rock stands there that nobody has seen, `none_unseen` (rows, cols).
+        Probability of no undetected rock, from `none_unseen` (rows, cols).
     """
     with np.errstate(invalid="ignore"):
         level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
@@ -67,26 +68,25 @@ def level_ground(judged: Evidence, prior: float, free_of_unseen: Array) -> Array
 
 
 def within_ceiling(judged: Evidence, p: Array) -> NDArray[np.float32]:
-    """Return probabilities (rows, cols), never more than what was seen allows.
+    """Limit probabilities (rows, cols) to what the measurements permit.
 
-    0 where it was not measured, and where a figure of the evidence is no number.
+    The result is 0 where the terrain was not measured and where the evidence is not a number.
     """
     p = np.minimum(p, ceiling(judged))
     return np.where(judged.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
 
 def none_unseen(judged: Evidence, none_missed: Array | float = 0.0) -> Array:
-    """Return the probability that no rock stands there that nobody has seen (rows, cols).
+    """Return the probability of no undetected rock, regardless of the terrain.
 
-    However the ground lies. 0 for samples noisier, or farther apart, than any that maps were tried
-    on.
+    The result (rows, cols) is 0 for samples noisier or sparser than those of the calibration.
 
     Parameters
     ----------
     judged
-        As for `level_ground`.
+        Site evidence, as in `level_ground`.
     none_missed
-        See `none_missed_by` (rows, cols).
+        Result of `none_missed_by` (rows, cols).
     """
     if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
         return np.zeros(judged.level.grid.shape)
@@ -96,20 +96,21 @@ def none_unseen(judged: Evidence, none_missed: Array | float = 0.0) -> Array:
 def none_missed_by(
     rocks: RockEvidence, placed: RockTracks, heights: Heights, grid: Grid, limit: float
 ) -> Array:
-    """Return the probability that an eye for rocks misses none that reaches in (rows, cols).
+    """Return the probability that the rock sensor misses no rock under the lander.
 
-    0 where it has not looked, does not tell, or is not believed.
+    The result (rows, cols) is 0 where the sensor has no observation, does not provide the
+    probability, or is rejected.
 
     Parameters
     ----------
     rocks
-        Its evidence.
+        Evidence of the rock sensor.
     placed, heights
-        Its rocks, as both eyes have them.
+        Its tracks after registration, and their height estimates.
     grid
-        The sites.
+        Sites.
     limit
-        Height from which on a rock matters, m.
+        Height above which a rock is hazardous, m.
     """
     if rocks.unseen is None or not believed(rocks, placed, heights, limit):
         return np.zeros(grid.shape)
@@ -120,9 +121,16 @@ def none_missed_by(
 
 
 def believed(rocks: RockEvidence, placed: RockTracks, heights: Heights, limit: float) -> bool:
-    """Return whether an eye for rocks finds as many as it should, by their heights.
+    """Return whether the rock sensor finds a plausible number of rocks.
 
-    Parameters are those of `none_missed_by`.
+    Parameters
+    ----------
+    rocks
+        Evidence of the rock sensor.
+    placed, heights
+        Its tracks after registration, and their height estimates.
+    limit
+        Height above which a rock is hazardous, m.
     """
     domain = rocks.drawn.in_domain
     if domain is None or domain.any():

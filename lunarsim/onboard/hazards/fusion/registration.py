@@ -1,12 +1,13 @@
-"""Where the rocks of one eye lie in the elevations of another.
+"""Registration of tracked rocks to elevations of another sensor.
 
-From far a camera's rocks are all off by one and the same: a mrad of its direction is 1.5 m of
-ground from 1500 m. Each of them is known no better than that, though they lie within decimetres of
-their places among each other. So the one shift is sought at which rises are where the rocks are.
-With h the probability that samples show a rock, and f that any place looks like one
-(`lunarsim.onboard.hazards.fusion.rises`), a rock with a rise speaks for a shift by
-``log((h + (1 - h) f) / f)``, one without against it by ``log(1 - h)``. With the shift's own spread
-that gives its mean and its covariance: where the elevations tell nothing, both are what they were.
+At long range all rocks of a camera share one position error: 1 mrad of pointing is 1.5 m on the
+terrain from 1500 m. Relative to each other the rocks are placed to decimetres. The module estimates
+the common shift that moves the rocks to rises in the elevations. Let h be the probability that
+samples show a rock, and f the probability that any place looks like one
+(`lunarsim.onboard.hazards.fusion.rises`). A rock with a rise contributes ``log((h + (1 - h) f) /
+f)`` to the log likelihood of a shift, one without contributes ``log(1 - h)``. With the prior of the
+shift this yields its mean and covariance. If the elevations are not informative, both equal the
+prior.
 """
 
 from __future__ import annotations
@@ -22,26 +23,26 @@ from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
 
-# Shifts are tried to so many deviations, but not beyond, m.
+# Search range of the shift in prior standard deviations, and its maximum, m.
 _DEVIATIONS, _FARTHEST = 3.0, 4.0
-# A shift is no better known than that, nor is a rock among the others, m.
+# Minimum standard deviation of a shift, and of a rock relative to the others, m.
 _LEAST, _APART = 0.1, 0.15
-# Fewer rocks tell no shift.
+# Minimum number of rocks for an estimate.
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
 class Shift:
-    """By how much rocks are to be moved.
+    """Estimated common position error of rocks.
 
     Attributes
     ----------
     by
-        East and north (2,), m.
+        Correction to the east and north (2,), m.
     sigma
-        How well it is known, an axis, m.
+        Its standard deviation after the estimate, m, per axis.
     common
-        How well it was known before, m.
+        Its standard deviation before the estimate, m, per axis.
     """
 
     by: Array
@@ -50,14 +51,14 @@ class Shift:
 
 
 def registered(tracks: RockTracks, samples: Samples, scale: float) -> RockTracks:
-    """Return rocks where the elevations have them; with too few as they were.
+    """Return the rocks moved to the elevations; unchanged if there are too few.
 
     Parameters
     ----------
     tracks
-        The rocks.
+        Tracked rocks.
     samples
-        About them.
+        Elevation samples.
     scale
         Height of the rocks over their radius.
     """
@@ -70,9 +71,16 @@ def registered(tracks: RockTracks, samples: Samples, scale: float) -> RockTracks
 
 
 def shift_of(tracks: RockTracks, samples: Samples, scale: float) -> Shift | None:
-    """Return by how much the rocks are off; None with too few of them on the map.
+    """Estimate the common shift of the rocks; None if there are too few on the map.
 
-    Parameters are those of `registered`.
+    Parameters
+    ----------
+    tracks
+        Tracked rocks.
+    samples
+        Elevation samples.
+    scale
+        Height of the rocks over their radius.
     """
     grid = samples.grid
     inside = np.asarray(grid.contains(tracks.xy)) & (tracks.existence > 0.5)
@@ -86,7 +94,7 @@ def shift_of(tracks: RockTracks, samples: Samples, scale: float) -> Shift | None
     steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
     far = grid.posting * steps
     log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
-    # Beyond the edge lies what lies at it.
+    # Cells beyond the edge of the map take the value at the edge.
     wide = np.pad(samples.top, len(steps) // 2, mode="edge")
     for r, c, h, yes, no in zip(row, col, rock.least, hit, miss, strict=True):
         near = wide[r : r + len(steps), c : c + len(steps)]
@@ -102,6 +110,6 @@ def shift_of(tracks: RockTracks, samples: Samples, scale: float) -> Shift | None
 
 
 def _steps(far: float, posting: float) -> NDArray[np.int64]:
-    """Return whole cells up to a distance both ways (n,)."""
+    """Return the whole numbers of cells up to a distance in both directions (n,)."""
     most = round(far / posting)
     return np.arange(-most, most + 1)

@@ -1,4 +1,4 @@
-"""Layers of one map on the cells of another: where in doubt, the worst nearby."""
+"""Conservative resampling of map layers to another grid."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ def on_grid(
 ) -> NDArray[Any]:
     """Return a layer (rows, cols) on the cells of another grid.
 
-    On the same grid it is returned as it is. Else a cell is given the worst of those within a cell
-    of its centre, be the cells those of either grid.
+    On the same grid the layer is returned unchanged. Otherwise each cell takes the worst value
+    within one cell of its centre, for the larger of both cell sizes.
 
     Parameters
     ----------
     layer, of
-        Values and their cells.
+        Values and their grid.
     to
-        The other cells.
+        Target grid.
     outside
         Value off the layer.
     worst
-        Which of several values is the worst.
+        Which extreme of several values is the worst.
     """
     if of == to:
         return layer
@@ -43,7 +43,7 @@ def on_grid(
 
 @lru_cache(maxsize=2)
 def _places(of: Grid, to: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return rows, columns of one grid under the cells of another, and which lie on it."""
+    """Return rows and columns of one grid at the cells of another, and which lie on it."""
     xy = to.centres()
     row, col = of.cell(xy)
     found = np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1), of.contains(xy)

@@ -1,7 +1,7 @@
-"""Samples about tracked rocks: what they show, and how often any other place looks like a rock.
+"""Detection and false-alarm probabilities of tracked rocks in elevation samples.
 
-A rock that so many samples have met shows a rise of half its height with one probability; by chance
-one lies there with that of any other place of the map.
+A rock that was hit by enough samples shows a residual height of half its own height with a known
+probability. By chance, any other place of the map shows one with the false-alarm probability.
 """
 
 from __future__ import annotations
@@ -17,28 +17,29 @@ from lunarsim.grid import Grid
 
 Array = NDArray[np.float64]
 
-# Samples of one cell are averaged, and neighbours share errors: so many of them count.
+# Share of samples that count as independent: samples of a cell are averaged, and neighbours share
+# errors.
 INDEPENDENT = 0.5
-# Rocks are compared with the highest rise so near, m, of half their height or more; a half
-# ellipsoid is that high over three quarters of its area.
+# A rock is compared with the maximum residual height within this distance, m, if it exceeds this
+# share of the rock height. A half ellipsoid is that high over this share of its area.
 _NEAR, _SHOWS, _TOP = 0.35, 0.5, 0.75
-# So many rocks are where they seem to be.
+# Probability that a rock is where its track is.
 _TRUE = 0.8
 _RAREST = 1e-3
 
 
 @dataclass(frozen=True)
 class Showing:
-    """What speaks for rocks, one by one.
+    """Detectability of individual rocks.
 
     Attributes
     ----------
     least
-        How high a rise has to be to show each (n,), m.
+        Minimum residual height that shows each rock (n,), m.
     shows
-        Probability that samples show each, if it is a rock (n,).
+        Probability that the samples show each, if it is a rock (n,).
     chance
-        Probability that they seem to at any place of the map (n,).
+        False-alarm probability of such a residual height at any place (n,).
     """
 
     least: Array
@@ -47,25 +48,25 @@ class Showing:
 
     @property
     def hit(self) -> Array:
-        """Probability of a rise as high at a rock, by itself or by chance (n,)."""
+        """Probability of a sufficient residual height at a rock, true or by chance (n,)."""
         return np.asarray(self.shows + (1.0 - self.shows) * self.chance)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """What elevations say of the places of rocks.
+    """Elevation samples at the places of rocks.
 
     Attributes
     ----------
     rises
-        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
-        where there are none.
+        Residual height of the sample of each cell above the local plane (rows, cols), m; NaN
+        without a sample.
     density
-        Samples on a square metre (rows, cols).
+        Samples per square metre (rows, cols).
     grid
         Cells of both.
     height_ratio
-        Height over diameter of the rocks that the mission expects.
+        Height over diameter of the rocks expected by the mission.
     """
 
     rises: NDArray[np.float32]
@@ -75,7 +76,7 @@ class Samples:
 
     @cached_property
     def top(self) -> NDArray[np.float32]:
-        """The highest rise about each cell (rows, cols), m; far below where there is none."""
+        """Maximum residual height near each cell (rows, cols), m; -1e6 without a sample."""
         half = max(round(_NEAR / self.grid.posting), 1)
         y, x = np.mgrid[-half : half + 1, -half : half + 1]
         near = np.hypot(x, y) * self.grid.posting <= _NEAR
@@ -87,14 +88,14 @@ class Samples:
         return np.sort(self.top, axis=None)
 
     def showing(self, height: Array, density: Array) -> Showing:
-        """Return how likely samples are to show rocks, and any other place to look like them.
+        """Return the detection and false-alarm probabilities of rocks.
 
         Parameters
         ----------
         height
-            Of the rocks (n,), m.
+            Heights of the rocks (n,), m.
         density
-            Samples on a square metre about each (n,).
+            Samples per square metre near each (n,).
         """
         least = _SHOWS * height
         chance = 1.0 - np.searchsorted(self._tops, least) / self.top.size

@@ -1,4 +1,4 @@
-"""Ground of which no elevation was measured, beside ground that was."""
+"""Prior for terrain without a measured elevation, estimated from measured terrain."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from lunarsim.safety.calibration import UNSURE
 
 Array = NDArray[np.float64]
 
-# Probabilities are averaged on log odds as if none were less.
+# Minimum probability in averages of log odds.
 _NEVER = 1e-12
 
 
 def prior_beside(
     free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
 ) -> float:
-    """Return the probability that ground that was not measured is fit, but for tracked rocks.
+    """Return the prior that unmeasured terrain is safe, ignoring tracked rocks.
 
-    It is as likely to be so as what was measured, by the same map and in the mean: were it told by
-    another measure, samples so sparse that all they fell on is left in doubt would send the lander
-    to where none fell. What the mission expects counts as one site more (sites whose footprints
-    overlap are not many) on log odds, so that it matters little beside many, and is never exceeded.
-    That site, too, is told by what the map can tell: where rocks may stand unseen on all that was
-    measured, so they may there, the more surely the more was measured.
+    The prior is the mean probability of the measured terrain in the same map. With any other
+    measure, samples so sparse that all measured terrain remains uncertain would direct the lander
+    to where no sample fell. The expectation of the mission is added on log odds as one more site
+    and is never exceeded. Sites with overlapping footprints do not count as several, so its weight
+    is small beside many sites. This additional site is also limited by what the map can measure: if
+    undetected rocks may stand on all measured terrain, they may stand on unmeasured terrain too.
+    This limit tightens with the number of measured sites.
 
     Parameters
     ----------
     free_of_tracks
-        The map's probability that what was measured is fit (n,), but for tracked rocks.
+        Probability that measured terrain is safe, ignoring tracked rocks (n,); NaN counts as 0.
     free_of_unseen
-        The part of it that no slope and no roughness enters (n,); NaN where it is not known, as in
-        the former, counts as 0.
+        Its factor that is independent of slope and roughness: no undetected rock (n,); NaN counts
+        as 0.
     posting
-        Of the cells, m.
+        Cell size, m.
     terms
-        What is known beforehand.
+        Prior knowledge.
     """
     lander, expected = terms.lander, terms.relief_prior
     number = len(free_of_tracks)

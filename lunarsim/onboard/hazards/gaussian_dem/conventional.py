@@ -41,12 +41,12 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     """
     cloud = np.ascontiguousarray(plain(points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError(f"points must have shape (n, 3): east, north, up, got {cloud.shape}")
+        raise ValueError("must have shape (n, 3): east, north, up")
     kept = finite_rows(cloud)
     if kept.all():
         return cloud
     if np.isinf(cloud).any():
-        raise ValueError("points must not contain infinities; use NaN for rays without a return")
+        raise ValueError("must not contain infinities; use NaN for rays without a return")
     return cloud[kept]
 
 
@@ -59,9 +59,9 @@ def plain(values: ArrayLike) -> NDArray[np.float64]:
         If the values are complex, text or logical.
     """
     if np.iscomplexobj(values):
-        raise ValueError("must be real numbers, got complex numbers")
+        raise ValueError("must be real numbers, not complex numbers")
     if np.asarray(values).dtype.kind not in "fiuO":
-        raise ValueError(f"must be real numbers, got values of type {np.asarray(values).dtype}")
+        raise ValueError(f"must be real numbers, not values of type {np.asarray(values).dtype}")
     if isinstance(values, np.ma.MaskedArray):
         return np.asarray(np.ma.filled(values.astype(np.float64), np.nan))
     return np.asarray(values, dtype=np.float64)
@@ -123,7 +123,8 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
     if abs(worst) > _FARTHEST:
         raise InputError(
             "points", worst,
-            f"heights must be within {_FARTHEST:.0f} m of the origin of the frame", "Use a local frame.",
+            f"heights must be within {_FARTHEST:.0f} m of the origin of the frame",
+            "Use a local frame.",
         )  # fmt: skip
 
 
