@@ -1,4 +1,4 @@
-"""Quadtree map and the selection of landing sites on it.
+"""Quadtree map of LiDAR points and selection of landing sites on it.
 
 Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Resolution
 SLAM-Refined Map".

@@ -1,7 +1,7 @@
 """Compiled search for hazards: points that leave the ground planes (Eqs. 3 to 5).
 
-A cell must be dense enough to be judged; exceptions are then told by squares a quarter of its side,
-so that the top of a boulder is no small share of the points that it is counted among.
+A cell needs a minimum point density to be evaluated. Exceptions are then counted in squares of a
+quarter of its side, so that the top of a boulder is a large share of the points in its square.
 """
 
 from __future__ import annotations
@@ -17,31 +17,20 @@ from lunarsim.onboard.hazards.quadtree._site_kernels import (
 )
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
-# Hazard cells divide into squares of 1 / 2^FINER of the side of the smallest.
+# Squares have 1 / 2^FINER of the side of the smallest hazard cells.
 FINER = 2
-# Points that a square must be expected to hold for none to mean that it was not seen, and how many
-# squares aside what lies there may tell that: no farther than the next of the smallest cells.
+# Minimum expected number of points for an empty square to count as unobserved, and distance in
+# squares up to which neighbours predict that number: up to the next of the smallest cells.
 EXPECTED = 12
 REACH = 1 << FINER
 
 
 @kernel()
 def _distances(tree, node, plane, wide, stack, off, square):
-    """Write the distances (n,) of a cell's points to a plane, and in which squares they lie (n,).
+    """Write the distances (n,) of a cell's points to a plane, and their squares (n,).
 
-    Points that stand apart are left out.
-
-    Parameters
-    ----------
-    plane
-        A point of it and its normal (6,).
-    wide
-        Squares along a side of the cell.
-
-    Returns
-    -------
-    n
-        Number of points.
+    Outliers in height are omitted. `plane` is a point and a normal (6,); `wide` is the number of
+    squares along a side of the cell. Returns the number of points.
     """
     x, y, z, a, b, c = plane
     reach = tree.half / (1 << tree.depth[node])
@@ -77,9 +66,9 @@ def _distances(tree, node, plane, wide, stack, off, square):
 
 @kernel()
 def _count_exceptions(off, square, middle, tolerance, ratio, relief):
-    """Write share of exceptions, and how far points reach, by the squares (w, w) of a cell.
+    """Write share of exceptions and maximum distance per square (w, w) of a cell.
 
-    Distances (n,) are told from a plane and from the one parallel to it at a distance of `middle`.
+    Distances (n,) are measured from a plane and from its parallel at distance `middle`.
     """
     wide = ratio.shape[0]
     number = np.zeros((wide, wide))
@@ -100,9 +89,10 @@ def _count_exceptions(off, square, middle, tolerance, ratio, relief):
 
 @kernel()
 def _number_in(tree, depth, row, col):
-    """Return how many points lie in a square of a depth (row and column from the south-west).
+    """Return the number of points in a square of a depth; 0 off the map.
 
-    A leaf larger than the square lends it its share. Nothing lies off the map.
+    Row and column are counted from the south-west. A leaf larger than the square contributes its
+    share.
     """
     wide = 1 << depth
     if not (0 <= row < wide and 0 <= col < wide):
@@ -116,9 +106,9 @@ def _number_in(tree, depth, row, col):
 
 @kernel()
 def _seen_towards(tree, depth, row, col, up, right):
-    """Return how many points lie in the next squares that way where some do; -1: none near.
+    """Return the points in the next occupied squares in a direction; -1 if none.
 
-    The greater number of two squares: half of the first may be hidden too.
+    The larger number of two squares, because half of the first may be hidden too.
     """
     for n in range(1, REACH + 1):
         number = _number_in(tree, depth, row + n * up, col + n * right)
@@ -130,11 +120,11 @@ def _seen_towards(tree, depth, row, col, up, right):
 
 @kernel()
 def _expected(tree, depth, row, col):
-    """Return how many points a square would hold, were it seen as what lies on two sides of it.
+    """Return the expected number of points in a square from its neighbours.
 
-    What a scan covers has no bays: where its beams lie close on either side they do in between.
-    Beside a scan, where only coarser ones came, they do not. Where nothing lies on the one side,
-    what lies on the other must do; where nothing lies on any, no scan came there.
+    The coverage of a scan has no concave edges: between two observed squares the density is the
+    same. Next to a scan, only coarser scans may have measured. With one occupied side, that side is
+    used; without any, no scan covers the square and the result is inf.
     """
     most = -1.0
     for up in range(2):
@@ -147,9 +137,9 @@ def _expected(tree, depth, row, col):
 
 @kernel()
 def _clear_gaps(tree, node, ratio, relief):
-    """Set squares (w, w) of a cell without a point to NaN where chance cannot have left them out.
+    """Set empty squares (w, w) of a cell to NaN if chance does not explain them.
 
-    What was not seen may be what hides behind a boulder, or beyond the edge of a scan.
+    An unobserved square may be hidden behind a boulder or lie beyond the edge of a scan.
     """
     wide = ratio.shape[0]
     depth = np.int64(tree.depth[node])
@@ -168,11 +158,12 @@ def _clear_gaps(tree, node, ratio, relief):
 
 @kernel()
 def _judge_cell(tree, node, plane, tolerance, ratio, relief):
-    """Write share of exceptions, and how far points reach, by the squares (w, w) of a cell.
+    """Write share of exceptions and maximum distance per square (w, w) of a cell.
 
-    A point is one if it is farther than `tolerance` from the mesh, or from the plane parallel to it
-    in whose middle the cell's points lie: the floor of a crater agrees with the one, a boulder in
-    a hollow with the other. The median is hardly higher for a boulder on less than half the cell.
+    A point is an exception if it is farther than `tolerance` from the mesh, or from the parallel
+    plane at the median of the points of the cell. The floor of a crater agrees with the latter, a
+    boulder in a hollow with the former. A boulder on less than half the cell hardly raises the
+    median.
     """
     stack = np.empty(STACK, np.int32)
     off, square = np.empty(tree.count[node]), np.empty(tree.count[node], np.int32)
@@ -188,13 +179,13 @@ def _judge_cell(tree, node, plane, tolerance, ratio, relief):
 
 @kernel(inline=True)
 def _same(a, b):
-    """Tell whether two numbers are equal, or both NaN."""
+    """Return whether two numbers are equal, or both NaN."""
     return a == b or (np.isnan(a) and np.isnan(b))
 
 
 @kernel()
 def _paint(ratio, relief, row0, col0, ratios, reliefs):
-    """Write the values of a cell's squares (w, w) into the rasters; tell whether one changed."""
+    """Write the squares (w, w) of a cell into the rasters; return whether one changed."""
     changed = False
     wide = ratio.shape[0]
     for row in range(wide):
@@ -209,22 +200,22 @@ def _paint(ratio, relief, row0, col0, ratios, reliefs):
 
 @kernel(parallel=True)
 def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
-    """Search cells for exceptions; write their squares into rasters over the whole map.
+    """Search cells for exceptions and write their squares into rasters of the map.
 
     Parameters
     ----------
     nodes
-        Cells (n,), no two over the same ground.
+        Cells (n,) that do not overlap.
     mesh
         Ground planes.
     tolerance
-        Farthest that a point may lie from its plane, m.
+        Distance from the plane above which a point is an exception, m.
     per_area
-        Least number of points on a square metre of each quarter of a cell.
+        Minimum number of points per square metre in each quarter of a cell.
     ratios, reliefs
-        Share of exceptions among a square's points, and how far one reaches at most from the middle
-        of its cell's points, exceptions from the mesh if that is farther, m; NaN where points are
-        too few or there is no plane.
+        Share of exceptions among the points of a square, and maximum distance of a point from the
+        median plane of its cell, or of an exception from the mesh if that is larger, m. NaN where
+        points are too few or there is no plane.
 
     Returns
     -------
@@ -233,7 +224,9 @@ def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
     """
     changed = np.zeros(nodes.size, np.bool_)
     for i in prange(nodes.size):
-        node = np.int64(nodes[i])  # one type for all that take a node: compiled once
+        node = np.int64(
+            nodes[i]
+        )  # one integer type for all node arguments, so that functions compile once
         normal = np.empty(3)
         wide = ratios.shape[0] >> tree.depth[node]
         ratio, relief = np.zeros((wide, wide)), np.zeros((wide, wide))
@@ -259,7 +252,7 @@ def clear(outlines, square, ratios, reliefs):
     Returns
     -------
     changed
-        Within which of them one was not (n,).
+        Which outlines contained a square that was not NaN (n,).
     """
     changed = np.zeros(outlines.shape[0], np.bool_)
     for i in range(outlines.shape[0]):

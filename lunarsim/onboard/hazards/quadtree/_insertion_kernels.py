@@ -1,6 +1,6 @@
 """Compiled insertion of sorted batches of points into a quadtree.
 
-Splitting a leaf cuts its runs and moves no point.
+Splitting a leaf divides its runs of points and moves no point.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from lunarsim._jit import kernel
 from lunarsim.onboard.hazards.quadtree._sum_kernels import MANY, add_to_many, settle
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
-DIGIT = 11  # bits a pass of the radix sort
+DIGIT = 11  # bits per pass of the radix sort
 
 
 @kernel(inline=True)
 def _spread(v):
-    """Put a zero bit between the 16 bits of v."""
+    """Insert a zero bit between the 16 bits of v."""
     v = (v | (v << 8)) & 0x00FF00FF
     v = (v | (v << 4)) & 0x0F0F0F0F
     v = (v | (v << 2)) & 0x33333333
@@ -25,13 +25,13 @@ def _spread(v):
 
 @kernel(inline=True)
 def _column_of(v, half, per_metre):
-    """Return the column (or row) of least cells that holds the coordinate v."""
+    """Return the column (or row) of smallest cells that contains the coordinate v."""
     return np.int64(np.floor((np.float64(v) + half) * per_metre))
 
 
 @kernel()
 def _order_of(key, bits):
-    """Return the order (n,) that sorts keys of so many bits (radix sort, stable)."""
+    """Return the order (n,) that sorts keys with a number of bits (radix sort, stable)."""
     n = key.size
     order = np.arange(n).astype(np.int32)
     spare = np.empty(n, np.int32)
@@ -54,15 +54,15 @@ def _order_of(key, bits):
 
 @kernel()
 def place(points, centre, half, depths, highest):
-    """Sort points (n, 3) along the Z-order curve of the least cells.
+    """Sort points (n, 3) along the Z-order curve of the smallest cells.
 
     Returns
     -------
     xyz, key
-        Of the points on the map (m, 3) and (m,), relative to its centre.
+        Points on the map (m, 3), relative to its centre, m, and their keys (m,).
     outside, missing, high
-        How many lie outside, how many are no numbers, and how many are on the map but farther than
-        `highest` from its elevation.
+        Number of points off the map, with NaN, and on the map but farther than `highest` from its
+        elevation.
     """
     n = points.shape[0]
     side = 1 << depths
@@ -110,7 +110,7 @@ def place(points, centre, half, depths, highest):
 
 @kernel()
 def _split(tree, node, used, version):
-    """Give a leaf four children and hand its runs down; return nodes, runs and sums used."""
+    """Split a leaf into four children and divide its runs; return nodes, runs and sums in use."""
     nodes, runs, slots = used
     first = nodes
     depth = tree.depth[node] + 1
@@ -166,13 +166,13 @@ def _split(tree, node, used, version):
 
 @kernel(inline=True)
 def _towards(tree, node, depth, key):
-    """Return the child of a node at `depth` whose cell holds a key."""
+    """Return the child of a node at `depth` whose cell contains a key."""
     return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
 
 
 @kernel(inline=True)
 def _leaf_of(tree, key):
-    """Return the leaf whose cell holds a key, and its depth."""
+    """Return the leaf whose cell contains a key, and its depth."""
     node = 0
     depth = 0
     while tree.child[node] >= 0:
@@ -183,7 +183,10 @@ def _leaf_of(tree, key):
 
 @kernel(inline=True)
 def _end_of_cell(key, i, shift):
-    """Return the first key after `i` outside its cell; keys are sorted, a cell is a prefix."""
+    """Return the first index after `i` whose key is outside the cell.
+
+    Keys are sorted, and a cell is a common prefix.
+    """
     prefix = key[i] >> shift
     j = i + 1
     while j < key.size and key[j] >> shift == prefix:
@@ -193,7 +196,7 @@ def _end_of_cell(key, i, shift):
 
 @kernel(inline=True)
 def _count_down_to(tree, leaf, key, more, version, touched, count):
-    """Count `more` points in a leaf and all above it; list those first touched by this batch."""
+    """Add `more` points to a leaf and its ancestors; list cells first touched by this batch."""
     node = 0
     depth = 0
     while True:
@@ -210,12 +213,13 @@ def _count_down_to(tree, leaf, key, more, version, touched, count):
 
 @kernel()
 def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
-    """Divide a leaf that has got a run if it must; bring the sums of least cells up to date.
+    """Split a leaf that got a run if needed, and update the sums of smallest cells.
 
     Returns
     -------
     used, count, found
-        Nodes, runs and sums in use, cells listed in `touched`, and `found`, perhaps enlarged.
+        Nodes, runs and sums in use, number of cells listed in `touched`, and `found`, possibly
+        enlarged.
     """
     nodes, runs, slots = used
     depths = tree.depths
@@ -227,7 +231,9 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
     top = 1
     while top > 0:
         top -= 1
-        m = np.int64(stack[top])  # one type for all that take a node: compiled once
+        m = np.int64(
+            stack[top]
+        )  # one integer type for all node arguments, so that functions compile once
         if tree.depth[m] == depths:
             if tree.count[m] >= MANY:
                 tree.slot[m] = slots
@@ -248,9 +254,9 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
 
 @kernel()
 def insert(tree, key, base, begin, used, split_count, version):
-    """Insert a sorted batch that lies in the pool from `base` on.
+    """Insert a sorted batch that is stored in the pool from index `base`.
 
-    Goes on from point `begin` of the batch until it is in or an array might be too small.
+    Continues at point `begin` of the batch until all are inserted or an array might be too small.
 
     Returns
     -------
@@ -266,7 +272,7 @@ def insert(tree, key, base, begin, used, split_count, version):
     while i < key.size:
         leaf, depth = _leaf_of(tree, key[i])
         j = _end_of_cell(key, i, 2 * (depths - depth))
-        # At each depth below at most total / split_count cells split; each cut run has a point.
+        # Per deeper level at most total / split_count cells split; each divided run has a point.
         total = tree.count[leaf] + (j - i)
         divided = (depths - depth) * (total // split_count)
         if (

@@ -1,10 +1,10 @@
-"""Compiled sums over the points of a quadtree's cells, and which points stand apart from them.
+"""Compiled sums over the points of quadtree cells, and outliers in height.
 
-Sums are kept for nodes with children and for least cells with many points; a leaf without them has
-few points to walk over. They leave out points that stand apart: a return off a bird or off nothing
-lies farther in height from all others of its cell than ground and rocks can, and one at 1000 m
-would lift the mean of hundreds. Which points these are depends on what the cell holds alone, not on
-the order in which it came.
+Sums are stored for nodes with children and for smallest cells with many points. Other leaves have
+few points, which are summed on demand. The sums exclude outliers: a spurious return or one from a
+bird is farther in height from all other points of its cell than terrain and rocks can be, and one
+at 1000 m would raise the mean of hundreds. The outliers depend only on the points of a cell, not on
+the order in which they came.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_room
 
-# Sums over a node's points about its centre: x, y, z, xx, xy, xz, yy, yz, zz; their number, and
-# their least and greatest z.
+# Sums over the points of a node relative to its centre: x, y, z, xx, xy, xz, yy, yz, zz; then their
+# number, and the minimum and maximum z.
 SUMS = 12
 NUMBER, LOWEST, HIGHEST = 9, 10, 11
-# Points from which a least cell has sums of its own.
+# Minimum number of points for a smallest cell to have sums of its own.
 MANY = 8
-# A point stands apart if no other of its cell lies within so much in height: m, and m a metre of
-# the cell's side. A cell of fewer points does not tell, nor one where more than a share does.
+# A point is an outlier if no other point of its cell is within this height: m, plus m per metre of
+# the cell side. A cell with fewer points, or with a larger share of outliers, has none.
 APART, APART_A_METRE = 0.3, 0.25
 FEWEST, MOST_APART = 5, 0.25
 
 
 @kernel(inline=True, inner=True)
 def add_point(s, x, y, z):
-    """Add a point, relative to the middle of sums, to them."""
+    """Add a point, relative to the centre of the sums."""
     s[0] += x
     s[1] += y
     s[2] += z
@@ -45,7 +45,7 @@ def add_point(s, x, y, z):
 
 @kernel(inline=True, inner=True)
 def empty_sums(s):
-    """Set sums to those of no point."""
+    """Set sums to those of no points."""
     for k in range(LOWEST):
         s[k] = 0.0
     s[LOWEST] = np.inf
@@ -54,7 +54,7 @@ def empty_sums(s):
 
 @kernel(inline=True, inner=True)
 def add_shifted(out, s, dx, dy):
-    """Add sums s to `out`, about a point that lies (-dx, -dy) from theirs."""
+    """Add sums s to `out`, whose centre is at (-dx, -dy) from that of s."""
     n = s[NUMBER]
     out[0] += s[0] + n * dx
     out[1] += s[1] + n * dy
@@ -72,7 +72,7 @@ def add_shifted(out, s, dx, dy):
 
 @kernel(inner=True)
 def add_leaf(tree, leaf, cx, cy, out):
-    """Add the points of a leaf that do not stand apart to sums about (cx, cy)."""
+    """Add the points of a leaf without outliers to sums relative to (cx, cy)."""
     run = tree.head[leaf]
     while run >= 0:
         begin = tree.start[run]
@@ -85,7 +85,7 @@ def add_leaf(tree, leaf, cx, cy, out):
 
 @kernel(inner=True)
 def sums_of(tree, node, out):
-    """Write the sums of a node about its centre."""
+    """Write the sums of a node relative to its centre."""
     if tree.slot[node] >= 0:
         out[:] = tree.sums[tree.slot[node]]
         return
@@ -110,17 +110,17 @@ def moments(tree, nodes):
 
 @kernel(inline=True)
 def _tolerance(tree, node):
-    """Return how far in height from all others of a cell a point stands apart, m."""
+    """Return the minimum height gap of an outlier to all other points of a cell, m."""
     return APART + APART_A_METRE * 2.0 * tree.half / (1 << tree.depth[node])
 
 
 @kernel()
 def _loose(tree, node, found):
-    """List the points of a cell that no sums below it hold; return the list and their number.
+    """List the points of a cell that are in no sums below it; return list and number.
 
-    The points of a leaf, or of the leaves among a node's children that have no sums.
+    These are the points of a leaf, or of those children of a node that have no sums.
     """
-    n = np.int64(0)  # a plain zero is a type of its own
+    n = np.int64(0)  # a typed zero, so that functions compile once
     own = tree.child[node] < 0
     for q in range(1 if own else 4):
         leaf = node if own else tree.child[node] + q
@@ -139,7 +139,7 @@ def _loose(tree, node, found):
 
 @kernel()
 def _part_apart(tree, node, index, tolerance):
-    """Say which of a cell's loose points stand apart from all its others."""
+    """Mark which of the loose points of a cell are outliers."""
     held = 0.0
     if tree.child[node] >= 0:
         for q in range(4):
@@ -169,9 +169,9 @@ def _part_apart(tree, node, index, tolerance):
 
 @kernel(inner=True)
 def settle(tree, node, found):
-    """Find which points of a touched cell stand apart, and its sums, afresh; return the list.
+    """Recompute the outliers and the sums of a touched cell; return the list.
 
-    A cell with children that have sums of their own takes those.
+    A cell with children that have sums of their own adds those.
     """
     found, n = _loose(tree, node, found)
     low, high = np.inf, -np.inf
@@ -198,7 +198,7 @@ def settle(tree, node, found):
         if wide:
             _part_apart(tree, node, found[:n], tolerance)
         if tree.child[node] >= 0 and (before != tree.apart[found[:n]]).any():
-            # What these leaves tell has changed, wherever the new points lie.
+            # The result of these leaves has changed, wherever the new points are.
             for q in range(4):
                 tree.stamp[tree.child[node] + q] = tree.stamp[node]
     cx, cy = cell_centre(tree, node)
@@ -213,9 +213,9 @@ def settle(tree, node, found):
 
 @kernel(inner=True)
 def add_to_many(tree, leaf, first, last, found):
-    """Add the points from `first` to `last` to a least cell that has sums; return `found`.
+    """Add points `first` to `last` to a smallest cell with sums; return `found`.
 
-    Where they could change which points stand apart all of the cell is settled afresh.
+    If the points could change which points are outliers, the complete cell is recomputed.
     """
     s = tree.sums[tree.slot[leaf]]
     tolerance = _tolerance(tree, leaf)
@@ -238,9 +238,10 @@ def add_to_many(tree, leaf, first, last, found):
 
 @kernel()
 def count_in_squares(xyz, half, side, count):
-    """Add to `count` (n, n) how many points fall into each square of a map about (0, 0).
+    """Add the points in each square of a map centred on (0, 0) to `count` (n, n).
 
-    The map reaches to `half` each way; what lies beyond it, by rounding, counts at its edge.
+    The map extends to `half` in each direction; points beyond it, due to rounding, count at its
+    edge.
     """
     last = count.shape[0] - 1
     for k in range(xyz.shape[0]):

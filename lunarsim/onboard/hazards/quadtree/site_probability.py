@@ -1,12 +1,14 @@
-"""From what a site looks like on the quadtree to how often such sites are safe.
+"""Calibrated probability of a safe landing at sites of the quadtree.
 
-The paper's limits tell which sites are eligible; they are no probability. Here the lander is also
-put on the mean ground under its legs, at every heading, and what the points of its footprint and of
-the zone tell is added: how far they reach, how they spread, what may stand between them unseen. All
-is dimensionless: slopes and heights count by the lander's limits. Weights on all but the first
-`FREE` are not negative, so that the probability never rises with slope, roughness, exceptions,
-their height, or the rocks that may stand unseen. It is a frequency where fits without one world
-agree and few rocks may stand unseen, as on the Gaussian DEM (`lunarsim.safety.calibration`).
+The limits of the paper decide which sites are eligible; they are not a probability. The probability
+uses two kinds of features. The lander is placed on the mean terrain under its legs at every
+heading. The points of its footprint and of the zone add their distances from the planes, their
+spread and the rocks that may stand undetected between them. All features are dimensionless: slopes
+and heights are relative to the limits of the lander. All weights except the first `FREE` are
+non-negative, so that the probability never increases with slope, roughness, exceptions, their
+height, or the number of undetected rocks. It is a calibrated frequency where the
+leave-one-world-out fits agree and few rocks may be undetected, as on the Gaussian DEM
+(`lunarsim.safety.calibration`).
 """
 
 from __future__ import annotations
@@ -45,39 +47,40 @@ from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# See `ceiling`: from a share of the limit on, what chance is left.
+# Upper bounds of the probability, see `ceiling`: value relative to the limit, and factor.
 _LEFT_OF_SLOPE = np.array(
     [[0.93, 0.96, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.75, 0.6, 0.4, 0.2, 0.1, 0.0]]
 )
 _LEFT_OF_PLANE = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
 _LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
 _LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
-# In the domain at most so many hazards may be expected unseen in a footprint, and so many rocks, or
-# holes, under the pads that would tilt the lander over its limit. Counts of rocks are those of
-# `HeightCurve.missed`, three times and more those of the Gaussian DEM.
+# Limits of the domain: expected undetected hazards in a footprint, and expected undetected rocks
+# and holes under the pads that tilt the lander over its limit. Rocks are counted by
+# `HeightCurve.missed`, at least three times the count of the Gaussian DEM.
 MOST_HAZARDS = 0.1
 MOST_TILTING = 0.1
 MOST_SINKING = 0.03
-# Near it, with up to so many, fits to all other worlds were low enough; see `bound`.
+# Limits near the domain, for the same numbers: there the fits to all other worlds were low enough,
+# see `bound`.
 _NEAR = (1.0, 2.0, 1.0)
-# Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes
-# there depends on widths that no share tells.
+# Maximum share of terrain deeper than the first of `_DEPTHS`: whether a pad bridges a hole depends
+# on widths, which the share does not contain.
 MOST_SUNK = 0.016
-# A zone is 1.35 times as wide as the lander, and all that stands or gapes in it speaks against it:
-# what is called surely unsafe may be safe for the lander itself unless it is so by far.
+# Threshold for claiming a site unsafe. The zone is 1.35 times as wide as the lander and counts all
+# hazards in it, so only very low probabilities are unsafe for the lander itself.
 HOPELESS = 0.01
-# Of means over cells of a decimetre nothing is surer than this.
+# Maximum probability: means over cells of a decimetre do not support more.
 MOST = 0.99
-# Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
-# what stands out of the ground.
+# Maximum noise of the points in the fitted worlds, relative to the roughness limit: more noise
+# would explain more of the residual heights.
 MOST_NOISE = 0.12
-# See `SiteEvidence.clear_of_pads`.
+# Factor on the minimum counted height in `SiteEvidence.clear_of_pads`.
 _KNOWN = 1.5
-# The smoothest zones of a map are this share of all.
+# Share of the smoothest zones of a map that estimates the noise.
 _SMOOTHEST = 0.1
-# Cells on which the mean ground is judged, and the largest that count as seen, m.
+# Cell sizes of the mean terrain: smallest, and largest that counts as observed, m.
 _GROUND_BAND = (0.4, 1.6)
-# Between these the regression may bend: shares of the limits, decades of ratios and of rocks.
+# Knots of the regression: values relative to the limits, and log10 of ratios and of rock numbers.
 _SLOPES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
 _HEIGHTS = np.array([0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0])
 _SPREADS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
@@ -90,10 +93,10 @@ _BENDS = (
     _RATIOS, _RATIOS, _HEIGHTS, _HEIGHTS, _ROCKS, _ROCKS,
     _ROCKS,
 )  # fmt: skip
-# Heights, over the limit, above which the share of ground counts.
+# Heights and depths, relative to the limit, at which the share of terrain is a feature.
 _ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
 _DEPTHS = np.array([0.6, 1.0])
-# Intercept, noise, density and its square: nothing is claimed for these.
+# Intercept, noise, density and its square: their weights may have either sign.
 FREE = 4
 RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (len(_COVER) - 1)
 COUNT = FREE + RISING
@@ -101,33 +104,37 @@ COUNT = FREE + RISING
 
 @dataclass(frozen=True)
 class SiteEvidence:
-    """What the quadtree says of sites (n,); NaN where not judged.
+    """Features of sites (n,) on the quadtree; NaN where not evaluated.
 
     Attributes
     ----------
     slope, roughness
-        Of the lander on the mean ground, worst heading: tangent and height over its limits.
+        Slope (tangent) and roughness of the lander on the mean terrain at the worst heading,
+        relative to its limits.
     mesh_slope, fitted_slope
-        Of the mesh and of the zone's points, tangents over that of the limit.
+        Slopes (tangent) of the mesh and of the least-squares plane of the zone, relative to the
+        limit.
     mesh_spread, fitted_spread
-        Root mean square distance of the zone's points from these planes, over the limit.
+        Root mean square distance of the points of the zone from these planes, relative to the
+        limit.
     ratio, near
-        Greatest exception ratio in the zone and in the footprint.
+        Maximum exception ratio in the zone and in the footprint.
     relief, top
-        How far a point reaches in the zone and in the footprint, over the limit.
+        Maximum distance of a point from its plane in the zone and in the footprint, relative to the
+        limit.
     density, thinnest
-        Points on a square metre of the zone, and where they are the thinnest in the footprint.
+        Points per square metre in the zone, and their minimum density in the footprint.
     curve
-        How high the ground stands, from the points and the mission's rock law.
+        Distribution of terrain heights, from the points and the rock law of the mission.
     holes
-        How deep it lies.
+        Distribution of terrain depths.
     doomed
-        Where the mean ground is over a limit with its holes filled too: whether legs stand in a
-        hole, beside it or over it, a decimetre decides, and ground above it does not hang on that.
+        True where the mean terrain exceeds a limit even with its holes filled. The filled terrain
+        is used because a decimetre decides whether a leg stands in, beside or over a hole.
     lander
         Geometry and limits.
     noise
-        Standard deviation of a point's height, m.
+        Standard deviation of the height of a point, m.
     """
 
     slope: Array
@@ -150,7 +157,7 @@ class SiteEvidence:
 
     @property
     def judged(self) -> BoolArray:
-        """Where the whole zone and footprint were seen (n,)."""
+        """Where the complete zone and footprint were observed (n,)."""
         needed = (
             self.slope, self.roughness, self.mesh_slope, self.fitted_slope, self.mesh_spread,
             self.fitted_spread, self.ratio, self.near, self.relief, self.top, self.density,
@@ -160,16 +167,16 @@ class SiteEvidence:
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough rocks and holes can be unseen for the regression to hold (n,).
+        """Where the regression is calibrated: few rocks and holes can be undetected (n,).
 
-        Noise, the ground's own holes, and the lander's limit of the slope, must be within those of
-        the fit.
+        Noise, holes in the terrain and the slope limit of the lander must also be within the range
+        of the fit.
         """
         return self._within(MOST_HAZARDS, MOST_TILTING, MOST_SINKING)
 
     @property
     def near_domain(self) -> BoolArray:
-        """Where they are few enough for the regression to be no more than cautious (n,)."""
+        """Where undetected rocks are few enough for the regression to be conservative (n,)."""
         return self._within(*_NEAR)
 
     def _within(self, hazards: float, tilting: float, sinking: float) -> BoolArray:
@@ -184,34 +191,41 @@ class SiteEvidence:
         return np.asarray(self.judged & few)
 
     def highest(self) -> Array:
-        """Return what is rough, by the mean ground or by a point (n,), over the limit."""
+        """Return the larger of roughness and highest point over the limit (n,)."""
         return np.maximum(self.roughness, self.top)
 
     def raised(self) -> tuple[Array, Array]:
-        """Return what of the highest point and of the spread is not noise (n,), over the limit."""
+        """Return highest point and spread without noise, over the limit (n,)."""
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
         return np.maximum(self.top - 3.0 * noise, 0.0), spread
 
     def tipping(self, height: Array) -> Array:
-        """Return how far a pad raised by a height (n,), over the limit, tilts the lander (n,).
+        """Return the tilt due to a raised pad over the remaining slope (n,), as tangents.
 
-        Over what is left of the slope.
+        Parameters
+        ----------
+        height
+            Height of the pad (n,), relative to the roughness limit.
         """
         left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
         tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
         return np.asarray((tilt + 2e-4) / left)
 
     def tilting(self) -> Array:
-        """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
+        """Return the expected undetected rocks under the pads that tilt too far (n,).
+
+        The pads may be at any heading.
+        """
         height = tilting_height(self.fitted_slope, self.lander)
         return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
 
     def clear_of_pads(self) -> Array:
-        """Return the chance that no gravel tilts the lander too far, however much (n,).
+        """Return the probability that no undetected gravel tilts the lander too far (n,).
 
-        As `lunarsim.safety.calibration.clear_of_pads`; 1 where only rocks would that are higher by
-        `_KNOWN` than the least of which the regression was told.
+        The gravel count is conservative, as in `lunarsim.safety.calibration.clear_of_pads`. The
+        result is 1 where only rocks higher than `_KNOWN` times the minimum counted height could
+        tilt the lander.
         """
         height = least_tilting_height(self.fitted_slope, self.lander)
         found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
@@ -219,18 +233,24 @@ class SiteEvidence:
         return np.where(height < _KNOWN * self.curve.counted, left * np.exp(-found), 1.0)
 
     def sinking(self) -> Array:
-        """Return how many unseen holes under the pads would tilt the lander too far."""
+        """Return the expected undetected holes under the pads that tilt too far (n,)."""
         height, width = tilting_height(self.fitted_slope, self.lander), self.lander.pad_diameter
         found = self.holes.sunk(height, self.thinnest, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
     def piercing(self) -> Array:
-        """Return how many unseen rocks in the footprint rise above what roughness is left."""
+        """Return the expected undetected rocks above the remaining roughness (n,).
+
+        The rocks are counted in the footprint.
+        """
         height = (1.0 - self.raised()[0]) * self.lander.roughness_limit
         return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.thinnest))
 
     def hazards(self) -> Array:
-        """Return how many unseen rocks in the footprint alone would be too high."""
+        """Return the expected undetected rocks above the roughness limit (n,).
+
+        The rocks are counted in the footprint.
+        """
         limit = self.lander.roughness_limit
         return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.thinnest))
 
@@ -243,19 +263,19 @@ def evidence_of(
     lander: Lander,
     rocks: RockExpectation,
 ) -> SiteEvidence:
-    """Return what a map and its sites say, for a lander on ground with such rocks expected.
+    """Return the features of the sites of a map.
 
     Parameters
     ----------
     quadtree, selection
-        The map, and what a thorough selector with the lander's footprint says of its sites.
+        Map, and its sites by a thorough selector with the footprint of the lander.
     zone
         Half side of the landing zones, m.
     noise
-        Standard deviation that is stated of a point's height, m. Where the points spread less, they
-        have less: noise that is not there would excuse what stands out of the ground.
+        Stated standard deviation of the height of a point, m. If the points spread less, the spread
+        is used, since overestimated noise would explain residual heights.
     lander, rocks
-        Geometry and limits, and what the mission expects.
+        Geometry and limits of the lander; rock population expected by the mission.
     """
     s = selection
     risen = rises(quadtree)
@@ -267,8 +287,8 @@ def evidence_of(
     solid = without_holes(height, grid.posting, lander.leg_radius)
     own_slope, own_roughness = _worst_about(bounded_safety(solid, grid, lander), xy)
     mesh_slope = np.tan(s.slope) / steepest
-    # The standard error of the slope over a square tells the spread about the plane. Points that
-    # span no plane have the mesh's.
+    # The standard error of the slope over a square yields the spread about the plane. If the points
+    # span no plane, that of the mesh is used.
     fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
     spans = np.isfinite(s.fitted)
     noise = min(noise, _least_spread(fitted_spread))
@@ -294,15 +314,15 @@ def evidence_of(
 
 
 def _least_spread(spread: Array) -> float:
-    """Return how the points of a map's smoothest zones spread about their planes (n,), m."""
+    """Return the spread of points about their planes in the smoothest zones of a map, m."""
     spread = spread[np.isfinite(spread)]
     return float(np.quantile(spread, _SMOOTHEST)) if len(spread) else np.inf
 
 
 def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
-    """Return the least density of points about places (n, 2), 1/m^2, over the footprint."""
+    """Return the minimum density of points in the footprint about places (n, 2), 1/m^2."""
     g = seen.grid
-    # What lies in the zone's corners is no part of a round footprint.
+    # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
     least = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
     row, col = g.cell(xy)
@@ -310,7 +330,7 @@ def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
 
 
 def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
-    """Return the greatest slope and roughness of the four cells about places (n, 2); or NaN."""
+    """Return the maximum slope and roughness of the four cells about places (n, 2); or NaN."""
     g = safety.grid
     row, col = g.cell(xy - 0.5 * g.posting)
     slope, rough = np.full(len(xy), -np.inf), np.full(len(xy), -np.inf)
@@ -323,13 +343,13 @@ def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
 
 
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
-    """Return what the probability is computed from, at sites chosen by a mask (m, `COUNT`)."""
+    """Return the regression features of sites selected by a mask (m, `COUNT`)."""
     n = int(np.count_nonzero(where))
     return np.column_stack((_free(evidence, where), columns(_terms(evidence, where), n)))
 
 
 def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
-    """Return what speaks against sites (n,)."""
+    """Return the features with non-negative weights, all of which indicate danger (n,)."""
     point, spread = e.raised()
     values = (
         e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
@@ -344,7 +364,7 @@ def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
-    """Return what says how well was measured (m, `FREE`)."""
+    """Return the features with unconstrained weights: intercept and sampling (m, `FREE`)."""
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
     noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])
@@ -352,22 +372,22 @@ def _free(e: SiteEvidence, where: BoolArray) -> Array:
 
 @lru_cache(maxsize=1)
 def measured() -> Ensemble:
-    """Return the weights measured by `scenarios/lidar_maps/quadtree_calibration.py`."""
+    """Return the packaged weights from `scenarios/lidar_maps/quadtree_calibration.py`."""
     return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, RISING)
 
 
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
-    """Return the probability that sites are safe (n,), and where it is a frequency (n,).
+    """Return the probability that sites are safe, and where it is calibrated (n,).
 
-    Where too many rocks may stand unseen, or it is not surely safe, no more than `bound`; 0 where
-    not judged.
+    Where the regression is not calibrated, or the site is not claimed safe, the probability is at
+    most `bound`. It is 0 where the site was not evaluated.
 
     Parameters
     ----------
     evidence
-        Of the sites.
+        Features of the sites.
     model
-        Left out: the packaged one.
+        Weights; default: the packaged ones.
     """
     e, known = evidence, evidence.in_domain
     p, claimed = np.zeros(len(e.slope)), known.copy()
@@ -380,11 +400,11 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
-    """Return what the probability cannot exceed, by what was seen (n,).
+    """Return the upper bound of the probability from single features (n,).
 
-    Sums of evidence let much that is good make up for one thing that is fatal. Of sites with a
-    slope or roughness near the limit or beyond it so few were safe in the worlds of the fit,
-    whatever else. Of none more than `MOST`.
+    In a sum of features, many favourable ones can outweigh one that is fatal. The bounds are the
+    share of safe sites in the fitted worlds for slopes or roughness near or beyond the limit, at
+    most `MOST`.
     """
     e = evidence
     left = (
@@ -398,10 +418,10 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
 
 def bound(evidence: SiteEvidence) -> Array:
-    """Return what the probability cannot exceed outside the domain (n,).
+    """Return the upper bound of the probability outside the domain (n,).
 
-    The chance that no unseen rock stands there; near the domain, where the regression still tells
-    enough, 1.
+    It is the probability of no undetected rock. Near the domain, where the regression is still
+    informative, it is 1.
     """
     none = np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)
     return np.asarray(np.where(evidence.near_domain, 1.0, none))

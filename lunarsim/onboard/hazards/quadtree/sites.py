@@ -19,9 +19,9 @@ from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Half side of the lander's footprint over that of the zone, if it is not given.
+# Default half side of the lander's footprint, relative to that of the zone.
 _FOOTPRINT = 0.6
-# Meaning of a site's status.
+# Meaning of `Selection.status`.
 STATUS = (
     "eligible",
     "no ground plane",
@@ -35,20 +35,20 @@ STATUS = (
 
 @dataclass(frozen=True)
 class Site:
-    """One site of the scoreboard.
+    """One ranked landing site.
 
     Attributes
     ----------
     position
         Centre of its cell at the mean elevation (3,), ENU, m.
     score
-        Eq. 9; 0 is the best.
+        Score by Eq. 9; 0 is the best.
     interest
-        In [0, 1].
+        Interest of the mission, in [0, 1].
     slope
-        rad.
+        Slope, rad.
     roughness
-        m (Eq. 8).
+        Roughness by Eq. 8, m.
     """
 
     position: Array
@@ -60,7 +60,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Selection:
-    """All sites as they stand; its arrays cannot be written to.
+    """All evaluated sites; its arrays are read-only.
 
     Attributes
     ----------
@@ -69,32 +69,32 @@ class Selection:
     position
         Centres at the mean elevation (n, 3), ENU, m.
     interest
-        (n,).
+        Interest of the mission (n,), in [0, 1].
     slope
-        (n,), rad; NaN without a ground plane.
+        Slope (n,), rad; NaN without a ground plane.
     ratio
-        Greatest exception ratio in the zone and `margin` around it (n,); NaN where a cell of the
-        zone has too few points.
+        Maximum exception ratio in the zone and `margin` around it (n,); NaN if a cell of the zone
+        has too few points.
     near
-        The same in the lander's footprint (n,).
+        The same in the footprint of the lander (n,).
     roughness
-        (n,), m; NaN where not evaluated.
+        Roughness (n,), m; NaN where not evaluated.
     relief
-        How far a point in the zone and `margin` around it reaches at most from the middle of the
-        points about it, or an exception from its ground plane (n,), m; NaN as for `ratio`.
+        Maximum distance of a point in the zone and `margin` around it from the median plane of its
+        cell, or of an exception from the ground plane (n,), m; NaN as for `ratio`.
     top
-        The same in the lander's footprint (n,), m.
+        The same in the footprint of the lander (n,), m.
     points
-        In the zone (n,), without those that stand apart; NaN where not evaluated.
+        Number of points in the zone (n,), without outliers in height; NaN where not evaluated.
     fitted, slope_sigma
-        Slope of the least-squares plane over the zone's points, and its standard error (n,), rad;
-        NaN where not evaluated.
+        Slope of the least-squares plane through the points of the zone, and its standard error
+        (n,), rad; NaN where not evaluated.
     status
         Index into `STATUS` (n,).
     score
-        Eq. 9 (n,); inf for sites that are not eligible.
+        Score by Eq. 9 (n,); inf for sites that are not eligible.
     ranked
-        The best, in order; empty if no site passes.
+        The best sites, best first; empty if no site is eligible.
     """
 
     nodes: Nodes
@@ -120,23 +120,23 @@ class Selection:
 
 
 class SiteSelector:
-    """Keeps planes, hazards and scores of a quadtree up to date.
+    """Incrementally update planes, hazards and scores of a quadtree.
 
-    Only what the points since the last call can have changed is evaluated again; the outcome is
-    that of a new selector on the same map, bit for bit.
+    Only the parts that new points can have changed are evaluated again. The result equals that of a
+    new selector on the same map, bit for bit.
 
     Parameters
     ----------
     quadtree
-        The map.
+        Map of the points.
     settings
-        Tolerances, weights, sizes of cells.
+        Tolerances, weights and cell sizes.
     interest
-        Left out: 1 everywhere.
+        Interest of the mission; default: 1 everywhere.
     thorough
-        Also find the roughness of sites that are rejected (for a probability of landing safely).
+        Evaluate the roughness of rejected sites too, as needed for a probability of a safe landing.
     footprint
-        Half side of what the lander covers, m; left out: 0.6 of that of the zone.
+        Half side of the footprint of the lander, m; default: 0.6 of that of the zone.
     """
 
     def __init__(
@@ -163,19 +163,20 @@ class SiteSelector:
         )
         self._version = 0
         self._calls = 0
-        # A row a square of the smallest cells; what is never a site takes no memory.
+        # One row per square of the smallest cells; the memory of rows without a site is never
+        # touched.
         self._seen = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
         self._found = np.zeros((1 << 2 * self._site[0], 9))
         self._status = np.full(1 << 2 * self._site[0], k.NO_PLANE, np.int8)
 
     @property
     def interest(self) -> InterestMap | None:
-        """What the mission is interested in; for another, make another selector."""
+        """Interest of the mission; fixed for one selector."""
         return self._interest
 
     @property
     def ratios(self) -> NDArray[np.float32]:
-        """Share of exceptions by squares over the map (rows, cols), from the south-west; read only.
+        """Share of exceptions per square (rows, cols), from the south-west; read-only.
 
         NaN where a cell has too few points or no plane.
         """
@@ -183,14 +184,14 @@ class SiteSelector:
 
     @property
     def reliefs(self) -> NDArray[np.float32]:
-        """How far points reach by squares, m, see `Selection.relief`; as `ratios`."""
+        """Maximum distance of points per square, m, as `Selection.relief`; read-only."""
         return _read_only(self._reliefs)
 
     @property
     def hazards(self) -> NDArray[np.float32]:
-        """Where hazards may reach, `margin` around where they were seen (rows, cols): 1, else 0.
+        """Hazards with `margin` around them (rows, cols): 1, else 0.
 
-        Squares as of `ratios`, NaN where those are.
+        Squares as in `ratios`, with NaN where that is NaN.
         """
         reach = int(np.ceil(self.settings.margin * len(self._ratios) / self.map.side - 1e-6))
         hazard = (self._ratios > self.settings.exception_limit).astype(np.float32)
@@ -199,13 +200,13 @@ class SiteSelector:
 
     @property
     def nbytes(self) -> int:
-        """Memory at most, bytes; only what is of sites is ever written to."""
+        """Maximum memory, bytes; rows without a site are never written."""
         rasters = self._ratios.nbytes + self._reliefs.nbytes
         seen = sum(a.nbytes for a in self._seen)
         return rasters + seen + self._found.nbytes + self._status.nbytes
 
     def update(self) -> Selection:
-        """Follow the map and return all sites."""
+        """Process the changes of the map and return all sites."""
         if self.map.version > self._version:
             outlines = self.mesh.update(self._version)
             changed = self._update_hazards(outlines)
@@ -213,7 +214,7 @@ class SiteSelector:
             self._version = self.map.version
         return self._select()
 
-    # --- what changed ---------------------------------------------------------------------
+    # --- changes --------------------------------------------------------------------------
 
     def _fresh(self, depth: int) -> IntArray:
         """Return the outlines of cells of a depth, or leaves above it, that got points."""
@@ -222,7 +223,7 @@ class SiteSelector:
         return np.asarray(k.rectangles_of(tree, nodes))
 
     def _half_steps(self, depth: int) -> int:
-        """Return the side of cells of a depth in half sides of the least cells."""
+        """Return the side of cells of a depth in half sides of the smallest cells."""
         return 2 << (self.map.depths - depth)
 
     def _nodes_in(
@@ -233,9 +234,9 @@ class SiteSelector:
         return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._calls)  # type: ignore[no-any-return]
 
     def _update_hazards(self, outlines: IntArray) -> IntArray:
-        """Search for hazards afresh where points or planes changed.
+        """Search for hazards where points or planes changed.
 
-        Returns the outlines (n, 4), in half steps, of cells where something else was found.
+        Returns the outlines (n, 4), in half steps, of cells whose result changed.
         """
         s, tree = self.settings, self.map.tree
         wide = 1 << self._hazard[0]
@@ -243,7 +244,8 @@ class SiteSelector:
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
         finer = 2 * (1 << self.map.depths) // len(self._ratios)
-        # What a cell should hold is told by squares beyond its edge: all but the last half step.
+        # The expected number of points in a cell depends on squares beyond its edge: grow by all
+        # but the last half step.
         k.mark(self._fresh(self._hazard[1]), h.REACH * finer - 1, square, wide, marked)
         nodes, empty = self._nodes_in(marked, self._hazard, self._seen[0])
         rasters = (self._ratios, self._reliefs)
@@ -290,7 +292,7 @@ class SiteSelector:
         found, status = self._found[place], self._status[place]
         cosine, roughness = found[:, k.COSINE], found[:, k.ROUGHNESS]
         interest = self._interest_of(nodes)
-        # The mission's word comes first, but what is known of the ground stays known.
+        # The interest of the mission takes precedence, but the terrain status remains known.
         planned = (status != k.NO_PLANE) & (status != k.OFF_MAP)
         status = np.where(planned & (interest <= 0.0), np.int8(k.NO_INTEREST), status)
         score = (
@@ -328,17 +330,28 @@ def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:
-    """Return the places of the least finite scores whose points (n, 2) keep a distance (m).
+    """Return the indices of the lowest finite scores with a minimum separation.
+
+    Parameters
+    ----------
+    score
+        Scores (n,).
+    xy
+        Positions (n, 2), m.
+    count
+        Maximum number of indices.
+    separation
+        Minimum distance between chosen positions, m.
 
     Raises
     ------
     InputError
-        If a score is NaN, or there are not as many points as scores.
+        If a score is NaN, or if the numbers of positions and scores differ.
     """
     if np.shape(xy) != (len(score), 2):
-        raise InputError("sites.xy", np.shape(xy), f"places of shape ({len(score)}, 2)")
+        raise InputError("sites.xy", np.shape(xy), f"must have shape ({len(score)}, 2)")
     if np.isnan(score).any():
-        raise InputError("sites.score", "NaN", "numbers; inf for what is not to be chosen")
+        raise InputError("sites.score", "NaN", "must be a number", "Use inf to exclude a site.")
     chosen: list[int] = []
     for i in np.argsort(score, kind="stable"):
         if len(chosen) == count or not np.isfinite(score[i]):

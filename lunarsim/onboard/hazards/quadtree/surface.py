@@ -1,6 +1,7 @@
-"""The ground of a quadtree as a raster, and how high its points stand above it.
+"""Terrain raster of a quadtree, and residual heights of its points.
 
-For tests that look under every leg of the lander, and for the rocks that no point has met.
+The raster serves tests under every leg of the lander; the residual heights serve the estimate of
+undetected rocks.
 """
 
 from __future__ import annotations
@@ -19,45 +20,45 @@ from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Width of the bell over which the ground is averaged where it was seen thinly, in cells.
+# Standard deviation of the Gaussian window for the mean terrain between sparse points, in cells.
 _BELL = 3.0
-# Least weight of points under that bell for ground without a point of its own to count as seen.
+# Minimum weight of points in that window for a cell without points to count as observed.
 _NEAR = 1e-3
-# Cells in which points are counted, and width over which their density is, m.
+# Cell size in which points are counted, and width of the window for their density, m.
 _FINE, _WINDOW = 0.2, 1.0
-# How far aside of a hole the density about it is looked for, in such widths.
+# Distance from a gap up to which the density is evaluated, in such windows.
 _ASIDE = 1.6
-# Points that must be expected in an empty rectangle for it to be a gap.
+# Minimum expected number of points for an empty rectangle to be a gap.
 _EXPECTED = 14.0
-# Its rows and columns of such cells.
+# Rows and columns of the rectangles, in such cells.
 _SHAPES = (
     *((n, n) for n in (1, 2, 3, 4, 5, 6)),
     *((n, m) for n, m in ((2, 6), (6, 2), (2, 10), (10, 2), (1, 8), (8, 1), (3, 8), (8, 3))),
 )
-# Points that are asked how high they stand.
+# Maximum number of points for residual heights.
 _ASKED = 250_000
-# Height of what stands apart that may be a rock, m.
+# Maximum height of an outlier that may be a rock, m.
 _LOW = 1.0
-# Least side of the squares through 5 x 5 of which a plane is laid, m.
+# Minimum side of the squares for local planes, which are fitted over 5 x 5 squares, m.
 _SQUARE = 0.4
 
 
 def surface(
     quadtree: QuadtreeMap, smallest: float, largest: float, seen: Sampling | None = None
 ) -> tuple[Array, Grid]:
-    """Return mean elevations (rows, cols), m, NaN where nothing was seen, and their cells.
+    """Return mean elevations (rows, cols), m, and their grid; NaN where not observed.
 
-    Where the ground was seen so thinly that cells are larger than the raster's, their mean lies in
-    their middle and they have the slope of the ground about them.
+    Where points are so sparse that quadtree cells are larger than the raster, the mean elevation
+    applies to the cell centre, and the slope of the surrounding terrain is added.
 
     Parameters
     ----------
     quadtree
-        The map.
+        Map of the points.
     smallest, largest
         Band of cell sizes, m; the raster has the smallest.
     seen
-        Gaps to leave out; left out: none.
+        Sampling whose gaps are set to NaN; default: no gaps.
     """
     finest = quadtree.depth_of(smallest)
     wide = 1 << finest
@@ -81,18 +82,17 @@ def surface(
                 out[at] = height[mine] + off[at]
     out = np.where(np.isnan(out), trend, out) + quadtree.centre[2]
     if seen is not None:
-        # Cells of the one are a power of two of the other's.
+        # The cell counts of both rasters differ by a power of two.
         each = len(seen.gap) // wide
         out[seen.gap.reshape(wide, each, wide, each).any(axis=(1, 3))] = np.nan
     return out, grid
 
 
 def without_holes(height: Array, posting: float, width: float) -> Array:
-    """Return ground (rows, cols) with what lies deeper than its surroundings filled.
+    """Return terrain (rows, cols) with its holes filled by a grey closing.
 
-    Holes are filled that are no wider than `width`, m, along rows or columns: a grey closing. It
-    leaves planes and tops as they are, and raises nothing above the highest ground that near. NaN
-    stays.
+    The closing fills holes no wider than `width`, m, along rows or columns. It leaves planes and
+    peaks unchanged and raises nothing above the highest terrain nearby. NaN remains.
     """
     cells = 2 * int(np.ceil(0.5 * width / posting)) + 1
     known = ~np.isnan(height)
@@ -102,16 +102,16 @@ def without_holes(height: Array, posting: float, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How densely a map was seen.
+    """Sampling density of a quadtree map.
 
     Attributes
     ----------
     grid
-        Cells of `_FINE` (power of two parts of the map).
+        Cells of about `_FINE`: the map side divided by a power of two.
     gap
-        Where points are missing that chance would not have left out (rows, cols).
+        True where points are missing that chance would not have omitted (rows, cols).
     density
-        Points on a square metre about each cell, over `_WINDOW` (rows, cols).
+        Points per square metre about each cell, over `_WINDOW` (rows, cols).
     """
 
     grid: Grid
@@ -120,9 +120,9 @@ class Sampling:
 
 
 def sampling(quadtree: QuadtreeMap) -> Sampling:
-    """Return how densely a map was seen, and where it was not.
+    """Return the sampling density of a map and its gaps.
 
-    A hole is an empty rectangle in which the density about it lets expect `_EXPECTED` points.
+    A gap is an empty rectangle in which the density around it predicts at least `_EXPECTED` points.
     """
     wide = 1 << quadtree.depth_of(_FINE)
     posting = quadtree.side / wide
@@ -132,8 +132,8 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
     count_in_squares(points, half, np.float32(posting), count)
     window = max(1, min(wide, round(_WINDOW / posting)))
     mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
-    # What lies on both sides of a hole, not in it, tells what to expect there: what a scan covers
-    # has no bays, and beside it only coarser ones came.
+    # The density on both sides of a gap, not in it, predicts the points. The coverage of a scan has
+    # no concave edges, and next to a scan only coarser ones may have measured.
     aside = window // 2 + 1, round(_ASIDE * window)
     about = np.maximum(*(_on_both_sides(mean, *aside, axis) for axis in (0, 1)))
     total = np.zeros((wide + 1, wide + 1), np.int64)
@@ -146,10 +146,10 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
             total[high:, across:] - total[:-high, across:] - total[high:, :-across]
             + total[:-high, :-across]
         )  # fmt: skip
-        # Expected by what lies about the middle of a rectangle.
+        # Density at the centre of each rectangle.
         here = about[high // 2 :, across // 2 :][: wide - high + 1, : wide - across + 1]
         empty = (inside == 0) & (here * high * across >= _EXPECTED)
-        # All squares of an empty rectangle: its rows, then its columns.
+        # Mark all cells of an empty rectangle: its rows, then its columns.
         tall = np.zeros((wide, empty.shape[1]), np.bool_)
         for i in range(high):
             tall[i : i + empty.shape[0]] |= empty
@@ -159,7 +159,7 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
 
 
 def _on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
-    """Return the lesser of the greatest densities from `near` to `far` cells before and behind."""
+    """Return the smaller of the maximum densities `near` to `far` cells before and behind."""
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
     most = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
@@ -168,7 +168,7 @@ def _on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
 
 
 def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
-    """Return the ground averaged about each cell of a raster (wide, wide); NaN far from points."""
+    """Return the mean terrain about each cell of a raster (wide, wide); NaN far from points."""
     sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
     at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
     sums[at], count[at] = height, 1.0
@@ -179,11 +179,11 @@ def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: i
 
 
 def rises(quadtree: QuadtreeMap) -> Array:
-    """Return heights of some points above the ground about them (n,), m.
+    """Return the residual heights of some points above the local plane (n,), m.
 
-    The ground is the plane through some hundred points about, without those that stand apart. Of
-    these the ones less than `_LOW` above it count as well: one return off a small rock cannot be
-    told from one off something in the air.
+    The plane is fitted to about a hundred points without outliers. Outliers less than `_LOW` from
+    the plane are included, because a single return from a small rock cannot be distinguished from
+    one in the air.
     """
     t, count = quadtree.tree, quadtree.count
     index = np.arange(0, count, max(1, count // _ASKED))

@@ -187,11 +187,11 @@ def test_bad_clouds():
         gaussian_dem(cloud(1), GRID, length_scale=-1.0)
     with pytest.raises(ValueError, match="sigma_eps"):
         gaussian_dem(cloud(1), GRID, sigma_eps=float("nan"))
-    with pytest.raises(ValueError, match=r"points = 173740\d\.\d+: heights within 8192 m"):
+    with pytest.raises(ValueError, match=r"points: heights must be within 8192 m .* got 173740"):
         gaussian_dem(cloud(1) + [0.0, 0.0, 1_737_400.0], GRID)
-    with pytest.raises(ValueError, match="heights within"):
+    with pytest.raises(ValueError, match="heights must be within"):
         conventional_dem(cloud(1) + [0.0, 0.0, -9000.0], GRID)
-    with pytest.raises(ValueError, match="none of the"):
+    with pytest.raises(ValueError, match="at least one must lie"):
         conventional_dem([[100.0, 0.0, 0.0]], GRID)
 
 
@@ -298,12 +298,12 @@ def test_fit_recovers_the_growth_of_the_variogram(sigma_f, length):
 
 
 def test_fit_and_full_regression_refuse_what_they_cannot_do():
-    with pytest.raises(ValueError, match="too few"):
+    with pytest.raises(ValueError, match="at least 100"):
         fit_hyperparameters(cloud(1, 20), 0.01, np.random.default_rng(0))
     with pytest.raises(ValueError, match="singular"):
         twice = np.concatenate((cloud(1, 5), cloud(1, 5)))
         full_regression(twice, [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.0)
-    with pytest.raises(ValueError, match="too many"):
+    with pytest.raises(ValueError, match="at most 5000"):
         full_regression(
             np.zeros((6000, 3)), [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.1
         )

@@ -206,7 +206,7 @@ def test_slopes_buried_in_noise_stay_slopes():
 def test_samples_of_a_bird_or_a_planet_away_are_refused():
     points, sigma = samples(1)
     pool = SamplePool(GRID)
-    with pytest.raises(InputError, match="heights within 8192 m"):
+    with pytest.raises(InputError, match="heights must be within 8192 m"):
         pool.add(points + [0.0, 0.0, 1_737_000.0], sigma, 0.5)
     with pytest.raises(InputError, match="infinities"):
         pool.add([[0.0, 0.0, np.inf]], 0.1, 0.5)
