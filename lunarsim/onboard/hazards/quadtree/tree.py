@@ -132,8 +132,8 @@ class QuadtreeMap:
             )
             if left_out[2] > len(xyz):
                 raise InputError(
-                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} points in height",
-                    f"most must be within {_HIGHEST:g} m of the map elevation of {self.centre[2]:g} m",
+                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} farther",
+                    f"most must be within {_HIGHEST:g} m of the map elevation {self.centre[2]:g} m",
                 )  # fmt: skip
             self._enter(xyz, key)
             added += len(xyz)
