@@ -20,15 +20,15 @@ def built_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, Hazar
     InputError
         If a mapper cannot be built; the error names it.
     """
-    parts, built = briefing.software.mappers, dict[str, HazardMapper]()
-    for name, part in sorted(parts.items(), key=lambda item: _place(item[1])):
-        others = (built,) if _place(part) else ()
+    parts, mappers = briefing.software.mappers, dict[str, HazardMapper]()
+    for name, part in sorted(parts.items(), key=lambda item: _build_stage(item[1])):
+        others = (mappers,) if _build_stage(part) else ()
         with named_in(f"mappers.{name}"):
-            built[name] = part.build(briefing, navigation, *others)
-    return {name: built[name] for name in parts}
+            mappers[name] = part.build(briefing, navigation, *others)
+    return {name: mappers[name] for name in parts}
 
 
-def _place(part: Any) -> int:
+def _build_stage(part: Any) -> int:
     """Return the build stage of a mapper: 0 without dependencies, 1 with `ground`, 2 with `of`."""
     if hasattr(part, "of"):
         return 2

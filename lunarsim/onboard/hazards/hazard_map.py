@@ -125,9 +125,11 @@ class HazardMap:
             layer = getattr(self, name)
             if layer is None:
                 continue
-            wrong = ~((layer >= 0.0) & (layer <= 1.0))
-            if wrong.any():
-                raise InputError(f"map.{name}", float(layer[wrong][0]), "must be between 0 and 1")
+            is_invalid = ~((layer >= 0.0) & (layer <= 1.0))
+            if is_invalid.any():
+                raise InputError(
+                    f"map.{name}", float(layer[is_invalid][0]), "must be between 0 and 1"
+                )
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:
@@ -143,15 +145,15 @@ class HazardMap:
     def eligible_at(self, xy: ArrayLike) -> BoolMap:
         """Return whether the cells at points (..., 2) are eligible (...,); False off the map."""
         inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
-        return inside if self.eligible is None else inside & self._under(self.eligible, xy)
+        return inside if self.eligible is None else inside & self._layer_at(self.eligible, xy)
 
     def value_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return the value (...,) of the cells at points (..., 2); 0 off the map."""
         inside = self.grid.contains(xy)
-        value = 1.0 if self.value is None else self._under(self.value, xy).astype(np.float64)
+        value = 1.0 if self.value is None else self._layer_at(self.value, xy).astype(np.float64)
         return np.where(inside, value, 0.0)
 
-    def _under(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
+    def _layer_at(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
         """Return the entries (...,) of a layer at points (..., 2), clipped to the map."""
         row, col = self.grid.cell(xy)
         g = self.grid
@@ -160,7 +162,7 @@ class HazardMap:
     def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Return p_safe (...,) of the cells at points (..., 2); 0 off the map."""
         inside = self.grid.contains(xy)
-        p = self._under(self.p_safe, xy).astype(np.float64)
+        p = self._layer_at(self.p_safe, xy).astype(np.float64)
         return np.where(inside, p, 0.0)
 
     def elevation_at(self, xy: ArrayLike) -> float:
@@ -217,11 +219,11 @@ class HazardMap:
         inside = self.grid.contains(xy)
         for n, (row, col) in enumerate(zip(rows, cols, strict=True)):
             if inside[n] and self.observed[row, col]:
-                out[n] = _weighted(p, int(row), int(col), sigma[n] / self.grid.posting)
+                out[n] = _gaussian_mean(p, int(row), int(col), sigma[n] / self.grid.posting)
         return out
 
 
-def _weighted(p: FloatMap, row: int, col: int, sigma: float) -> float:
+def _gaussian_mean(p: FloatMap, row: int, col: int, sigma: float) -> float:
     """Return the Gaussian mean of p about a cell; `sigma` in cells, cut at 3 sigma.
 
     Cells off the map count as 0.

@@ -23,7 +23,7 @@ class Levelling:
 
     def __init__(self, mappers: Mapping[str, HazardMapper], navigation: Navigation) -> None:
         self._mappers, self._navigation = mappers, navigation
-        self._levelled = np.eye(3)
+        self._applied_rotation = np.eye(3)
 
     def follow(self, time: float, mass: float) -> None:
         """Rotate the maps by the tilt correction since the last call.
@@ -36,10 +36,10 @@ class Levelling:
         found = self._navigation.ground_turn
         if found is None:
             return
-        turn, angle = found.since(self._levelled)
+        turn, angle = found.since(self._applied_rotation)
         if angle < SURE_TILT:
             return
-        self._levelled = found.rotation
+        self._applied_rotation = found.rotation
         sigma = self._navigation.estimate(time, mass).tilt_sigma
         for mapper in self._mappers.values():
             mapper.level(turn, found.pivot, sigma)

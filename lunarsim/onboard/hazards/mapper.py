@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # Tilt uncertainty (rad, 1 sigma) below which maps are not corrected: 4 cm of height at 50 m.
 SURE_TILT = float(np.deg2rad(0.05))
 # Maximum number of cells along a side of a map.
-_MOST_CELLS = 8000
+_MAX_CELLS_PER_SIDE = 8000
 
 
 class HazardMapper(ABC):
@@ -217,7 +217,7 @@ def check_map(size: float, posting: float, lander: Lander) -> None:
         raise InputError("posting_m", posting, f"must be at most {0.5 * lander.leg_radius} m")
     if size < 4.0 * lander.leg_radius + 1.0:
         raise InputError("size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:.1f} m")
-    check_side("size_m", size, posting, _MOST_CELLS)
+    check_side("size_m", size, posting, _MAX_CELLS_PER_SIDE)
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:

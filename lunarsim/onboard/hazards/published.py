@@ -67,31 +67,31 @@ class ReliefEvidence:
     ----------
     surface
         Elevations: the map of the mapper, or the snapshot that it is computed from.
-    judged
+    site_evidence
         Evidence for the probability at each site; None if not available.
     refit
         Last stage of the calibration; None: that of the package.
-    rises
+    residual_heights
         Heights of the samples above the local terrain plane, per cell (rows, cols), m; NaN without
         a sample. None if not available.
-    draw
+    compute_map
         Function that returns the map of the mapper; None if `surface` is that map.
 
     Raises
     ------
     InputError
-        If `rises` does not have the shape of the map, or if neither `surface` nor `draw` provides a
-        map.
+        If `residual_heights` does not have the shape of the map, or if neither `surface` nor
+        `compute_map` provides a map.
     """
 
     surface: Surface
-    judged: Evidence | None = None
+    site_evidence: Evidence | None = None
     refit: ScenarioCalibration | None = None
-    rises: NDArray[np.float32] | None = None
-    draw: Callable[[], HazardMap] | None = None
+    residual_heights: NDArray[np.float32] | None = None
+    compute_map: Callable[[], HazardMap] | None = None
 
     def __post_init__(self) -> None:
-        if self.draw is None and not isinstance(self.surface, HazardMap):
+        if self.compute_map is None and not isinstance(self.surface, HazardMap):
             raise InputError(
                 "evidence.surface",
                 type(self.surface),
@@ -99,14 +99,16 @@ class ReliefEvidence:
                 "Otherwise give draw.",
             )
         wanted = self.surface.grid.shape
-        if self.rises is not None and self.rises.shape != wanted:
-            raise InputError("evidence.rises", self.rises.shape, f"must have shape {wanted}")
+        if self.residual_heights is not None and self.residual_heights.shape != wanted:
+            raise InputError(
+                "evidence.rises", self.residual_heights.shape, f"must have shape {wanted}"
+            )
 
     @cached_property
-    def drawn(self) -> HazardMap:
+    def hazard_map(self) -> HazardMap:
         """The map of the mapper."""
-        if self.draw is not None:
-            return self.draw()
+        if self.compute_map is not None:
+            return self.compute_map()
         assert isinstance(self.surface, HazardMap)
         return self.surface
 
@@ -117,7 +119,7 @@ class RockEvidence:
 
     Attributes
     ----------
-    drawn
+    hazard_map
         Map of the mapper.
     diameter
         Lower edges of the size classes (sizes,), ascending, m.
@@ -141,7 +143,7 @@ class RockEvidence:
         If `ratio` or `unseen` has the wrong shape, or if `unseen` is not a probability.
     """
 
-    drawn: HazardMap
+    hazard_map: HazardMap
     diameter: Array
     ratio: NDArray[np.float32]
     tracks: RockTracks
@@ -150,14 +152,14 @@ class RockEvidence:
     expected: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.unseen is not None and self.unseen.shape != self.drawn.grid.shape:
-            wanted_here = f"must have shape {self.drawn.grid.shape}"
+        if self.unseen is not None and self.unseen.shape != self.hazard_map.grid.shape:
+            wanted_here = f"must have shape {self.hazard_map.grid.shape}"
             raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
         if self.unseen is not None:
-            none = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
-            if none.size:
-                raise InputError("evidence.unseen", float(none[0]), "must be between 0 and 1")
-        wanted = (len(self.diameter), *self.drawn.grid.shape)
+            invalid = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
+            if invalid.size:
+                raise InputError("evidence.unseen", float(invalid[0]), "must be between 0 and 1")
+        wanted = (len(self.diameter), *self.hazard_map.grid.shape)
         if self.ratio.shape != wanted:
             raise InputError("evidence.ratio", self.ratio.shape, f"must have shape {wanted}")
 

@@ -263,15 +263,15 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
 def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slope, density):
     """Some of the points that met a rock, or fell into a hole, met a greater one."""
     rng = np.random.default_rng(seed)
-    rises = np.zeros(int(rng.choice([300, 3000, 20_000])))
+    residual_heights = np.zeros(int(rng.choice([300, 3000, 20_000])))
     count = int(rng.integers(1, 100))
-    rises[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
-    worse = rises.copy()
+    residual_heights[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
+    worse = residual_heights.copy()
     worse[: int(rng.integers(1, count + 1))] *= times
     own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "thinnest": density}
     p = [
         site_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[0][0]
-        for said in ((r, 0.02, 0.25, 0.05) for r in (rises, worse))
+        for said in ((r, 0.02, 0.25, 0.05) for r in (residual_heights, worse))
     ]
     assert p[1] <= p[0] + 1e-12
 
@@ -377,10 +377,10 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
 def test_what_noise_adds_to_the_highest_point_is_taken_off():
     quiet, noisy = site(0.02, noise=1e-4, top=0.4), site(0.02, noise=0.02, top=0.4)
     limit = Lander().roughness_limit
-    assert quiet.raised()[0] == pytest.approx(0.4 - 3e-4 / limit)
-    assert noisy.raised()[0] == pytest.approx(0.4 - 0.06 / limit)
-    assert quiet.raised()[1] == pytest.approx(0.1, abs=1e-5)
-    assert noisy.raised()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
+    assert quiet.shifted_up()[0] == pytest.approx(0.4 - 3e-4 / limit)
+    assert noisy.shifted_up()[0] == pytest.approx(0.4 - 0.06 / limit)
+    assert quiet.shifted_up()[1] == pytest.approx(0.1, abs=1e-5)
+    assert noisy.shifted_up()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
 
 
 def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():

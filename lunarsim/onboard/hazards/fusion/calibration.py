@@ -27,7 +27,7 @@ from lunarsim.whole_files import read_tagged, write_text_whole
 Array = NDArray[np.float64]
 
 # Maximum magnitude of the log odds, and of their change.
-_MOST, _CHANGE = 10.0, 2.0
+_MAX_LOG_ODDS, _MAX_LOG_ODDS_CHANGE = 10.0, 2.0
 _FORMAT = "lunarsim fused calibration 1"
 _KEYS = ("intercept", "slope", "other")
 
@@ -80,7 +80,9 @@ class FusedCalibration:
         own = np.asarray(p, np.float32)
         x, y = _log_odds(own), np.where(seen, _log_odds(other), 0.0)
         change = self.intercept + (self.slope - 1.0) * x + self.other * y
-        changed = expit(x + np.clip(change, -_CHANGE, _CHANGE)).astype(np.float32)
+        changed = expit(x + np.clip(change, -_MAX_LOG_ODDS_CHANGE, _MAX_LOG_ODDS_CHANGE)).astype(
+            np.float32
+        )
         return np.where((own > 0.0) & (change != 0.0), changed, own)
 
     @classmethod
@@ -157,4 +159,6 @@ class FusedCalibration:
 
 def _log_odds(p: ArrayLike) -> Array:
     with np.errstate(divide="ignore"):
-        return np.asarray(np.clip(logit(np.asarray(p, dtype=np.float64)), -_MOST, _MOST))
+        return np.asarray(
+            np.clip(logit(np.asarray(p, dtype=np.float64)), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)
+        )

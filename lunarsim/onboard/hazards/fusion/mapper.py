@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.hazards.drawing_times import DrawingTimes
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
-from lunarsim.onboard.hazards.fusion.fuse import fused_map
-from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface, elevation_under
+from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
@@ -27,7 +27,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
-_WORDS = {ReliefEvidence: "elevations", RockEvidence: "rocks"}
+_EVIDENCE_NAMES = {ReliefEvidence: "elevations", RockEvidence: "rocks"}
 
 
 @dataclass(frozen=True)
@@ -115,14 +115,14 @@ class FusedMapping:
             if name not in parts:
                 raise InputError("of", name, suggestion(name, others))
             published = getattr(parts[name], "publishes", None)
-            if published not in _WORDS:
+            if published not in _EVIDENCE_NAMES:
                 raise InputError("of", name, "must be a mapper that publishes evidence")
             if name in found:
                 raise InputError("of", names, f"must name each mapper once, not {name!r} twice")
             if published in found.values():
                 raise InputError(
                     "of", names,
-                    f"must name one mapper of {_WORDS[published]} only, "
+                    f"must name one mapper of {_EVIDENCE_NAMES[published]} only, "
                     "because two maps of the same returns are not independent",
                 )  # fmt: skip
             found[name] = published
@@ -206,9 +206,9 @@ class FusedMapper(HazardMapper):
         self._feature = dict(feature or {})
         self.terms = terms
         self.calibration = calibration
-        self._drawn: HazardMap | None = None
-        self._from: tuple[Surface, ...] = ()
-        self._times = DrawingTimes(interval)
+        self._map: HazardMap | None = None
+        self._source_surfaces: tuple[Surface, ...] = ()
+        self._timer = MapUpdateTimer(interval)
 
     @property
     def sources(self) -> frozenset[str]:
@@ -240,52 +240,58 @@ class FusedMapper(HazardMapper):
         An update is due at once if another mapper has retracted its observations or has moved its
         grid.
         """
-        asked = (*self._mappers.values(), *self._feature.values())
-        grounds = tuple(mapper.surface() for mapper in asked)
-        if self._drawn is None or self._must_draw(grounds):
-            self._drawn = self._draw(grounds[0].grid)
-            self._from = grounds
+        sources = (*self._mappers.values(), *self._feature.values())
+        surfaces = tuple(mapper.surface() for mapper in sources)
+        if self._map is None or self._is_update_due(surfaces):
+            self._map = self._compute(surfaces[0].grid)
+            self._source_surfaces = surfaces
             if self.blank:
                 # An empty map is updated as soon as there is an observation.
-                self._times.at_once()
+                self._timer.force_update()
             else:
-                self._times.drawn()
-        return self._drawn
+                self._timer.mark_updated()
+        return self._map
 
-    def _must_draw(self, grounds: tuple[Surface, ...]) -> bool:
-        anew = [(n, o) for n, o in zip(grounds, self._from, strict=True) if not _same(n, o)]
-        if self._times.due:
-            return bool(anew)
+    def _is_update_due(self, surfaces: tuple[Surface, ...]) -> bool:
+        changed = [
+            (n, o)
+            for n, o in zip(surfaces, self._source_surfaces, strict=True)
+            if not _is_same_update(n, o)
+        ]
+        if self._timer.is_due:
+            return bool(changed)
         return any(
             new.grid != old.grid or (old.observed.any() and not new.observed.any())
-            for new, old in anew
+            for new, old in changed
         )
 
     def refresh(self, time: float) -> None:
         """Set the current time (s)."""
-        self._times.tell(time)
+        self._timer.set_time(time)
 
-    def _draw(self, grid: Grid) -> HazardMap:
+    def _compute(self, grid: Grid) -> HazardMap:
         """Return the map; without evidence, an empty one on the given cells."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
         relief = next((e for e in published if isinstance(e, ReliefEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
         if relief is None and rocks is None:
             return HazardMap.unobserved(grid)
-        drawn = fused_map(relief, rocks, self.terms)
+        fused = fuse_evidence(relief, rocks, self.terms)
         if self.calibration is None:
-            return drawn
+            return fused
         second = next((mapper.hazard_map() for mapper in self._feature.values()), None)
-        return self._calibrated(drawn, second)
+        return self._calibrated(fused, second)
 
-    def _calibrated(self, drawn: HazardMap, second: HazardMap | None) -> HazardMap:
+    def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
         """Return the map after the calibration C, which uses the probability of the second map."""
         assert self.calibration is not None
-        other, seen = np.zeros_like(drawn.p_safe), np.zeros_like(drawn.observed)
+        other, seen = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
         if second is not None:
-            other = on_grid(second.p_safe, second.grid, drawn.grid, np.float32(0.0), "least")
-            seen = on_grid(second.observed, second.grid, drawn.grid, False, "least")
-        return replace(drawn, p_safe=self.calibration.probability(drawn.p_safe, other, seen))
+            other = resample_to_grid(
+                second.p_safe, second.grid, fused.grid, np.float32(0.0), "minimum"
+            )
+            seen = resample_to_grid(second.observed, second.grid, fused.grid, False, "minimum")
+        return replace(fused, p_safe=self.calibration.probability(fused.p_safe, other, seen))
 
     def ground_height(self, xy: Array) -> float | None:
         """Return the terrain height at a point (2,), local frame, m; None if unknown.
@@ -305,7 +311,7 @@ class FusedMapper(HazardMapper):
         return all(mapper.blank for mapper in self._mappers.values())
 
 
-def _same(new: Surface, old: Surface) -> bool:
+def _is_same_update(new: Surface, old: Surface) -> bool:
     """Return whether two surfaces belong to one update; heights may still differ."""
     if isinstance(new, HazardMap) and isinstance(old, HazardMap):
         return new.p_safe is old.p_safe

@@ -11,11 +11,11 @@ from scipy import ndimage
 
 from lunarsim.grid import Grid
 
-_WORST = {"least": ndimage.minimum_filter, "greatest": ndimage.maximum_filter}
+_WORST = {"minimum": ndimage.minimum_filter, "maximum": ndimage.maximum_filter}
 
 
-def on_grid(
-    layer: NDArray[Any], of: Grid, to: Grid, outside: Any, worst: Literal["least", "greatest"]
+def resample_to_grid(
+    layer: NDArray[Any], of: Grid, to: Grid, outside: Any, worst: Literal["minimum", "maximum"]
 ) -> NDArray[Any]:
     """Return a layer (rows, cols) on the cells of another grid.
 
@@ -37,12 +37,14 @@ def on_grid(
         return layer
     width = 2 * int(np.ceil(max(0.5 * to.posting / of.posting, 1.0))) + 1
     near = _WORST[worst](layer, width, mode="nearest")
-    row, col, inside = _places(of, to)
+    row, col, inside = _cell_indices(of, to)
     return np.asarray(np.where(inside, near[row, col], outside), layer.dtype)
 
 
 @lru_cache(maxsize=2)
-def _places(of: Grid, to: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+def _cell_indices(
+    of: Grid, to: Grid
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Return rows and columns of one grid at the cells of another, and which lie on it."""
     xy = to.centres()
     row, col = of.cell(xy)

@@ -91,13 +91,13 @@ def fill_holes(z):
         count = kept
 
 
-_NEIGHBOURS = (
+_MAX_PIXEL_DISTANCE = (
     2  # vertices that are farther apart on the detector have a missing return between them
 )
 
 
 # A triangle spans an occlusion if an edge exceeds the sample spacing by this factor.
-_GAP = 3.0
+_OCCLUSION_RATIO = 3.0
 
 
 @kernel(shared=True, allocates=False)
@@ -119,8 +119,8 @@ def edges(share, points, triangles, row, col, spacing, longest, usable):
             wide = max(wide, spacing[a])
             if row.size > 0:
                 apart = max(apart, abs(row[a] - row[b]), abs(col[a] - col[b]))
-        longest[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
-        usable[t] = longest[t] <= _GAP * wide
+        longest[t] = np.sqrt(most) if apart <= _MAX_PIXEL_DISTANCE else np.inf
+        usable[t] = longest[t] <= _OCCLUSION_RATIO * wide
 
 
 @kernel(fast=True)

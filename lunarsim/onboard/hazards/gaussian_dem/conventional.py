@@ -39,7 +39,7 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     ValueError
         If the array is not (n, 3) of real numbers, or contains infinities.
     """
-    cloud = np.ascontiguousarray(plain(points))
+    cloud = np.ascontiguousarray(as_real_array(points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError("must have shape (n, 3): east, north, up")
     kept = finite_rows(cloud)
@@ -50,7 +50,7 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     return cloud[kept]
 
 
-def plain(values: ArrayLike) -> NDArray[np.float64]:
+def as_real_array(values: ArrayLike) -> NDArray[np.float64]:
     """Return an array of real numbers, with NaN for masked values.
 
     Raises
@@ -106,7 +106,7 @@ def conventional_dem(points: ArrayLike, grid: Grid) -> ConventionalDem:
 
 
 # float32 resolves 1 mm up to this height, m.
-_FARTHEST = 8192.0
+_MAX_HEIGHT_M = 8192.0
 
 
 def check_heights(cloud: NDArray[np.float64]) -> None:
@@ -120,10 +120,10 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
     if not len(cloud):
         return
     worst = float(cloud[np.argmax(np.abs(cloud[:, 2])), 2])
-    if abs(worst) > _FARTHEST:
+    if abs(worst) > _MAX_HEIGHT_M:
         raise InputError(
             "points", worst,
-            f"heights must be within {_FARTHEST:.0f} m of the origin of the frame",
+            f"heights must be within {_MAX_HEIGHT_M:.0f} m of the origin of the frame",
             "Use a local frame.",
         )  # fmt: skip
 

@@ -20,7 +20,7 @@ from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 
 @dataclass(frozen=True)
-class DrawnDem:
+class DemSnapshot:
     """Elevations, site evidence and landing safety of a DEM, computed on demand.
 
     Attributes
@@ -56,22 +56,22 @@ class DrawnDem:
     @property
     def observed(self) -> BoolMap:
         """Where the complete footprint has been observed (rows, cols)."""
-        return self.judged.observed
+        return self.site_evidence.observed
 
     @property
-    def rises(self) -> NDArray[np.float32]:
+    def residual_heights(self) -> NDArray[np.float32]:
         """Height of the samples above the local plane, per cell (rows, cols), m."""
-        return self.dem.sampling.of_cells
+        return self.dem.sampling.residual_raster
 
     @cached_property
-    def judged(self) -> Evidence:
+    def site_evidence(self) -> Evidence:
         """Evidence for the safety of each site."""
         return evidence_of(self.dem, self.lander, self.rocks)
 
     @cached_property
     def hazard_map(self) -> HazardMap:
         """Calibrated probability of a safe landing."""
-        p, known = calibrated_safety(self.judged, refit=self.refit)
+        p, known = calibrated_safety(self.site_evidence, refit=self.refit)
         return HazardMap(
             self.grid, p, self.observed, self.elevation, self.variance, in_domain=known
         )
@@ -91,7 +91,7 @@ def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evide
     """
     seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling
-    said = (s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
+    said = (s.residual_heights, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
     return Evidence(
         stochastic_safety(seen, dem.variance, dem.grid, lander),
         plane_stochastic_safety(seen, dem.variance, dem.grid, lander),

@@ -15,7 +15,7 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_BINS = 24
+_BIN_COUNT = 24
 
 
 @dataclass(frozen=True)
@@ -75,21 +75,21 @@ def fit_hyperparameters(
     ValueError
         If there are too few points, or no two points within the maximum lag.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     cloud = check_points(points)
     if len(cloud) < 100:
         raise ValueError(f"points: must be at least 100 for a variogram, got {len(cloud)}")
-    distance, square = _drawn_pairs(cloud, rng, pairs, largest_lag)
+    distance, square = _sample_pairs(cloud, rng, pairs, largest_lag)
     if not distance.size:
         raise ValueError(f"largest_lag: must exceed the distance of some points, got {largest_lag}")
-    lag, variogram, count = _binned(distance, square, largest_lag)
-    sigma_f, length = _fitted(lag, variogram, count, sigma_eps, largest_lag)
+    lag, variogram, count = _bin_pairs(distance, square, largest_lag)
+    sigma_f, length = _fit_model(lag, variogram, count, sigma_eps, largest_lag)
     return FieldFit(
-        sigma_f, length, sigma_f**2 / length, lag, variogram, time.perf_counter() - began
+        sigma_f, length, sigma_f**2 / length, lag, variogram, time.perf_counter() - start
     )
 
 
-def _drawn_pairs(
+def _sample_pairs(
     cloud: Array, rng: np.random.Generator, pairs: int, largest_lag: float
 ) -> tuple[Array, Array]:
     """Return distance and half the squared height difference of random pairs of points."""
@@ -105,18 +105,18 @@ def _drawn_pairs(
     return distance[use], 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
 
 
-def _binned(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
+def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
     """Return lag, variogram and number of pairs of the bins with at least 30 pairs."""
-    edges = np.geomspace(distance.min(), largest_lag, _BINS + 1)
-    index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BINS - 1)
-    count = np.bincount(index, minlength=_BINS)
+    edges = np.geomspace(distance.min(), largest_lag, _BIN_COUNT + 1)
+    index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BIN_COUNT - 1)
+    count = np.bincount(index, minlength=_BIN_COUNT)
     filled = count >= 30
-    centre = np.bincount(index, weights=distance, minlength=_BINS)[filled] / count[filled]
-    height = np.bincount(index, weights=square, minlength=_BINS)[filled] / count[filled]
+    centre = np.bincount(index, weights=distance, minlength=_BIN_COUNT)[filled] / count[filled]
+    height = np.bincount(index, weights=square, minlength=_BIN_COUNT)[filled] / count[filled]
     return centre, height, count[filled]
 
 
-def _fitted(
+def _fit_model(
     lag: Array, variogram: Array, count: Index, sigma_eps: float, largest_lag: float
 ) -> tuple[float, float]:
     """Return sigma_f and length scale of the best model."""

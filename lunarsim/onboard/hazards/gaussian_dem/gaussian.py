@@ -12,11 +12,11 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
+    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
-    plain,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
@@ -28,9 +28,9 @@ DENSE = 0.5
 # Pixel numbers of points without a detector.
 NO_PIXELS = np.zeros(0, np.int64)
 # Maximum length parameter of the field, m: its square fits float32.
-_LONGEST = 1e9
+_MAX_LENGTH_M = 1e9
 # Number of neighbours from which the sample spacing is estimated if the sensor does not state it.
-_NEAREST = 6
+_NEIGHBOUR_COUNT = 6
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def gaussian_dem(
         exceeds 8 km.
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
-    raw = plain(points)
+    raw = as_real_array(points)
     cloud = check_points(raw)
     base = base_height(cloud)
     check_heights(cloud)
@@ -138,10 +138,10 @@ def _regress(
 
 def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
     for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
-        if not 0.0 < value <= _LONGEST:
-            raise InputError(name, value, f"must be positive and at most {_LONGEST:g} m")
-    if not 0.0 <= sigma_eps <= _LONGEST:
-        raise InputError("sigma_eps", sigma_eps, f"must be between 0 and {_LONGEST:g} m")
+        if not 0.0 < value <= _MAX_LENGTH_M:
+            raise InputError(name, value, f"must be positive and at most {_MAX_LENGTH_M:g} m")
+    if not 0.0 <= sigma_eps <= _MAX_LENGTH_M:
+        raise InputError("sigma_eps", sigma_eps, f"must be between 0 and {_MAX_LENGTH_M:g} m")
 
 
 def triangle_edges(
@@ -247,7 +247,7 @@ def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
 
 def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean distance (n,) of points (n, 2 or more) to their six nearest, m."""
-    nearest = min(_NEAREST, len(points) - 1)
+    nearest = min(_NEIGHBOUR_COUNT, len(points) - 1)
     if nearest < 1:
         return np.full(len(points), np.inf)
     distance, _ = cKDTree(points[:, :2]).query(points[:, :2], k=nearest + 1, workers=-1)

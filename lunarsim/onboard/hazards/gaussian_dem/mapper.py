@@ -14,14 +14,14 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.drawing_times import DrawingTimes
-from lunarsim.onboard.hazards.early_ground import EarlyGround
-from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
+from lunarsim.onboard.hazards.gaussian_dem.drawn import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
+from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
@@ -32,7 +32,7 @@ from lunarsim.safety.refit import ScenarioCalibration
 Array = NDArray[np.float64]
 # A height offset of a scan is corrected if it exceeds this many standard deviations and this
 # height, m.
-_SURELY, _LEAST_STEP = 5.0, 0.01
+_MIN_OFFSET_SIGMAS, _MIN_OFFSET_M = 5.0, 0.01
 Judgement = Literal["calibrated", "level", "planes"]
 
 
@@ -164,10 +164,10 @@ class GaussianDemMapper(HazardMapper):
         self.refit = refit
         self.safety = safety
         self.rocks = RockExpectation.given(rocks)
-        self._samples, self._turning = SamplePool(grid), SamplePool(grid)
-        self._early = EarlyGround()
-        self._drawn: HazardMap | DrawnDem = HazardMap.unobserved(grid)
-        self._times, self._stale = DrawingTimes(interval), False
+        self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
+        self._unleveled = UnleveledScans()
+        self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
+        self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; ignore a scan without returns.
@@ -179,33 +179,33 @@ class GaussianDemMapper(HazardMapper):
         """
         measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
-        early = self._early.takes(estimate.tilt_sigma)
-        self._raise_to(points)
-        taken = (self._turning if early else self._samples).add(
+        early = self._unleveled.includes(estimate.tilt_sigma)
+        self._align_heights_to(points)
+        taken = (self._provisional if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
-        self._stale |= taken > 0
+        self._is_outdated |= taken > 0
 
-    def _raise_to(self, points: Array) -> None:
+    def _align_heights_to(self, points: Array) -> None:
         """Shift all samples to the height of a new scan if the offset is significant.
 
         The estimated height of the lander drifts by decimetres between scans. Samples at two
         heights would look like steps all over the map. The newest scan defines the height, because
         guidance uses it.
         """
-        found = self.pool.height_of(points)
-        if found is None or abs(found[0]) < max(_SURELY * found[1], _LEAST_STEP):
+        found = self.pool.height_offset(points)
+        if found is None or abs(found[0]) < max(_MIN_OFFSET_SIGMAS * found[1], _MIN_OFFSET_M):
             return
-        self._samples, self._turning = (
-            one.raised(found[0]) for one in (self._samples, self._turning)
+        self._samples, self._provisional = (
+            one.shifted_up(found[0]) for one in (self._samples, self._provisional)
         )
 
     @property
     def pool(self) -> SamplePool:
         """All samples, those with a provisional tilt at their present position."""
-        return self._samples.with_those_of(self._turning)
+        return self._samples.union(self._provisional)
 
     def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
         """Rotate the samples that came before the tilt was known.
@@ -217,12 +217,12 @@ class GaussianDemMapper(HazardMapper):
         tilt_sigma
             Present standard deviation of the tilt, rad.
         """
-        if self._turning.base is None:
+        if self._provisional.base is None:
             return
-        self._turning = self._turning.turned(turn, pivot)
-        self._stale = True
-        if self._early.known(tilt_sigma):
-            self._samples, self._turning = self.pool, SamplePool(self.grid)
+        self._provisional = self._provisional.rotated(turn, pivot)
+        self._is_outdated = True
+        if self._unleveled.is_tilt_known(tilt_sigma):
+            self._samples, self._provisional = self.pool, SamplePool(self.grid)
 
     def dem(self) -> PooledDem:
         """Return mean and variance of the elevation."""
@@ -230,42 +230,46 @@ class GaussianDemMapper(HazardMapper):
 
     def surface(self) -> Surface:
         """Return the elevations as last computed, after an update if one is due."""
-        return self._due_drawing()
+        return self._updated()
 
-    def _due_drawing(self) -> HazardMap | DrawnDem:
-        if self._stale and self._times.due:
-            self._drawn, self._stale = self._draw(self.dem()), False
-            self._times.drawn()
-        return self._drawn
+    def _updated(self) -> HazardMap | DemSnapshot:
+        if self._is_outdated and self._timer.is_due:
+            self._map, self._is_outdated = self._compute(self.dem()), False
+            self._timer.mark_updated()
+        return self._map
 
     def hazard_map(self) -> HazardMap:
         """Return the hazard map as last computed, after an update if one is due."""
-        drawn = self._due_drawing()
-        return drawn.hazard_map if isinstance(drawn, DrawnDem) else drawn
+        snapshot = self._updated()
+        return snapshot.hazard_map if isinstance(snapshot, DemSnapshot) else snapshot
 
     def evidence(self) -> ReliefEvidence | None:
         """Return the last computed elevations and their evidence; None before any return.
 
         Uncalibrated safety tests provide the map only.
         """
-        drawn = self._due_drawing()
+        snapshot = self._updated()
         if self.blank:
             return None
-        if isinstance(drawn, HazardMap):
-            return ReliefEvidence(drawn)
+        if isinstance(snapshot, HazardMap):
+            return ReliefEvidence(snapshot)
         return ReliefEvidence(
-            drawn, drawn.judged, self.refit, drawn.rises, draw=lambda: drawn.hazard_map
+            snapshot,
+            snapshot.site_evidence,
+            self.refit,
+            snapshot.residual_heights,
+            compute_map=lambda: snapshot.hazard_map,
         )
 
     def refresh(self, time: float) -> None:
         """Set the current time (s)."""
-        self._times.tell(time)
+        self._timer.set_time(time)
 
-    def _draw(self, dem: PooledDem) -> HazardMap | DrawnDem:
-        if not len(dem.sampling.rises):
+    def _compute(self, dem: PooledDem) -> HazardMap | DemSnapshot:
+        if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DrawnDem(dem, self.lander, self.rocks, self.refit)
+            return DemSnapshot(dem, self.lander, self.rocks, self.refit)
         seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
         judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
         safety = judge(seen, dem.variance, self.grid, self.lander)
@@ -274,24 +278,24 @@ class GaussianDemMapper(HazardMapper):
     @property
     def blank(self) -> bool:
         """Whether no return has fallen on the map yet."""
-        return self._samples.base is None and self._turning.base is None
+        return self._samples.base is None and self._provisional.base is None
 
     def recentre(self, centre: Array) -> None:
         """Move the map to another centre (3,), local frame, m, if it is too far away."""
         if not (self.blank or is_aside(self.grid, centre)):
             return
-        self._samples, self._turning = self._about(centre)
+        self._samples, self._provisional = self._pools_about(centre)
         self.grid = self._samples.grid
-        self._drawn, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._times.at_once()
+        self._map, self._is_outdated = HazardMap.unobserved(self.grid), not self.blank
+        self._timer.force_update()
 
-    def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
+    def _pools_about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
         """Return both pools on one grid about another point (3,)."""
         both = self.pool.about(centre)
         if both.base is None:
             return both, SamplePool(both.grid)
         # Grids with samples move by whole cells, so that both pools stay aligned.
         return tuple(  # type: ignore[return-value]
-            SamplePool(both.grid) if one.base is None else one.laid(both.grid)
-            for one in (self._samples, self._turning)
+            SamplePool(both.grid) if one.base is None else one.on_shifted_grid(both.grid)
+            for one in (self._samples, self._provisional)
         )

@@ -18,7 +18,7 @@ from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     triangle_edges,
 )
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.triangulation import delaunay
 
 Array = NDArray[np.float64]
@@ -26,26 +26,26 @@ IntArray = NDArray[np.int64]
 
 # Variance of the field relative to the height differences in a triangle: so large that only the
 # corners determine the level of a triangle, and only the kernel's slope at the origin matters.
-_WIDE = 100.0
+_PRIOR_VARIANCE_RATIO = 100.0
 # Length scale over which unobserved terrain may deviate from the rest, m.
-_FAR = 30.0
+_UNOBSERVED_LENGTH_M = 30.0
 # The growth of the complete map counts as this many squares in the estimate for each square.
-_PRIOR = 1.0
+_GLOBAL_WEIGHT_SQUARES = 1.0
 # Minimum growth, m: even flat terrain has dust of millimetres.
-_LEAST_GROWTH = 1e-6
+_MIN_GROWTH_M = 1e-6
 # Effective distance of a sample from the cell centre, in units of the posting.
-_SUB = 0.15
+_SAMPLE_DISTANCE_RATIO = 0.15
 # Share of the squared terrain curvature that is added to the variance of a cell.
-_KINK = 0.4
+_CURVATURE_SHARE = 0.4
 # Terrain is smoother within a triangle than along its edges ...
-_WITHIN = 0.4
+_INTERIOR_GROWTH_RATIO = 0.4
 # ... but the growth of the triangle itself, times the second factor, counts if it exceeds the first
 # factor times the noise: an object there is as high between its corners as at them, or higher.
-_SIGNIFICANT, _BETWEEN = 6.0, 2.2
+_SIGNIFICANCE_RATIO, _SIGNIFICANT_GROWTH_FACTOR = 6.0, 2.2
 
 
 @dataclass(frozen=True)
-class Sampling:
+class SamplingStatistics:
     """Statistics of the samples of a DEM and of the terrain between them.
 
     Attributes
@@ -56,24 +56,24 @@ class Sampling:
         Median distance of neighbouring samples within their scans, m.
     noise
         Median standard deviation of the samples, m.
-    rises
+    residual_heights
         Heights of the samples above the local terrain plane (n,), m.
-    of_cells
+    residual_raster
         The same at the cell of each sample (rows, cols), m; NaN without a sample.
     """
 
     density: Array
     spacing: float
     noise: float
-    rises: Array
-    of_cells: NDArray[np.float32]
+    residual_heights: Array
+    residual_raster: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class PooledDem(GaussianDem):
     """Gaussian DEM with the statistics of its samples; see `GaussianDem`."""
 
-    sampling: Sampling
+    sampling: SamplingStatistics
 
 
 def pooled_dem(pool: SamplePool) -> PooledDem:
@@ -95,26 +95,30 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     # The pool keeps one sample per cell, so the spacing is at least the posting.
     apart = np.maximum(spacing, grid.posting)
     longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)
-    squares = Squares.of(grid, longest[usable])
+    squares = LocalPlaneGrid.of(grid, longest[usable])
     first, second, third = _corners(vertices[:, :2], triangles)
     middles = (first + second + third) / 3.0
     planes = squares.planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
-    grown = np.empty((len(triangles), 2))
-    sk.triangle_growth(vertices, noise, triangles, gradient, grown)
-    growth = _growth(squares, middles[usable], grown[usable])
+    increments = np.empty((len(triangles), 2))
+    sk.triangle_growth(vertices, noise, triangles, gradient, increments)
+    growth = _variogram_growth(squares, middles[usable], increments[usable])
     weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
     sk.measured_pool(
-        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells, _SUB * grid.posting,
-        float(growth.max()) * _FAR, mean, variance, observed,
+        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells,
+        _SAMPLE_DISTANCE_RATIO * grid.posting, float(growth.max()) * _UNOBSERVED_LENGTH_M,
+        mean, variance, observed,
     )  # fmt: skip
     if len(triangles) and not observed.all():
         noises = _corners(noise, triangles)
         # Noise adds the variance of both ends to the squared difference of each of three edges.
         added = 2.0 * (noises[0] + noises[1] + noises[2])
-        own = grown[:, 0] - (_SIGNIFICANT - 1.0) * added
-        rate = np.maximum(_WITHIN * squares.at(growth, middles), _BETWEEN * own / grown[:, 1])
-        prior = _WIDE * (np.maximum.reduce(noises) + rate * grown[:, 1])
+        own = increments[:, 0] - (_SIGNIFICANCE_RATIO - 1.0) * added
+        rate = np.maximum(
+            _INTERIOR_GROWTH_RATIO * squares.at(growth, middles),
+            _SIGNIFICANT_GROWTH_FACTOR * own / increments[:, 1],
+        )
+        prior = _PRIOR_VARIANCE_RATIO * (np.maximum.reduce(noises) + rate * increments[:, 1])
         k.regress(
             vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,
             prior, prior / rate, weight, np.float32(DENSE), mean, variance, observed,
@@ -122,38 +126,42 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     measured = weight > DENSE
     with np.errstate(divide="ignore", invalid="ignore"):
         averaged = pool.splat[..., 3] / pool.splat[..., 1] ** 2
-    sk.add_kinks(mean, measured, averaged, _KINK, variance)
+    sk.add_kinks(mean, measured, averaged, _CURVATURE_SHARE, variance)
     return PooledDem(
-        grid, mean, variance, observed, _sampling(pool, vertices, noise, spacing, squares, planes)
+        grid,
+        mean,
+        variance,
+        observed,
+        _sampling_statistics(pool, vertices, noise, spacing, squares, planes),
     )
 
 
-def _sampling(
+def _sampling_statistics(
     pool: SamplePool,
     vertices: Array,
     noise: Array,
     spacing: Array,
-    squares: Squares,
+    squares: LocalPlaneGrid,
     planes: Array,
-) -> Sampling:
+) -> SamplingStatistics:
     if not len(vertices):
         nothing = np.zeros(pool.grid.shape)
         unknown = np.full(pool.grid.shape, np.nan, np.float32)
-        return Sampling(nothing, np.inf, np.inf, np.zeros(0), unknown)
+        return SamplingStatistics(nothing, np.inf, np.inf, np.zeros(0), unknown)
     middle = float(np.median(spacing))
     # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
     taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
-    rises = vertices[:, 2] - squares.heights(planes, vertices)
-    of_cells = np.full(pool.grid.shape, np.nan, np.float32)
+    residual_heights = vertices[:, 2] - squares.heights(planes, vertices)
+    residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
     # Vertices are in the order of their cells.
-    of_cells[np.nonzero(pool.centroid[..., 0])] = rises
-    return Sampling(
+    residual_raster[np.nonzero(pool.centroid[..., 0])] = residual_heights
+    return SamplingStatistics(
         np.maximum(taken, 0.0) / pool.grid.posting**2,
         middle,
         float(np.sqrt(np.median(noise))),
-        rises,
-        of_cells,
+        residual_heights,
+        residual_raster,
     )
 
 
@@ -162,7 +170,7 @@ def _corners(values: Array, triangles: IntArray) -> list[Array]:
     return [values[corner] for corner in triangles.T]
 
 
-def _growth(squares: Squares, points: Array, grown: Array) -> Array:
+def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array) -> Array:
     """Return the slope of the variogram at the origin, per square (rows, cols), m.
 
     Parameters
@@ -171,7 +179,7 @@ def _growth(squares: Squares, points: Array, grown: Array) -> Array:
         Squares of the estimate.
     points
         Centres of triangles (m, 2).
-    grown
+    increments
         Output of `triangle_growth` (m, 2).
     """
     row, col = squares.grid.cell(points[:, :2])
@@ -179,17 +187,17 @@ def _growth(squares: Squares, points: Array, grown: Array) -> Array:
     index = np.clip(row // squares.cells, 0, rows - 1) * cols
     index = index + np.clip(col // squares.cells, 0, cols - 1)
     rise, length = (
-        np.bincount(index, weights=grown[:, n], minlength=rows * cols).reshape(squares.shape)
+        np.bincount(index, weights=increments[:, n], minlength=rows * cols).reshape(squares.shape)
         for n in range(2)
     )
     if length.sum() <= 0.0:
-        return np.full(squares.shape, _LEAST_GROWTH)
-    whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
-    usual = _PRIOR * length.sum() / np.count_nonzero(length)
-    own = (_around(rise) + usual * whole) / (_around(length) + usual)
-    return np.asarray(np.maximum(own, _LEAST_GROWTH), dtype=np.float64)
+        return np.full(squares.shape, _MIN_GROWTH_M)
+    whole = max(rise.sum() / length.sum(), _MIN_GROWTH_M)
+    usual = _GLOBAL_WEIGHT_SQUARES * length.sum() / np.count_nonzero(length)
+    own = (_sum_3x3(rise) + usual * whole) / (_sum_3x3(length) + usual)
+    return np.asarray(np.maximum(own, _MIN_GROWTH_M), dtype=np.float64)
 
 
-def _around(values: NDArray[Any]) -> Array:
+def _sum_3x3(values: NDArray[Any]) -> Array:
     """Return sums over 3 x 3 squares."""
     return np.asarray(9.0 * ndimage.uniform_filter(values, 3, mode="constant"))

@@ -13,28 +13,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.early_ground import turned_about
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
+    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
-    plain,
 )
+from lunarsim.onboard.hazards.unleveled_scans import rotate_about
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Maximum standard deviation or spacing of samples, m.
-_LONGEST = 1e4
+_MAX_LENGTH_M = 1e4
 # Minimum standard deviation of a height, m, whatever the sensor states.
-_LEAST_SIGMA = 1e-4
+_MIN_SIGMA_M = 1e-4
 # Minimum number of shared cells for the height offset between two scans.
-_FEWEST = 30
+_MIN_SHARED_CELLS = 30
 # Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
 # the standard errors of their median and mean.
-_MAD, _MEDIAN = 1.4826, 1.2533
+_MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
 
 
 class SamplePool:
@@ -93,7 +93,7 @@ class SamplePool:
             is not positive.
         """
         try:
-            raw = plain(points)
+            raw = as_real_array(points)
             cloud = check_points(raw)
         except ValueError as error:
             raise InputError("points", np.shape(points), str(error)) from None
@@ -101,7 +101,7 @@ class SamplePool:
             return 0
         finite = finite_rows(raw)
         noise, apart = (
-            _positive(name, np.broadcast_to(plain(values), len(raw))[finite])
+            _check_positive(name, np.broadcast_to(as_real_array(values), len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
@@ -109,7 +109,7 @@ class SamplePool:
         g = self.grid
         own = np.zeros(g.shape)
         count = k.pool(
-            cloud, base, np.maximum(noise, _LEAST_SIGMA), apart, (g.x0, g.y0, g.posting),
+            cloud, base, np.maximum(noise, _MIN_SIGMA_M), apart, (g.x0, g.y0, g.posting),
             self.centroid, self.splat, own, self.spacing,
         )  # fmt: skip
         np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
@@ -117,7 +117,7 @@ class SamplePool:
         self.base = base if own.any() else self.base
         return int(count)
 
-    def height_of(self, points: ArrayLike) -> tuple[float, float] | None:
+    def height_offset(self, points: ArrayLike) -> tuple[float, float] | None:
         """Return the height offset of points from the samples in the same cells.
 
         The result is the median difference and its standard error, m; None if too few cells contain
@@ -133,14 +133,14 @@ class SamplePool:
         (row, col), keep = _cells(self.grid, cloud)
         known = self.centroid[row, col]
         both = known[:, 0] > 0.0
-        if np.count_nonzero(both) < _FEWEST or self.base is None:
+        if np.count_nonzero(both) < _MIN_SHARED_CELLS or self.base is None:
             return None
         off = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
         middle = float(np.median(off))
-        spread = _MAD * float(np.median(np.abs(off - middle)))
-        return middle, _MEDIAN * spread / float(np.sqrt(len(off)))
+        spread = _MAD_TO_SIGMA * float(np.median(np.abs(off - middle)))
+        return middle, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(off)))
 
-    def raised(self, by: float) -> SamplePool:
+    def shifted_up(self, by: float) -> SamplePool:
         """Return the same samples shifted up by a height, m."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + by
@@ -157,10 +157,10 @@ class SamplePool:
             return SamplePool(g.about(centre))
         by = np.asarray(centre, dtype=np.float64)[:2] - g.centre
         east, north = (int(v) for v in np.rint(by / g.posting))
-        out = self.laid(g.moved((east * g.posting, north * g.posting)))
+        out = self.on_shifted_grid(g.moved((east * g.posting, north * g.posting)))
         return SamplePool(g.about(centre)) if out.base is None else out
 
-    def laid(self, grid: Grid) -> SamplePool:
+    def on_shifted_grid(self, grid: Grid) -> SamplePool:
         """Return the same samples on a grid shifted by whole cells.
 
         Samples that leave the grid are dropped.
@@ -174,7 +174,7 @@ class SamplePool:
         out.base = self.base if out.splat[..., 1].any() else None
         return out
 
-    def turned(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
+    def rotated(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
         """Return the samples rotated about a pivot, without those that leave the grid.
 
         The mean point of each cell is rotated. This is exact except for samples that would move to
@@ -202,7 +202,7 @@ class SamplePool:
         out.base = self.base
         points, _, spacing = self.vertices()
         rows, cols = np.nonzero(self.centroid[..., 0])
-        new = turned_about(points, r, c)
+        new = rotate_about(points, r, c)
         at, keep = _cells(self.grid, new)
         weight = self.centroid[rows, cols, 0][keep]
         away = new[keep] - np.column_stack(
@@ -215,7 +215,7 @@ class SamplePool:
         splat = self.splat[rows, cols]
         above = out.base + splat[:, 2] / splat[:, 1]
         old = np.column_stack((self.grid.centre_of(rows, cols), above))
-        new = turned_about(old, r, c)
+        new = rotate_about(old, r, c)
         at, keep = _cells(self.grid, new)
         splat[:, 2] += splat[:, 1] * (new[:, 2] - old[:, 2])
         np.add.at(out.splat[..., 1:], at, splat[keep, 1:])
@@ -223,7 +223,7 @@ class SamplePool:
         out.base = self.base if out.splat[..., 1].any() else None
         return out
 
-    def with_those_of(self, other: SamplePool) -> SamplePool:
+    def union(self, other: SamplePool) -> SamplePool:
         """Return the union of these samples and those of another pool on the same grid."""
         if other.base is None or self.base is None:
             return self if other.base is None else other
@@ -261,10 +261,10 @@ def _overlap(count: int, by: int) -> tuple[slice, slice]:
     return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
 
 
-def _positive(name: str, values: Array) -> Array:
+def _check_positive(name: str, values: Array) -> Array:
     out = np.ascontiguousarray(values, dtype=np.float64)
-    wrong = ~((out > 0.0) & (out <= _LONGEST))
+    wrong = ~((out > 0.0) & (out <= _MAX_LENGTH_M))
     if wrong.any():
-        problem = f"must be positive and at most {_LONGEST:g} m"
+        problem = f"must be positive and at most {_MAX_LENGTH_M:g} m"
         raise InputError(name, float(out[wrong][0]), problem)
     return out

@@ -14,7 +14,6 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.early_ground import EarlyGround, turned_about
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.published import ReliefEvidence
@@ -23,6 +22,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
+from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans, rotate_about
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
@@ -142,7 +142,7 @@ class QuadtreeMapper(HazardMapper):
         self._target = np.array(grid.centre)
         self._rocks = RockExpectation.given(rocks)
         self._interval = interval
-        self._early, self._unsure = EarlyGround(), 0
+        self._unleveled, self._unsure = UnleveledScans(), 0
         self._refreshed = -np.inf
         self._judged = -1
         self._drawn: HazardMap | None = self._nothing(grid)
@@ -209,9 +209,9 @@ class QuadtreeMapper(HazardMapper):
         points, first = self.map.points, self._unsure
         if first == 0:
             return
-        points[:first] = turned_about(points[:first], turn, pivot)
+        points[:first] = rotate_about(points[:first], turn, pivot)
         self._lay_anew(self.grid, float(self.map.centre[2]), points)
-        if self._early.known(tilt_sigma):
+        if self._unleveled.is_tilt_known(tilt_sigma):
             self._unsure = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
@@ -226,7 +226,7 @@ class QuadtreeMapper(HazardMapper):
         if np.isnan(measurement.range).all():
             return
         self._insert(measurement, estimate.position, estimate.attitude)
-        if self._early.takes(estimate.tilt_sigma):
+        if self._unleveled.includes(estimate.tilt_sigma):
             self._unsure = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.onboard.hazards.quadtree._sum_kernels import count_in_squares
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 
@@ -189,6 +189,8 @@ def rises(quadtree: QuadtreeMap) -> Array:
     index = np.arange(0, count, max(1, count // _ASKED))
     points, apart = t.xyz[index].astype(np.float64), t.apart[index]
     spacing = quadtree.side / np.sqrt(max(len(points), 1))
-    squares = Squares(Grid.centred((0.0, 0.0), quadtree.side, max(_SQUARE, 2.0 * spacing)), 1)
+    squares = LocalPlaneGrid(
+        Grid.centred((0.0, 0.0), quadtree.side, max(_SQUARE, 2.0 * spacing)), 1
+    )
     found = points[:, 2] - squares.heights(squares.planes(points[~apart]), points)
     return np.asarray(found[~apart | (np.abs(found) < _LOW)])

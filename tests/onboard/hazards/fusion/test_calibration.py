@@ -96,7 +96,7 @@ def test_the_mapper_looks_at_the_second_map_without_being_made_of_it(tmp_path):
 def test_a_feature_is_a_second_map_of_elevations_with_a_weight(tmp_path):
     FusedCalibration(other=0.4).save(tmp_path / "c.json")
     file = tmp_path / "c.json"
-    with pytest.raises(InputError, match="feature: .* got 'tree'"):
+    with pytest.raises(InputError, match=r"feature: .* got 'tree'"):
         FusedMapping(feature="tree")
     with pytest.raises(InputError, match="without feature"):
         FusedMapping(calibration_path=file)

@@ -12,7 +12,7 @@ from lunarsim.evaluation.consistency import Consistency
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, _kernels, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 from tests.reference import dem as reference
@@ -230,11 +230,11 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
 
 def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
     """Middles, and what is known beforehand of ground between samples, to the bit."""
-    pool, given, middles, at = SamplePool(GRID), [], [], Squares.at
+    pool, given, middles, at = SamplePool(GRID), [], [], LocalPlaneGrid.at
     points, sigma = samples(3, 25)
     pool.add(points, sigma, 0.5)
     monkeypatch.setattr(_kernels, "regress", lambda *args: given.append(args))
-    monkeypatch.setattr(Squares, "at", lambda *args: middles.append(args[2]) or at(*args))
+    monkeypatch.setattr(LocalPlaneGrid, "at", lambda *args: middles.append(args[2]) or at(*args))
     pooled_dem(pool)
     vertices, noise, triangles, _, gradient, _, _, _, prior, length, *_ = given[0]
     assert np.ptp(noise) > 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from lunarsim.errors import InputError
 
 
-class DrawingTimes:
+class MapUpdateTimer:
     """Limit the recomputation of a map to once per interval.
 
     Without a known time, recomputation is always allowed.
@@ -26,23 +26,23 @@ class DrawingTimes:
     def __init__(self, interval: float) -> None:
         if not 0.0 <= interval < np.inf:
             raise InputError("interval", interval, "must be 0 or more, in seconds")
-        self._interval = interval
-        self._time: float | None = None
-        self._next = -np.inf
+        self._interval_s = interval
+        self._time_s: float | None = None
+        self._next_update_s = -np.inf
 
-    def tell(self, time: float) -> None:
+    def set_time(self, time: float) -> None:
         """Set the current time (s)."""
-        self._time = time
+        self._time_s = time
 
     @property
-    def due(self) -> bool:
+    def is_due(self) -> bool:
         """Whether the map may be recomputed now."""
-        return self._time is None or self._time >= self._next - 1e-9
+        return self._time_s is None or self._time_s >= self._next_update_s - 1e-9
 
-    def drawn(self) -> None:
+    def mark_updated(self) -> None:
         """Record that the map has been recomputed."""
-        self._next = (self._time or 0.0) + self._interval
+        self._next_update_s = (self._time_s or 0.0) + self._interval_s
 
-    def at_once(self) -> None:
+    def force_update(self) -> None:
         """Allow the next recomputation at any time."""
-        self._next = -np.inf
+        self._next_update_s = -np.inf

@@ -19,46 +19,49 @@ Array = NDArray[np.float64]
 
 # Share of samples that count as independent: samples of a cell are averaged, and neighbours share
 # errors.
-INDEPENDENT = 0.5
+INDEPENDENT_SHARE = 0.5
 # A rock is compared with the maximum residual height within this distance, m, if it exceeds this
 # share of the rock height. A half ellipsoid is that high over this share of its area.
-_NEAR, _SHOWS, _TOP = 0.35, 0.5, 0.75
+_SEARCH_DISTANCE_M, _VISIBLE_SHARE, _TOP_AREA_SHARE = 0.35, 0.5, 0.75
 # Probability that a rock is where its track is.
-_TRUE = 0.8
-_RAREST = 1e-3
+_CORRECT_POSITION_PROBABILITY = 0.8
+_MIN_FALSE_ALARM = 1e-3
 
 
 @dataclass(frozen=True)
-class Showing:
+class RockDetectability:
     """Detectability of individual rocks.
 
     Attributes
     ----------
-    least
+    min_residual
         Minimum residual height that shows each rock (n,), m.
-    shows
+    detection_probability
         Probability that the samples show each, if it is a rock (n,).
-    chance
+    false_alarm_probability
         False-alarm probability of such a residual height at any place (n,).
     """
 
-    least: Array
-    shows: Array
-    chance: Array
+    min_residual: Array
+    detection_probability: Array
+    false_alarm_probability: Array
 
     @property
-    def hit(self) -> Array:
+    def rise_probability(self) -> Array:
         """Probability of a sufficient residual height at a rock, true or by chance (n,)."""
-        return np.asarray(self.shows + (1.0 - self.shows) * self.chance)
+        return np.asarray(
+            self.detection_probability
+            + (1.0 - self.detection_probability) * self.false_alarm_probability
+        )
 
 
 @dataclass(frozen=True)
-class Samples:
+class ElevationSamples:
     """Elevation samples at the places of rocks.
 
     Attributes
     ----------
-    rises
+    residual_heights
         Residual height of the sample of each cell above the local plane (rows, cols), m; NaN
         without a sample.
     density
@@ -69,25 +72,27 @@ class Samples:
         Height over diameter of the rocks expected by the mission.
     """
 
-    rises: NDArray[np.float32]
+    residual_heights: NDArray[np.float32]
     density: Array
     grid: Grid
     height_ratio: float
 
     @cached_property
-    def top(self) -> NDArray[np.float32]:
+    def max_residual(self) -> NDArray[np.float32]:
         """Maximum residual height near each cell (rows, cols), m; -1e6 without a sample."""
-        half = max(round(_NEAR / self.grid.posting), 1)
+        half = max(round(_SEARCH_DISTANCE_M / self.grid.posting), 1)
         y, x = np.mgrid[-half : half + 1, -half : half + 1]
-        near = np.hypot(x, y) * self.grid.posting <= _NEAR
-        known = np.where(np.isfinite(self.rises), self.rises, np.float32(-1e6))
+        near = np.hypot(x, y) * self.grid.posting <= _SEARCH_DISTANCE_M
+        known = np.where(
+            np.isfinite(self.residual_heights), self.residual_heights, np.float32(-1e6)
+        )
         return np.asarray(ndimage.maximum_filter(known, footprint=near, mode="constant", cval=-1e6))
 
     @cached_property
-    def _tops(self) -> NDArray[np.float32]:
-        return np.sort(self.top, axis=None)
+    def _sorted_max_residual(self) -> NDArray[np.float32]:
+        return np.sort(self.max_residual, axis=None)
 
-    def showing(self, height: Array, density: Array) -> Showing:
+    def detectability(self, height: Array, density: Array) -> RockDetectability:
         """Return the detection and false-alarm probabilities of rocks.
 
         Parameters
@@ -97,8 +102,16 @@ class Samples:
         density
             Samples per square metre near each (n,).
         """
-        least = _SHOWS * height
-        chance = 1.0 - np.searchsorted(self._tops, least) / self.top.size
-        area = _TOP * np.pi * (height / (2.0 * self.height_ratio)) ** 2
-        shows = _TRUE * -np.expm1(-INDEPENDENT * density * area)
-        return Showing(least, shows, np.clip(chance, _RAREST, 1.0 - _RAREST))
+        min_residual = _VISIBLE_SHARE * height
+        false_alarm_probability = (
+            1.0 - np.searchsorted(self._sorted_max_residual, min_residual) / self.max_residual.size
+        )
+        area = _TOP_AREA_SHARE * np.pi * (height / (2.0 * self.height_ratio)) ** 2
+        detection_probability = _CORRECT_POSITION_PROBABILITY * -np.expm1(
+            -INDEPENDENT_SHARE * density * area
+        )
+        return RockDetectability(
+            min_residual,
+            detection_probability,
+            np.clip(false_alarm_probability, _MIN_FALSE_ALARM, 1.0 - _MIN_FALSE_ALARM),
+        )

@@ -23,20 +23,20 @@ Array = NDArray[np.float64]
 
 # Minimum probability that both sensors miss a rock for a common reason, for instance because it is
 # flat on the far side and as dark as the terrain.
-COMMON = 0.05
+COMMON_MISS_PROBABILITY = 0.05
 # Height variation that counts as a visible rise, relative to the roughness limit.
-_SHOWS = 0.5
+_VISIBLE_RISE_SHARE = 0.5
 # Share of the area of a half ellipsoid that is above half its height.
-_TOP = 0.75
+_TOP_AREA_SHARE = 0.75
 # Search radius about a rock beyond its own radius: standard deviations of its position, and cells.
-_WITHIN, _CELLS = 2.0, 1.0
+_SEARCH_SIGMAS, _SEARCH_CELLS = 2.0, 1.0
 # Minimum radius of a rock, m.
-_LEAST_RADIUS = 0.1
+_MIN_RADIUS_M = 0.1
 # Width of the window for the mean terrain about a rock, in leg radii.
-_ABOUT = 3.0
+_WINDOW_LEG_RADII = 3.0
 
 
-def existence_given_relief(tracks: RockTracks, relief: ReliefEvidence, lander: Lander) -> Array:
+def existence_given_elevations(tracks: RockTracks, relief: ReliefEvidence, lander: Lander) -> Array:
     """Return the probability that each track is a hazardous rock, given elevations.
 
     The probability never increases. It is unchanged if a rise is visible, if the terrain about the
@@ -51,31 +51,33 @@ def existence_given_relief(tracks: RockTracks, relief: ReliefEvidence, lander: L
     lander
         Limits of the lander.
     """
-    drawn = relief.surface
-    if relief.judged is None or drawn.elevation is None or not len(tracks.radius):
+    surface = relief.surface
+    if relief.site_evidence is None or surface.elevation is None or not len(tracks.radius):
         return tracks.existence.copy()
-    rise = _above_ground(drawn.elevation.astype(np.float64), drawn.grid, lander)
-    least = _SHOWS * lander.roughness_limit
+    rise = _height_above_mean(surface.elevation.astype(np.float64), surface.grid, lander)
+    min_rise = _VISIBLE_RISE_SHARE * lander.roughness_limit
     spread = np.sqrt(tracks.radius_variance)
-    within = tracks.radius + _WITHIN * np.hypot(tracks.sigma, spread)
-    top = _TOP * np.pi * np.maximum(tracks.radius - spread, _LEAST_RADIUS) ** 2
-    missed = np.ones(len(within))
-    for n, (xy, reach) in enumerate(zip(tracks.xy, within, strict=True)):
-        about = _disc(drawn.grid, xy, float(reach) + _CELLS * drawn.grid.posting)
-        if about is None:
+    reaches = tracks.radius + _SEARCH_SIGMAS * np.hypot(tracks.sigma, spread)
+    top = _TOP_AREA_SHARE * np.pi * np.maximum(tracks.radius - spread, _MIN_RADIUS_M) ** 2
+    missed = np.ones(len(reaches))
+    for n, (xy, reach) in enumerate(zip(tracks.xy, reaches, strict=True)):
+        cells = _cells_in_disc(
+            surface.grid, xy, float(reach) + _SEARCH_CELLS * surface.grid.posting
+        )
+        if cells is None:
             continue
-        heights = rise[about]
-        if np.isfinite(heights).all() and np.ptp(heights) < least:
-            density = float(relief.judged.density[about].min())
+        heights = rise[cells]
+        if np.isfinite(heights).all() and np.ptp(heights) < min_rise:
+            density = float(relief.site_evidence.density[cells].min())
             missed[n] = np.exp(-density * top[n])
-    missed = COMMON + (1.0 - COMMON) * missed
+    missed = COMMON_MISS_PROBABILITY + (1.0 - COMMON_MISS_PROBABILITY) * missed
     odds = missed * tracks.existence / np.maximum(1.0 - tracks.existence, 1e-12)
     return np.where(missed < 1.0, odds / (1.0 + odds), tracks.existence)
 
 
-def _above_ground(z: Array, grid: Grid, lander: Lander) -> Array:
+def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
     """Return heights above the mean of their surroundings (rows, cols), m; NaN where unknown."""
-    width = 2 * round(0.5 * _ABOUT * lander.leg_radius / grid.posting) + 1
+    width = 2 * round(0.5 * _WINDOW_LEG_RADII * lander.leg_radius / grid.posting) + 1
     known = np.isfinite(z)
     share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")
     total = ndimage.uniform_filter(np.where(known, z, 0.0), width, mode="constant")
@@ -83,7 +85,7 @@ def _above_ground(z: Array, grid: Grid, lander: Lander) -> Array:
         return np.asarray(z - total / share)
 
 
-def _disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
+def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
     """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid."""
     west, east, south, north = grid.extent
     if not (

@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.heights import Heights
-from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
+from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
 from lunarsim.onboard.hazards.published import RockEvidence, RockTracks
 from lunarsim.onboard.hazards.shadows.plausible import too_few
 from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
@@ -42,59 +42,63 @@ from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
 Array = NDArray[np.float64]
 
 # Slope and roughness count as well within the limits up to 1 minus these shares.
-_SLOPE, _ROUGHNESS = 0.2, 0.7
+_SLOPE_MARGIN, _ROUGHNESS_MARGIN = 0.2, 0.7
 # Factor on the number of undetected rocks expected from the samples.
-_MISCOUNTED = 10.0
+_UNDETECTED_ROCK_FACTOR = 10.0
 
 
-def level_ground(judged: Evidence, prior: float, free_of_unseen: Array) -> Array:
+def flat_terrain_probability(site_evidence: Evidence, prior: float, free_of_unseen: Array) -> Array:
     """Return the probability of safe terrain, ignoring tracked rocks (rows, cols).
 
-    It is meaningless where nothing was measured; see `within_ceiling`.
+    It is meaningless where nothing was measured; see `apply_ceiling`.
 
     Parameters
     ----------
-    judged
+    site_evidence
         Site evidence from elevations, with undetected rocks thinned by the rock sensor.
     prior
         Probability that slope and relief are within the limits, as expected by the mission.
     free_of_unseen
-        Probability of no undetected rock, from `none_unseen` (rows, cols).
+        Probability of no undetected rock, from `no_undetected_rock_probability` (rows, cols).
     """
     with np.errstate(invalid="ignore"):
-        level = np.clip((1.0 - judged.slope) / _SLOPE, 0.0, 1.0)
-        level *= np.clip((1.0 - judged.roughness) / _ROUGHNESS, 0.0, 1.0)
+        level = np.clip((1.0 - site_evidence.slope) / _SLOPE_MARGIN, 0.0, 1.0)
+        level *= np.clip((1.0 - site_evidence.roughness) / _ROUGHNESS_MARGIN, 0.0, 1.0)
     return np.asarray(prior * level * free_of_unseen)
 
 
-def within_ceiling(judged: Evidence, p: Array) -> NDArray[np.float32]:
+def apply_ceiling(site_evidence: Evidence, p: Array) -> NDArray[np.float32]:
     """Limit probabilities (rows, cols) to what the measurements permit.
 
     The result is 0 where the terrain was not measured and where the evidence is not a number.
     """
-    p = np.minimum(p, ceiling(judged))
-    return np.where(judged.observed & np.isfinite(p), p, 0.0).astype(np.float32)
+    p = np.minimum(p, ceiling(site_evidence))
+    return np.where(site_evidence.observed & np.isfinite(p), p, 0.0).astype(np.float32)
 
 
-def none_unseen(judged: Evidence, none_missed: Array | float = 0.0) -> Array:
+def no_undetected_rock_probability(
+    site_evidence: Evidence, none_missed: Array | float = 0.0
+) -> Array:
     """Return the probability of no undetected rock, regardless of the terrain.
 
     The result (rows, cols) is 0 for samples noisier or sparser than those of the calibration.
 
     Parameters
     ----------
-    judged
-        Site evidence, as in `level_ground`.
+    site_evidence
+        Site evidence, as in `flat_terrain_probability`.
     none_missed
-        Result of `none_missed_by` (rows, cols).
+        Result of `no_missed_rock_probability` (rows, cols).
     """
-    if judged.noise_ratio > NOISES[1] or judged.spacing_ratio > SPACINGS[1]:
-        return np.zeros(judged.level.grid.shape)
-    return np.asarray(np.maximum(np.exp(-_MISCOUNTED * judged.hazards()), none_missed))
+    if site_evidence.noise_ratio > NOISES[1] or site_evidence.spacing_ratio > SPACINGS[1]:
+        return np.zeros(site_evidence.level.grid.shape)
+    return np.asarray(
+        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.hazards()), none_missed)
+    )
 
 
-def none_missed_by(
-    rocks: RockEvidence, placed: RockTracks, heights: Heights, grid: Grid, limit: float
+def no_missed_rock_probability(
+    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, grid: Grid, limit: float
 ) -> Array:
     """Return the probability that the rock sensor misses no rock under the lander.
 
@@ -112,15 +116,17 @@ def none_missed_by(
     limit
         Height above which a rock is hazardous, m.
     """
-    if rocks.unseen is None or not believed(rocks, placed, heights, limit):
+    if rocks.unseen is None or not is_detection_count_plausible(rocks, placed, heights, limit):
         return np.zeros(grid.shape)
-    own = rocks.drawn
-    seen = on_grid(own.observed, own.grid, grid, False, "least")
-    unseen = on_grid(rocks.unseen, own.grid, grid, 1.0, "greatest")
+    own = rocks.hazard_map
+    seen = resample_to_grid(own.observed, own.grid, grid, False, "minimum")
+    unseen = resample_to_grid(rocks.unseen, own.grid, grid, 1.0, "maximum")
     return np.where(seen, 1.0 - unseen, 0.0)
 
 
-def believed(rocks: RockEvidence, placed: RockTracks, heights: Heights, limit: float) -> bool:
+def is_detection_count_plausible(
+    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, limit: float
+) -> bool:
     """Return whether the rock sensor finds a plausible number of rocks.
 
     Parameters
@@ -132,9 +138,9 @@ def believed(rocks: RockEvidence, placed: RockTracks, heights: Heights, limit: f
     limit
         Height above which a rock is hazardous, m.
     """
-    domain = rocks.drawn.in_domain
+    domain = rocks.hazard_map.in_domain
     if domain is None or domain.any():
         return True
-    inside = np.asarray(rocks.drawn.grid.contains(placed.xy)) & (placed.existence > 0.5)
+    inside = np.asarray(rocks.hazard_map.grid.contains(placed.xy)) & (placed.existence > 0.5)
     high = heights.scale * placed.radius >= limit
     return not too_few(int(np.count_nonzero(inside & high)), rocks.expected)

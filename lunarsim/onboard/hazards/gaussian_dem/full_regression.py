@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 
-_MOST = 5000  # points; the cost grows with the cube of their number
+_MAX_POINTS = 5000  # points; the cost grows with the cube of their number
 
 Array = NDArray[np.float64]
 
@@ -40,8 +40,10 @@ def full_regression(
         noise).
     """
     cloud = check_points(points)
-    if len(cloud) > _MOST:
-        raise ValueError(f"points: must be at most {_MOST} for full regression, got {len(cloud)}")
+    if len(cloud) > _MAX_POINTS:
+        raise ValueError(
+            f"points: must be at most {_MAX_POINTS} for full regression, got {len(cloud)}"
+        )
     prior = sigma_f * sigma_f
     gram = prior * np.exp(-cdist(cloud[:, :2], cloud[:, :2]) / length_scale)
     gram[np.diag_indices_from(gram)] += sigma_eps * sigma_eps

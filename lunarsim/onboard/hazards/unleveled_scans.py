@@ -10,7 +10,7 @@ from lunarsim.onboard.hazards.mapper import SURE_TILT
 Array = NDArray[np.float64]
 
 
-class EarlyGround:
+class UnleveledScans:
     """Decide which measurements must be rotated when the tilt is corrected.
 
     These are all measurements from the first scan until the first scan whose tilt is known to
@@ -20,7 +20,7 @@ class EarlyGround:
     def __init__(self) -> None:
         self._open = True
 
-    def takes(self, tilt_sigma: float) -> bool:
+    def includes(self, tilt_sigma: float) -> bool:
         """Return whether a measurement with this tilt uncertainty must be rotated later.
 
         Parameters
@@ -31,7 +31,7 @@ class EarlyGround:
         self._open = self._open and not tilt_sigma <= SURE_TILT  # NaN: unknown
         return self._open
 
-    def known(self, tilt_sigma: float) -> bool:
+    def is_tilt_known(self, tilt_sigma: float) -> bool:
         """Return whether the tilt is known, so that rotated measurements become final.
 
         Parameters
@@ -43,6 +43,6 @@ class EarlyGround:
         return tilt_sigma <= SURE_TILT
 
 
-def turned_about(points: Array, turn: Array, pivot: Array) -> Array:
+def rotate_about(points: Array, turn: Array, pivot: Array) -> Array:
     """Return points (..., 3) rotated by a matrix (3, 3) about a pivot (3,)."""
     return np.asarray((points - pivot) @ turn.T + pivot)

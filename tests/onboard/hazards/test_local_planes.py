@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 
 
 def test_planes_are_least_squares_of_five_by_five_squares():
     """In every square of a map off the origin, those at its edges too, and points beside it."""
     rng = np.random.default_rng(3)
     grid = Grid(x0=12.0, y0=-7.0, posting=0.5, rows=18, cols=26)
-    squares = Squares(grid, 3)
+    squares = LocalPlaneGrid(grid, 3)
     west, east, south, north = grid.extent
     points = rng.uniform((west - 2.0, south - 2.0, -1.0), (east + 2.0, north + 2.0, 1.0), (900, 3))
     found = squares.planes(points)
@@ -35,6 +35,6 @@ def test_planes_are_least_squares_of_five_by_five_squares():
 
 
 def test_few_points_give_no_plane_but_a_height():
-    squares = Squares(Grid(0.0, 0.0, 1.0, 12, 12), 4)
+    squares = LocalPlaneGrid(Grid(0.0, 0.0, 1.0, 12, 12), 4)
     points = np.array([[1.0, 1.0, 3.0], [2.0, 1.0, 5.0]])
     assert np.allclose(squares.planes(points)[0, 0], [4.0, 0.0, 0.0])

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Squares:
+class LocalPlaneGrid:
     """Squares of a few samples each, in which the terrain is approximated by a plane.
 
     Attributes
@@ -30,7 +30,7 @@ class Squares:
     cells: int
 
     @classmethod
-    def of(cls, grid: Grid, edges: Array) -> Squares:
+    def of(cls, grid: Grid, edges: Array) -> LocalPlaneGrid:
         """Return squares with a side of about two typical triangle edges; `edges` (m,), m."""
         if not len(edges):
             return cls(grid, 8)

@@ -13,10 +13,10 @@ from lunarsim.safety.calibration import UNSURE
 Array = NDArray[np.float64]
 
 # Minimum probability in averages of log odds.
-_NEVER = 1e-12
+_MIN_PROBABILITY = 1e-12
 
 
-def prior_beside(
+def unobserved_safety_prior(
     free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
 ) -> float:
     """Return the prior that unmeasured terrain is safe, ignoring tracked rocks.
@@ -43,12 +43,12 @@ def prior_beside(
     """
     lander, expected = terms.lander, terms.relief_prior
     number = len(free_of_tracks)
-    if number == 0 or expected <= _NEVER:
+    if number == 0 or expected <= _MIN_PROBABILITY:
         return expected
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     sites = min(posting**2 / footprint, 1.0) * number
-    told = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNSURE)
-    one_more = expected * told ** (sites / (sites + 1.0))
+    free_share = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNSURE)
+    mission_site = expected * free_share ** (sites / (sites + 1.0))
     mean = float(np.mean(np.nan_to_num(free_of_tracks), dtype=np.float64))
-    each = logit(np.clip((mean, one_more), _NEVER, expected))
+    each = logit(np.clip((mean, mission_site), _MIN_PROBABILITY, expected))
     return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))
