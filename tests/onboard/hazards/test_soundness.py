@@ -19,9 +19,9 @@ from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
     FREE,
-    MOST_HAZARDS,
-    MOST_NOISE,
-    MOST_SINKING,
+    MAX_HAZARDS,
+    MAX_HOLE_VIOLATIONS,
+    MAX_NOISE_RATIO,
     SiteEvidence,
     evidence_of,
     measured,
@@ -295,7 +295,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     # Far from the domain no more than the chance that no unseen rock stands there.
     far = site(30.0)
     assert not far.near_domain.any()
-    nothing = np.exp(-far.piercing() - far.tilting())
+    nothing = np.exp(-far.expected_roughness_violations() - far.expected_tilt_violations())
     assert nothing < 0.5
     p, known = site_safety(far, fits_of(2.8, 2.8))
     assert p == pytest.approx(SURE * nothing)
@@ -349,28 +349,28 @@ def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matte
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
     assert site(0.02).in_domain.all()
     limit = Lander().roughness_limit
-    assert site(0.02, noise=0.9 * MOST_NOISE * limit).in_domain.all()
-    assert not site(0.02, noise=1.1 * MOST_NOISE * limit).in_domain.any()
+    assert site(0.02, noise=0.9 * MAX_NOISE_RATIO * limit).in_domain.all()
+    assert not site(0.02, noise=1.1 * MAX_NOISE_RATIO * limit).in_domain.any()
     assert site(0.25).in_domain.all()
     assert not site(0.25, thinnest=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
     # Few hazards, but at the limit of the slope any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
-    assert steep.hazards()[0] < MOST_HAZARDS
+    assert steep.hazards()[0] < MAX_HAZARDS
     assert not steep.in_domain.any()
     # Holes that no point has met under the pads, or much ground that is known to lie deep.
     gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, thinnest=1.0)
-    assert gaping.sinking()[0] > MOST_SINKING
+    assert gaping.expected_hole_violations()[0] > MAX_HOLE_VIOLATIONS
     assert not gaping.in_domain.any()
     sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, thinnest=1000.0)
-    assert sunk.sinking()[0] < MOST_SINKING
+    assert sunk.expected_hole_violations()[0] < MAX_HOLE_VIOLATIONS
     assert not sunk.in_domain.any()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))
         assert other.in_domain.all() == inside
     # Outside, p is no more than the chance that nothing stands there.
     unknown = site(20.0)
-    nothing = np.exp(-unknown.piercing() - unknown.tilting())
+    nothing = np.exp(-unknown.expected_roughness_violations() - unknown.expected_tilt_violations())
     assert (site_safety(unknown)[0] <= nothing).all()
 
 
@@ -400,7 +400,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
     count = (np.abs(points[:, :2]) < 4.0).all(axis=1).sum() / 64.0
     inside = (np.abs(mapper.selection.position[:, :2]) < 2.0).all(axis=1)
     assert np.nanmedian(evidence.density[inside]) == pytest.approx(count, rel=0.1)
-    assert np.nanmedian(evidence.thinnest[inside]) == pytest.approx(count, rel=0.35)
+    assert np.nanmedian(evidence.min_density[inside]) == pytest.approx(count, rel=0.35)
 
 
 def test_noise_that_the_points_do_not_have_excuses_nothing():

@@ -10,19 +10,19 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 from lunarsim.onboard.hazards.quadtree._site_kernels import (
-    evenly_seen,
     half_steps,
+    is_evenly_sampled,
     mesh_height,
     steepest_normal,
 )
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
 # Squares have 1 / 2^FINER of the side of the smallest hazard cells.
-FINER = 2
+SQUARE_LEVELS = 2
 # Minimum expected number of points for an empty square to count as unobserved, and distance in
 # squares up to which neighbours predict that number: up to the next of the smallest cells.
-EXPECTED = 12
-REACH = 1 << FINER
+MIN_EXPECTED_POINTS = 12
+NEIGHBOUR_SQUARES = 1 << SQUARE_LEVELS
 
 
 @kernel()
@@ -52,7 +52,7 @@ def _distances(tree, node, plane, wide, stack, off, square):
         while run >= 0:
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
-                if tree.apart[i]:
+                if tree.is_outlier[i]:
                     continue
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
                 off[n] = (px - x) * a + (py - y) * b + (tree.xyz[i, 2] - z) * c
@@ -88,7 +88,7 @@ def _count_exceptions(off, square, middle, tolerance, ratio, relief):
 
 
 @kernel()
-def _number_in(tree, depth, row, col):
+def _count_in_square(tree, depth, row, col):
     """Return the number of points in a square of a depth; 0 off the map.
 
     Row and column are counted from the south-west. A leaf larger than the square contributes its
@@ -105,21 +105,21 @@ def _number_in(tree, depth, row, col):
 
 
 @kernel()
-def _seen_towards(tree, depth, row, col, up, right):
+def _neighbour_count(tree, depth, row, col, up, right):
     """Return the points in the next occupied squares in a direction; -1 if none.
 
     The larger number of two squares, because half of the first may be hidden too.
     """
-    for n in range(1, REACH + 1):
-        number = _number_in(tree, depth, row + n * up, col + n * right)
+    for n in range(1, NEIGHBOUR_SQUARES + 1):
+        number = _count_in_square(tree, depth, row + n * up, col + n * right)
         if number > 0.0:
-            far = min(n + 1, REACH)
-            return max(number, _number_in(tree, depth, row + far * up, col + far * right))
+            far = min(n + 1, NEIGHBOUR_SQUARES)
+            return max(number, _count_in_square(tree, depth, row + far * up, col + far * right))
     return -1.0
 
 
 @kernel()
-def _expected(tree, depth, row, col):
+def _expected_count(tree, depth, row, col):
     """Return the expected number of points in a square from its neighbours.
 
     The coverage of a scan has no concave edges: between two observed squares the density is the
@@ -128,15 +128,15 @@ def _expected(tree, depth, row, col):
     """
     most = -1.0
     for up in range(2):
-        ahead = _seen_towards(tree, depth, row, col, up, 1 - up)
-        behind = _seen_towards(tree, depth, row, col, -up, up - 1)
+        ahead = _neighbour_count(tree, depth, row, col, up, 1 - up)
+        behind = _neighbour_count(tree, depth, row, col, -up, up - 1)
         both = min(ahead, behind) if min(ahead, behind) >= 0.0 else max(ahead, behind)
         most = max(most, both)
     return most if most >= 0.0 else np.inf
 
 
 @kernel()
-def _clear_gaps(tree, node, ratio, relief):
+def _blank_unobserved(tree, node, ratio, relief):
     """Set empty squares (w, w) of a cell to NaN if chance does not explain them.
 
     An unobserved square may be hidden behind a boulder or lie beyond the edge of a scan.
@@ -149,15 +149,15 @@ def _clear_gaps(tree, node, ratio, relief):
     for row in range(wide):
         for col in range(wide):
             # A leaf with points may have one anywhere.
-            if _number_in(tree, depth, row0 + row, col0 + col) > 0.0:
+            if _count_in_square(tree, depth, row0 + row, col0 + col) > 0.0:
                 continue
-            if _expected(tree, depth, row0 + row, col0 + col) >= EXPECTED:
+            if _expected_count(tree, depth, row0 + row, col0 + col) >= MIN_EXPECTED_POINTS:
                 ratio[row, col] = np.nan
                 relief[row, col] = np.nan
 
 
 @kernel()
-def _judge_cell(tree, node, plane, tolerance, ratio, relief):
+def _evaluate_cell(tree, node, plane, tolerance, ratio, relief):
     """Write share of exceptions and maximum distance per square (w, w) of a cell.
 
     A point is an exception if it is farther than `tolerance` from the mesh, or from the parallel
@@ -174,32 +174,32 @@ def _judge_cell(tree, node, plane, tolerance, ratio, relief):
         return
     middle = np.median(off[:n])
     _count_exceptions(off[:n], square[:n], middle, tolerance, ratio, relief)
-    _clear_gaps(tree, node, ratio, relief)
+    _blank_unobserved(tree, node, ratio, relief)
 
 
 @kernel(inline=True)
-def _same(a, b):
+def _equal_or_nan(a, b):
     """Return whether two numbers are equal, or both NaN."""
     return a == b or (np.isnan(a) and np.isnan(b))
 
 
 @kernel()
-def _paint(ratio, relief, row0, col0, ratios, reliefs):
+def _write_squares(ratio, relief, row0, col0, ratios, reliefs):
     """Write the squares (w, w) of a cell into the rasters; return whether one changed."""
     changed = False
     wide = ratio.shape[0]
     for row in range(wide):
         for col in range(wide):
             new, far = np.float32(ratio[row, col]), np.float32(relief[row, col])
-            changed |= not _same(ratios[row0 + row, col0 + col], new)
-            changed |= not _same(reliefs[row0 + row, col0 + col], far)
+            changed |= not _equal_or_nan(ratios[row0 + row, col0 + col], new)
+            changed |= not _equal_or_nan(reliefs[row0 + row, col0 + col], far)
             ratios[row0 + row, col0 + col] = new
             reliefs[row0 + row, col0 + col] = far
     return changed
 
 
 @kernel(parallel=True)
-def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
+def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
     """Search cells for exceptions and write their squares into rasters of the map.
 
     Parameters
@@ -231,7 +231,7 @@ def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
         wide = ratios.shape[0] >> tree.depth[node]
         ratio, relief = np.zeros((wide, wide)), np.zeros((wide, wide))
         hx, hy = half_steps(tree, node)
-        t = steepest_normal(hx, hy, mesh, normal) if evenly_seen(tree, node, per_area) else -1
+        t = steepest_normal(hx, hy, mesh, normal) if is_evenly_sampled(tree, node, per_area) else -1
         if t < 0:
             ratio[:] = np.nan
             relief[:] = np.nan
@@ -239,14 +239,14 @@ def judge_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
             z = mesh_height(hx, hy, mesh, t, tree.half / (1 << tree.depths))
             x, y = cell_centre(tree, node)
             plane = (x, y, z, normal[0], normal[1], normal[2])
-            _judge_cell(tree, node, plane, tolerance, ratio, relief)
+            _evaluate_cell(tree, node, plane, tolerance, ratio, relief)
         row0, col0 = np.int64(tree.row[node]) * wide, np.int64(tree.column[node]) * wide
-        changed[i] = _paint(ratio, relief, row0, col0, ratios, reliefs)
+        changed[i] = _write_squares(ratio, relief, row0, col0, ratios, reliefs)
     return changed
 
 
 @kernel()
-def clear(outlines, square, ratios, reliefs):
+def blank_squares(outlines, square, ratios, reliefs):
     """Set the squares (side: `square` half steps) within outlines (n, 4) to NaN.
 
     Returns

@@ -8,10 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.hazards.quadtree._sum_kernels import MANY, add_to_many, settle
+from lunarsim.onboard.hazards.quadtree._sum_kernels import (
+    MIN_POINTS_FOR_SUMS,
+    add_to_summed_cell,
+    update_outliers_and_sums,
+)
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
-DIGIT = 11  # bits per pass of the radix sort
+RADIX_BITS = 11  # bits per pass of the radix sort
 
 
 @kernel(inline=True)
@@ -35,25 +39,25 @@ def _order_of(key, bits):
     n = key.size
     order = np.arange(n).astype(np.int32)
     spare = np.empty(n, np.int32)
-    mask = (1 << DIGIT) - 1
+    mask = (1 << RADIX_BITS) - 1
     shift = 0
     while shift < bits:
-        begin = np.zeros((1 << DIGIT) + 1, np.int64)
+        begin = np.zeros((1 << RADIX_BITS) + 1, np.int64)
         for i in range(n):
             begin[((key[i] >> shift) & mask) + 1] += 1
-        for d in range(1 << DIGIT):
+        for d in range(1 << RADIX_BITS):
             begin[d + 1] += begin[d]
         for i in range(n):
             d = (key[order[i]] >> shift) & mask
             spare[begin[d]] = order[i]
             begin[d] += 1
         order, spare = spare, order
-        shift += DIGIT
+        shift += RADIX_BITS
     return order
 
 
 @kernel()
-def place(points, centre, half, depths, highest):
+def sort_points(points, centre, half, depths, highest):
     """Sort points (n, 3) along the Z-order curve of the smallest cells.
 
     Returns
@@ -165,7 +169,7 @@ def _split(tree, node, used, version):
 
 
 @kernel(inline=True)
-def _towards(tree, node, depth, key):
+def _child_towards(tree, node, depth, key):
     """Return the child of a node at `depth` whose cell contains a key."""
     return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
 
@@ -176,7 +180,7 @@ def _leaf_of(tree, key):
     node = 0
     depth = 0
     while tree.child[node] >= 0:
-        node = _towards(tree, node, depth, key)
+        node = _child_towards(tree, node, depth, key)
         depth += 1
     return node, depth
 
@@ -195,7 +199,7 @@ def _end_of_cell(key, i, shift):
 
 
 @kernel(inline=True)
-def _count_down_to(tree, leaf, key, more, version, touched, count):
+def _count_along_path(tree, leaf, key, more, version, touched, count):
     """Add `more` points to a leaf and its ancestors; list cells first touched by this batch."""
     node = 0
     depth = 0
@@ -207,12 +211,12 @@ def _count_down_to(tree, leaf, key, more, version, touched, count):
         tree.count[node] += more
         if node == leaf:
             return count
-        node = _towards(tree, node, depth, key)
+        node = _child_towards(tree, node, depth, key)
         depth += 1
 
 
 @kernel()
-def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
+def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, found):
     """Split a leaf that got a run if needed, and update the sums of smallest cells.
 
     Returns
@@ -225,7 +229,7 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
     depths = tree.depths
     first, more = tree.start[run], tree.length[run]
     if tree.depth[leaf] == depths and tree.slot[leaf] >= 0:
-        return used, count, add_to_many(tree, leaf, first, first + more, found)
+        return used, count, add_to_summed_cell(tree, leaf, first, first + more, found)
     stack = np.empty(STACK, np.int32)
     stack[0] = leaf
     top = 1
@@ -235,10 +239,10 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
             stack[top]
         )  # one integer type for all node arguments, so that functions compile once
         if tree.depth[m] == depths:
-            if tree.count[m] >= MANY:
+            if tree.count[m] >= MIN_POINTS_FOR_SUMS:
                 tree.slot[m] = slots
                 slots += 1
-                found = settle(tree, m, found)
+                found = update_outliers_and_sums(tree, m, found)
             continue
         if tree.count[m] < split_count:
             continue
@@ -278,21 +282,21 @@ def insert(tree, key, base, begin, used, split_count, version):
         if (
             nodes + 4 * divided >= tree.child.size
             or runs + total + 1 >= tree.start.size
-            or slots + divided + total // MANY >= tree.sums.shape[0]
+            or slots + divided + total // MIN_POINTS_FOR_SUMS >= tree.sums.shape[0]
         ):
             break
-        count = _count_down_to(tree, leaf, key[i], j - i, version, touched, count)
+        count = _count_along_path(tree, leaf, key[i], j - i, version, touched, count)
         tree.start[runs] = base + i
         tree.length[runs] = j - i
         tree.following[runs] = tree.head[leaf]
         tree.head[leaf] = runs
-        tree.apart[base + i : base + j] = False
-        (nodes, runs, slots), count, found = _enter(
+        tree.is_outlier[base + i : base + j] = False
+        (nodes, runs, slots), count, found = _split_if_needed(
             tree, leaf, runs, split_count, (nodes, runs + 1, slots), version, touched, count, found
         )
         i = j
     # A child is always touched after its parent.
     for t in range(count - 1, -1, -1):
         if tree.child[touched[t]] >= 0:
-            found = settle(tree, np.int64(touched[t]), found)
+            found = update_outliers_and_sums(tree, np.int64(touched[t]), found)
     return i, nodes, runs, slots

@@ -23,13 +23,23 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import (
     cell_centre,
     node_at,
     points_in,
-    with_room,
+    with_capacity,
 )
 
 # Status of a site; see `sites.STATUS`.
 ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
 # Columns of the results per site.
-COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, TOP, POINTS, FITTED, SIGMA = range(9)
+(
+    COSINE,
+    ROUGHNESS,
+    RATIO,
+    FOOTPRINT_RATIO,
+    RELIEF,
+    FOOTPRINT_RELIEF,
+    POINT_COUNT,
+    FITTED_SLOPE,
+    SLOPE_SIGMA,
+) = range(9)
 
 
 @kernel(inline=True, inner=True)
@@ -40,16 +50,16 @@ def half_steps(tree, node):
 
 
 @kernel()
-def mesh_nodes(tree, nodes, per_area):
+def is_mesh_node(tree, nodes, per_area):
     """Return which cells (n,) have enough points per square metre in each quarter."""
     good = np.zeros(nodes.size, np.bool_)
     for i in range(nodes.size):
-        good[i] = evenly_seen(tree, nodes[i], per_area)
+        good[i] = is_evenly_sampled(tree, nodes[i], per_area)
     return good
 
 
 @kernel(inner=True)
-def evenly_seen(tree, node, per_area):
+def is_evenly_sampled(tree, node, per_area):
     """Return whether each quarter of a cell is dense enough, or the cell itself if a leaf."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
@@ -195,14 +205,14 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
             x, y = (col + 0.5) * step - tree.half, (row + 0.5) * step - tree.half
             node = node_at(tree, x, y, smallest, largest)
             if node < 0:
-                none = with_room(none, m)
+                none = with_capacity(none, m)
                 none[m] = row * wide + col
                 m += 1
                 continue
-            place = place_of(tree, node, smallest)
+            place = raster_index(tree, node, smallest)
             if seen[place] != version:
                 seen[place] = version
-                out = with_room(out, n)
+                out = with_capacity(out, n)
                 out[n] = node
                 n += 1
     empty = np.empty((m, 4), np.int64)
@@ -216,7 +226,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
 
 
 @kernel(inline=True, inner=True)
-def place_of(tree, node, smallest):
+def raster_index(tree, node, smallest):
     """Return the index of a cell in the raster of a depth, by its south-west corner."""
     more = smallest - tree.depth[node]
     row, column = np.int64(tree.row[node]) << more, np.int64(tree.column[node]) << more
@@ -224,11 +234,11 @@ def place_of(tree, node, smallest):
 
 
 @kernel()
-def places_of(tree, nodes, smallest):
+def raster_indices(tree, nodes, smallest):
     """Return the indices (n,) of cells in the raster of a depth."""
     out = np.empty(nodes.size, np.int64)
     for i in range(nodes.size):
-        out[i] = place_of(tree, nodes[i], smallest)
+        out[i] = raster_index(tree, nodes[i], smallest)
     return out
 
 
@@ -285,7 +295,7 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
-                if not tree.apart[i] and west <= px <= east and south <= py <= north:
+                if not tree.is_outlier[i] and west <= px <= east and south <= py <= north:
                     add_point(s, px - cx, py - cy, np.float64(tree.xyz[i, 2]))
             run = tree.following[run]
 
@@ -324,13 +334,13 @@ def _fitted_slope(s):
 
 
 @kernel()
-def _root_sum(tree, west, east, south, north, x, y, z, normal):
+def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
     """Return sum |d| and the number of points in a closed rectangle, for Eq. 8 as printed."""
     index = points_in(tree, west, east, south, north)
     total = 0.0
     n = 0
     for i in index:
-        if tree.apart[i]:
+        if tree.is_outlier[i]:
             continue
         n += 1
         total += abs(
@@ -342,7 +352,7 @@ def _root_sum(tree, west, east, south, north, x, y, z, normal):
 
 
 @kernel()
-def _worst(raster, x, y, reach):
+def _max_over_zone(raster, x, y, reach):
     """Return the maximum of the squares that overlap a zone; NaN if one is NaN.
 
     Centre and half side of the zone are in squares of the raster. Squares that only touch it are
@@ -360,7 +370,7 @@ def _worst(raster, x, y, reach):
 
 
 @kernel()
-def _worst_seen(raster, x, y, reach):
+def _max_known_over_zone(raster, x, y, reach):
     """Return the maximum of the squares that overlap a zone, ignoring NaN; 0 if all are NaN."""
     worst = np.float32(0.0)
     reach = reach - 1e-6
@@ -373,7 +383,7 @@ def _worst_seen(raster, x, y, reach):
 
 
 @kernel()
-def _verdict(cosine, worst, least_cosine, exception):
+def _site_status(cosine, worst, least_cosine, exception):
     """Return the status of a site from slope and exception ratio."""
     if cosine < least_cosine:
         return STEEP
@@ -390,17 +400,17 @@ def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
     sums_of(tree, node, s)
     z = s[2] / s[NUMBER]
     zone_sums(tree, west, east, south, north, x, y, stack, s)
-    out[POINTS] = s[NUMBER]
-    out[FITTED], out[SIGMA] = _fitted_slope(s)
+    out[POINT_COUNT] = s[NUMBER]
+    out[FITTED_SLOPE], out[SLOPE_SIGMA] = _fitted_slope(s)
     if printed:
-        total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
+        total, n = _abs_distance_sum(tree, west, east, south, north, x, y, z, normal)
         out[ROUGHNESS] = total / np.sqrt(n)
     else:
         out[ROUGHNESS] = np.sqrt(_mean_square(s, z, normal))
 
 
 @kernel(parallel=True)
-def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
+def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
     """Evaluate the terrain of sites at the centres of cells.
 
     Parameters
@@ -429,7 +439,7 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
         node = np.int64(
             nodes[i]
         )  # one integer type for all node arguments, so that functions compile once
-        place = place_of(tree, node, smallest)
+        place = raster_index(tree, node, smallest)
         normal = np.empty(3)
         stack = np.empty(STACK, np.int32)
         s = np.empty(SUMS)
@@ -449,14 +459,16 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
             status[place] = SPARSE
             continue
         column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
-        worst = _worst(ratios, column, row, zone / per_square)
+        worst = _max_over_zone(ratios, column, row, zone / per_square)
         if not np.isnan(worst):
             reach = (zone + margin) / per_square
-            worst = _worst_seen(ratios, column, row, reach)
+            worst = _max_known_over_zone(ratios, column, row, reach)
             out[RATIO] = worst
-            out[NEAR] = _worst(ratios, column, row, footprint / per_square)
-            out[RELIEF] = _worst_seen(reliefs, column, row, reach)
-            out[TOP] = _worst_seen(reliefs, column, row, footprint / per_square)
-        status[place] = _verdict(normal[2], worst, least_cosine, exception)
+            out[FOOTPRINT_RATIO] = _max_over_zone(ratios, column, row, footprint / per_square)
+            out[RELIEF] = _max_known_over_zone(reliefs, column, row, reach)
+            out[FOOTPRINT_RELIEF] = _max_known_over_zone(
+                reliefs, column, row, footprint / per_square
+            )
+        status[place] = _site_status(normal[2], worst, least_cosine, exception)
         if status[place] == ELIGIBLE or (thorough and not np.isnan(worst)):
             _measure_zone(tree, node, zone, normal, printed, stack, s, out)

@@ -12,18 +12,18 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_room
+from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_capacity
 
 # Sums over the points of a node relative to its centre: x, y, z, xx, xy, xz, yy, yz, zz; then their
 # number, and the minimum and maximum z.
 SUMS = 12
-NUMBER, LOWEST, HIGHEST = 9, 10, 11
+NUMBER, MIN_Z, MAX_Z = 9, 10, 11
 # Minimum number of points for a smallest cell to have sums of its own.
-MANY = 8
+MIN_POINTS_FOR_SUMS = 8
 # A point is an outlier if no other point of its cell is within this height: m, plus m per metre of
 # the cell side. A cell with fewer points, or with a larger share of outliers, has none.
-APART, APART_A_METRE = 0.3, 0.25
-FEWEST, MOST_APART = 5, 0.25
+OUTLIER_GAP_M, OUTLIER_GAP_PER_M = 0.3, 0.25
+MIN_POINTS_FOR_OUTLIERS, MAX_OUTLIER_SHARE = 5, 0.25
 
 
 @kernel(inline=True, inner=True)
@@ -39,17 +39,17 @@ def add_point(s, x, y, z):
     s[7] += y * z
     s[8] += z * z
     s[NUMBER] += 1.0
-    s[LOWEST] = min(s[LOWEST], z)
-    s[HIGHEST] = max(s[HIGHEST], z)
+    s[MIN_Z] = min(s[MIN_Z], z)
+    s[MAX_Z] = max(s[MAX_Z], z)
 
 
 @kernel(inline=True, inner=True)
 def empty_sums(s):
     """Set sums to those of no points."""
-    for k in range(LOWEST):
+    for k in range(MIN_Z):
         s[k] = 0.0
-    s[LOWEST] = np.inf
-    s[HIGHEST] = -np.inf
+    s[MIN_Z] = np.inf
+    s[MAX_Z] = -np.inf
 
 
 @kernel(inline=True, inner=True)
@@ -66,8 +66,8 @@ def add_shifted(out, s, dx, dy):
     out[7] += s[7] + dy * s[2]
     out[8] += s[8]
     out[NUMBER] += n
-    out[LOWEST] = min(out[LOWEST], s[LOWEST])
-    out[HIGHEST] = max(out[HIGHEST], s[HIGHEST])
+    out[MIN_Z] = min(out[MIN_Z], s[MIN_Z])
+    out[MAX_Z] = max(out[MAX_Z], s[MAX_Z])
 
 
 @kernel(inner=True)
@@ -77,7 +77,7 @@ def add_leaf(tree, leaf, cx, cy, out):
     while run >= 0:
         begin = tree.start[run]
         for i in range(begin, begin + tree.length[run]):
-            if not tree.apart[i]:
+            if not tree.is_outlier[i]:
                 x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
                 add_point(out, x, y, np.float64(tree.xyz[i, 2]))
         run = tree.following[run]
@@ -111,11 +111,11 @@ def moments(tree, nodes):
 @kernel(inline=True)
 def _tolerance(tree, node):
     """Return the minimum height gap of an outlier to all other points of a cell, m."""
-    return APART + APART_A_METRE * 2.0 * tree.half / (1 << tree.depth[node])
+    return OUTLIER_GAP_M + OUTLIER_GAP_PER_M * 2.0 * tree.half / (1 << tree.depth[node])
 
 
 @kernel()
-def _loose(tree, node, found):
+def _unsummed_points(tree, node, found):
     """List the points of a cell that are in no sums below it; return list and number.
 
     These are the points of a leaf, or of those children of a node that have no sums.
@@ -130,7 +130,7 @@ def _loose(tree, node, found):
         while run >= 0:
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
-                found = with_room(found, n)
+                found = with_capacity(found, n)
                 found[n] = i
                 n += 1
             run = tree.following[run]
@@ -138,7 +138,7 @@ def _loose(tree, node, found):
 
 
 @kernel()
-def _part_apart(tree, node, index, tolerance):
+def _mark_outliers(tree, node, index, tolerance):
     """Mark which of the loose points of a cell are outliers."""
     held = 0.0
     if tree.child[node] >= 0:
@@ -157,29 +157,29 @@ def _part_apart(tree, node, index, tolerance):
                 slot = tree.slot[tree.child[node] + q]
                 if slot >= 0 and tree.sums[slot, NUMBER] > 0.0:
                     alone &= (
-                        z < tree.sums[slot, LOWEST] - tolerance
-                        or z > tree.sums[slot, HIGHEST] + tolerance
+                        z < tree.sums[slot, MIN_Z] - tolerance
+                        or z > tree.sums[slot, MAX_Z] + tolerance
                     )
-        tree.apart[index[order[j]]] = alone
+        tree.is_outlier[index[order[j]]] = alone
         apart += alone
     total = held + index.size
-    if total < FEWEST or apart > MOST_APART * total:
-        tree.apart[index] = False
+    if total < MIN_POINTS_FOR_OUTLIERS or apart > MAX_OUTLIER_SHARE * total:
+        tree.is_outlier[index] = False
 
 
 @kernel(inner=True)
-def settle(tree, node, found):
+def update_outliers_and_sums(tree, node, found):
     """Recompute the outliers and the sums of a touched cell; return the list.
 
     A cell with children that have sums of their own adds those.
     """
-    found, n = _loose(tree, node, found)
+    found, n = _unsummed_points(tree, node, found)
     low, high = np.inf, -np.inf
     some = False
     for j in range(n):
         z = np.float64(tree.xyz[found[j], 2])
         low, high = min(low, z), max(high, z)
-        some |= tree.apart[found[j]]
+        some |= tree.is_outlier[found[j]]
     s = np.empty(SUMS)
     empty_sums(s)
     if tree.child[node] >= 0:
@@ -191,20 +191,20 @@ def settle(tree, node, found):
                 dy = quarter if q & 2 else -quarter
                 add_shifted(s, tree.sums[slot], dx, dy)
     tolerance = _tolerance(tree, node)
-    wide = n > 0 and max(high, s[HIGHEST]) - min(low, s[LOWEST]) > tolerance
+    wide = n > 0 and max(high, s[MAX_Z]) - min(low, s[MIN_Z]) > tolerance
     if some or wide:
-        before = tree.apart[found[:n]]
-        tree.apart[found[:n]] = False
+        before = tree.is_outlier[found[:n]]
+        tree.is_outlier[found[:n]] = False
         if wide:
-            _part_apart(tree, node, found[:n], tolerance)
-        if tree.child[node] >= 0 and (before != tree.apart[found[:n]]).any():
+            _mark_outliers(tree, node, found[:n], tolerance)
+        if tree.child[node] >= 0 and (before != tree.is_outlier[found[:n]]).any():
             # The result of these leaves has changed, wherever the new points are.
             for q in range(4):
                 tree.stamp[tree.child[node] + q] = tree.stamp[node]
     cx, cy = cell_centre(tree, node)
     for j in range(n):
         i = found[j]
-        if not tree.apart[i]:
+        if not tree.is_outlier[i]:
             x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
             add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     tree.sums[tree.slot[node]] = s
@@ -212,14 +212,14 @@ def settle(tree, node, found):
 
 
 @kernel(inner=True)
-def add_to_many(tree, leaf, first, last, found):
+def add_to_summed_cell(tree, leaf, first, last, found):
     """Add points `first` to `last` to a smallest cell with sums; return `found`.
 
     If the points could change which points are outliers, the complete cell is recomputed.
     """
     s = tree.sums[tree.slot[leaf]]
     tolerance = _tolerance(tree, leaf)
-    low, high = s[LOWEST], s[HIGHEST]
+    low, high = s[MIN_Z], s[MAX_Z]
     plain = high - low <= tolerance
     none_apart = s[NUMBER] == tree.count[leaf] - (last - first)
     for i in range(first, last):
@@ -227,11 +227,11 @@ def add_to_many(tree, leaf, first, last, found):
         if none_apart and min(abs(z - low), abs(z - high)) <= tolerance:
             low, high = min(low, z), max(high, z)
         elif not (plain and low <= z <= high):
-            return settle(tree, leaf, found)
+            return update_outliers_and_sums(tree, leaf, found)
     cx, cy = cell_centre(tree, leaf)
     for i in range(first, last):
         x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
-        tree.apart[i] = False
+        tree.is_outlier[i] = False
         add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     return found
 

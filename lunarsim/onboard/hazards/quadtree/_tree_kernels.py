@@ -26,7 +26,7 @@ class Tree(NamedTuple):
     half: float  # half the side of the root, m
     depths: int  # depth of the smallest cells
     xyz: Any  # points (n, 3) relative to the centre of the root, m, float32
-    apart: Any  # outliers in height (n,), bool
+    is_outlier: Any  # outliers in height (n,), bool
     child: Any  # first child, -1 for a leaf (N,)
     depth: Any  # depth, 0 for the root (N,)
     column: Any  # column of the cell among those of its depth, from the west (N,)
@@ -42,7 +42,7 @@ class Tree(NamedTuple):
 
 
 @kernel(inner=True)
-def with_room(array, n):
+def with_capacity(array, n):
     """Return an array with n used entries, enlarged if it has no space for another."""
     if n < array.size:
         return array
@@ -126,7 +126,7 @@ def points_in(tree, west, east, south, north):
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 if west <= tree.xyz[i, 0] <= east and south <= tree.xyz[i, 1] <= north:
-                    found = with_room(found, n)
+                    found = with_capacity(found, n)
                     found[n] = i
                     n += 1
             run = tree.following[run]

@@ -138,16 +138,16 @@ class QuadtreeMapper(HazardMapper):
         self.selection: Selection | None = None
         self._model = model
         self._lander = lander or Lander()
-        self._lay(grid, elevation)
+        self._create_tree(grid, elevation)
         self._target = np.array(grid.centre)
         self._rocks = RockExpectation.given(rocks)
         self._interval = interval
-        self._unleveled, self._unsure = UnleveledScans(), 0
-        self._refreshed = -np.inf
-        self._judged = -1
-        self._drawn: HazardMap | None = self._nothing(grid)
+        self._unleveled, self._provisional_count = UnleveledScans(), 0
+        self._last_selection_s = -np.inf
+        self._selected_version = -1
+        self._hazard_map: HazardMap | None = self._empty_map(grid)
 
-    def _lay(self, grid: Grid, elevation: float) -> None:
+    def _create_tree(self, grid: Grid, elevation: float) -> None:
         """Create an empty quadtree on a grid."""
         least, split_count = self._quadtree
         self.grid = grid
@@ -180,21 +180,21 @@ class QuadtreeMapper(HazardMapper):
         self._target = self._target + by
         if self._interest is not None:
             self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
-        self._lay_anew(self.grid.about(centre), float(centre[2]), self.map.points)
+        self._rebuild(self.grid.about(centre), float(centre[2]), self.map.points)
 
-    def _lay_anew(self, grid: Grid, elevation: float, points: Array) -> None:
+    def _rebuild(self, grid: Grid, elevation: float, points: Array) -> None:
         """Rebuild the quadtree from points (n, 3); the first have a provisional tilt."""
         noise = self.noise
-        self._lay(grid, elevation)
+        self._create_tree(grid, elevation)
         if len(points):
             # Insert in two batches: the tree keeps the order of batches, but not within a batch.
-            self.map.insert(points[: self._unsure])
-            sure = points[self._unsure :]
-            self._unsure = self.map.count
+            self.map.insert(points[: self._provisional_count])
+            sure = points[self._provisional_count :]
+            self._provisional_count = self.map.count
             self.map.insert(sure)
             self.noise = noise
-        self.selection, self._judged = None, -1
-        self._drawn = self._nothing(grid)
+        self.selection, self._selected_version = None, -1
+        self._hazard_map = self._empty_map(grid)
 
     def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
         """Rotate the points that came before the tilt was known.
@@ -206,13 +206,13 @@ class QuadtreeMapper(HazardMapper):
         tilt_sigma
             Present standard deviation of the tilt, rad.
         """
-        points, first = self.map.points, self._unsure
+        points, first = self.map.points, self._provisional_count
         if first == 0:
             return
         points[:first] = rotate_about(points[:first], turn, pivot)
-        self._lay_anew(self.grid, float(self.map.centre[2]), points)
+        self._rebuild(self.grid, float(self.map.centre[2]), points)
         if self._unleveled.is_tilt_known(tilt_sigma):
-            self._unsure = 0
+            self._provisional_count = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
         """Add a scan taken at the estimated pose; ignore a scan without returns.
@@ -227,25 +227,25 @@ class QuadtreeMapper(HazardMapper):
             return
         self._insert(measurement, estimate.position, estimate.attitude)
         if self._unleveled.includes(estimate.tilt_sigma):
-            self._unsure = self.map.count
+            self._provisional_count = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
-        self.map.insert(_returns(scan, position, attitude))
+        self.map.insert(_return_points(scan, position, attitude))
         # The noisiest scan counts, because the points of all scans are on the map.
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def select(self) -> Selection:
         """Return the current site selection."""
-        if self.selection is None or self._judged != self.map.version:
-            self._judged = self.map.version
+        if self.selection is None or self._selected_version != self.map.version:
+            self._selected_version = self.map.version
             self.selection = self.selector.update()
-            self._drawn = None
+            self._hazard_map = None
         return self.selection
 
     def refresh(self, time: float) -> None:
         """Select sites if the interval since the last selection has passed."""
-        if time >= self._refreshed + self._interval - 1e-9:
-            self._refreshed = time
+        if time >= self._last_selection_s + self._interval - 1e-9:
+            self._last_selection_s = time
             self.select()
 
     @property
@@ -255,10 +255,10 @@ class QuadtreeMapper(HazardMapper):
 
     def hazard_map(self) -> HazardMap:
         """Return the map of the last site selection, computed when first needed."""
-        if self._drawn is None or self.selection is None:
+        if self._hazard_map is None or self.selection is None:
             # The site evidence must use the same points as the site selection.
-            self._drawn = self._draw(self.select())
-        return self._drawn
+            self._hazard_map = self._compute_map(self.select())
+        return self._hazard_map
 
     def evidence(self) -> ReliefEvidence | None:
         """Return the map only, because its evidence refers to sites and not to cells."""
@@ -284,7 +284,7 @@ class QuadtreeMapper(HazardMapper):
             float(s.score[under].min(initial=np.inf)),
         )
 
-    def _draw(self, selection: Selection) -> HazardMap:
+    def _compute_map(self, selection: Selection) -> HazardMap:
         """Return a map in which each cell has the values of the site at its centre.
 
         The probability depends on the terrain only. The limits of the mission and its interest form
@@ -292,7 +292,7 @@ class QuadtreeMapper(HazardMapper):
         """
         g = self.grid
         if len(selection.nodes) == 0:
-            return self._nothing(g)
+            return self._empty_map(g)
         evidence = evidence_of(
             self.map, selection, self.selector.settings.zone, self.noise, self._lander, self._rocks
         )
@@ -310,7 +310,7 @@ class QuadtreeMapper(HazardMapper):
             in_domain=rasterised(g, xy, size, known, 0.0) > 0.0,
         )
 
-    def _nothing(self, grid: Grid) -> HazardMap:
+    def _empty_map(self, grid: Grid) -> HazardMap:
         """Return a map without observations but with the interest of the mission."""
         value = self._value(grid)
         return replace(
@@ -358,7 +358,7 @@ def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float
     return out
 
 
-def _returns(scan: LidarScan, position: Array, attitude: Array) -> Array:
+def _return_points(scan: LidarScan, position: Array, attitude: Array) -> Array:
     """Return the points (n, 3) of the pixels that got a return, taken at a pose."""
     points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
     return points[np.isfinite(scan.range).ravel()]

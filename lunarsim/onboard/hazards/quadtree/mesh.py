@@ -59,7 +59,7 @@ class GroundMesh:
             return np.zeros((0, 4), np.int64)
         tree = self._map.tree
         nodes = self._map.band(*self._band)
-        nodes = nodes[k.mesh_nodes(tree, nodes, self._density)]
+        nodes = nodes[k.is_mesh_node(tree, nodes, self._density)]
         nodes = np.sort(nodes)
         z = np.asarray(moments(tree, np.asarray(nodes, np.int64))[:, 1])
         nodes, z = nodes[np.isfinite(z)], z[np.isfinite(z)]
@@ -73,7 +73,7 @@ class GroundMesh:
         x, y = metre * self.xy[:, 0], metre * self.xy[:, 1]
         self.normals = k.normals(x, y, z, self.triangles)
         self._index()
-        return self._changed(*before)
+        return self._changed_outlines(*before)
 
     def normals_of(self, nodes: Nodes) -> Array:
         """Return the unit normals (n, 3) of the terrain at cell centres; NaN off the mesh."""
@@ -101,23 +101,25 @@ class GroundMesh:
             px, py, self.z, self.triangles, self.normals, self._bucket, self._wide, start, index,
         )  # fmt: skip
 
-    def _changed(self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray) -> IntArray:
+    def _changed_outlines(
+        self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray
+    ) -> IntArray:
         """Return the outlines of triangles, old or new, that are not in both meshes."""
-        everyone = np.union1d(nodes, self.nodes)
-        old = _keys(np.searchsorted(everyone, nodes), triangles, len(everyone))
-        new = _keys(np.searchsorted(everyone, self.nodes), self.triangles, len(everyone))
-        gone = ~np.isin(old, new)
-        come = ~np.isin(new, old)
-        height = np.full(len(everyone), np.nan)
-        height[np.searchsorted(everyone, nodes)] = z
-        moved = height[np.searchsorted(everyone, self.nodes)] != self.z
-        come |= moved[self.triangles].any(axis=1)
+        all_nodes = np.union1d(nodes, self.nodes)
+        old = _triangle_keys(np.searchsorted(all_nodes, nodes), triangles, len(all_nodes))
+        new = _triangle_keys(np.searchsorted(all_nodes, self.nodes), self.triangles, len(all_nodes))
+        removed = ~np.isin(old, new)
+        added = ~np.isin(new, old)
+        height = np.full(len(all_nodes), np.nan)
+        height[np.searchsorted(all_nodes, nodes)] = z
+        moved = height[np.searchsorted(all_nodes, self.nodes)] != self.z
+        added |= moved[self.triangles].any(axis=1)
         return np.concatenate(
-            (_outlines(xy, triangles[gone]), _outlines(self.xy, self.triangles[come]))
+            (_outlines(xy, triangles[removed]), _outlines(self.xy, self.triangles[added]))
         )
 
 
-def _keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
+def _triangle_keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
     """Return a number per triangle that does not depend on the order of its corners."""
     corners = np.sort(index[triangles], axis=1)
     return np.asarray((corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2])

@@ -22,12 +22,12 @@ from scipy import ndimage
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree.sites import Selection
-from lunarsim.onboard.hazards.quadtree.surface import (
-    Sampling,
-    rises,
-    sampling,
-    surface,
-    without_holes,
+from lunarsim.onboard.hazards.quadtree.terrain_raster import (
+    SamplingCoverage,
+    close_holes,
+    residual_heights,
+    sampling_coverage,
+    terrain_raster,
 )
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
@@ -48,57 +48,75 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 # Upper bounds of the probability, see `ceiling`: value relative to the limit, and factor.
-_LEFT_OF_SLOPE = np.array(
+_SLOPE_CEILING = np.array(
     [[0.93, 0.96, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.75, 0.6, 0.4, 0.2, 0.1, 0.0]]
 )
-_LEFT_OF_PLANE = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
-_LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
-_LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
+_PLANE_SLOPE_CEILING = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
+_ROUGHNESS_CEILING = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
+_RELIEF_CEILING = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
 # Limits of the domain: expected undetected hazards in a footprint, and expected undetected rocks
 # and holes under the pads that tilt the lander over its limit. Rocks are counted by
 # `HeightCurve.missed`, at least three times the count of the Gaussian DEM.
-MOST_HAZARDS = 0.1
-MOST_TILTING = 0.1
-MOST_SINKING = 0.03
+MAX_HAZARDS = 0.1
+MAX_TILT_VIOLATIONS = 0.1
+MAX_HOLE_VIOLATIONS = 0.03
 # Limits near the domain, for the same numbers: there the fits to all other worlds were low enough,
 # see `bound`.
-_NEAR = (1.0, 2.0, 1.0)
-# Maximum share of terrain deeper than the first of `_DEPTHS`: whether a pad bridges a hole depends
-# on widths, which the share does not contain.
-MOST_SUNK = 0.016
+_NEAR_DOMAIN_LIMITS = (1.0, 2.0, 1.0)
+# Maximum share of terrain deeper than the first of `_RELATIVE_DEPTHS`: whether a pad bridges a hole
+# depends on widths, which the share does not contain.
+MAX_DEEP_SHARE = 0.016
 # Threshold for claiming a site unsafe. The zone is 1.35 times as wide as the lander and counts all
 # hazards in it, so only very low probabilities are unsafe for the lander itself.
 HOPELESS = 0.01
 # Maximum probability: means over cells of a decimetre do not support more.
-MOST = 0.99
+MAX_PROBABILITY = 0.99
 # Maximum noise of the points in the fitted worlds, relative to the roughness limit: more noise
 # would explain more of the residual heights.
-MOST_NOISE = 0.12
+MAX_NOISE_RATIO = 0.12
 # Factor on the minimum counted height in `SiteEvidence.clear_of_pads`.
-_KNOWN = 1.5
+_COUNTED_HEIGHT_FACTOR = 1.5
 # Share of the smoothest zones of a map that estimates the noise.
-_SMOOTHEST = 0.1
+_SMOOTHEST_QUANTILE = 0.1
 # Cell sizes of the mean terrain: smallest, and largest that counts as observed, m.
-_GROUND_BAND = (0.4, 1.6)
+_TERRAIN_BAND_M = (0.4, 1.6)
 # Knots of the regression: values relative to the limits, and log10 of ratios and of rock numbers.
-_SLOPES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
-_HEIGHTS = np.array([0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0])
-_SPREADS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
-_RATIOS = np.array([-4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-_TIPS = np.array([-1.7, -1.4, -1.2, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.2, 0.5, 1.0])
-_ROCKS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
-_COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
-_BENDS = (
-    _SLOPES, _HEIGHTS, _HEIGHTS, _HEIGHTS, _TIPS, _TIPS, _SLOPES, _SLOPES, _SPREADS, _SPREADS,
-    _RATIOS, _RATIOS, _HEIGHTS, _HEIGHTS, _ROCKS, _ROCKS,
-    _ROCKS,
-)  # fmt: skip
+_SLOPE_KNOTS = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
+_HEIGHT_KNOTS = np.array(
+    [0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0]
+)
+_SPREAD_KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
+_RATIO_KNOTS = np.array([-4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+_TILT_KNOTS = np.array([-1.7, -1.4, -1.2, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.2, 0.5, 1.0])
+_ROCK_KNOTS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
+_SHARE_KNOTS = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
+_KNOTS = (
+    _SLOPE_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _TILT_KNOTS,
+    _TILT_KNOTS,
+    _SLOPE_KNOTS,
+    _SLOPE_KNOTS,
+    _SPREAD_KNOTS,
+    _SPREAD_KNOTS,
+    _RATIO_KNOTS,
+    _RATIO_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _ROCK_KNOTS,
+    _ROCK_KNOTS,
+    _ROCK_KNOTS,
+)
 # Heights and depths, relative to the limit, at which the share of terrain is a feature.
-_ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
-_DEPTHS = np.array([0.6, 1.0])
+_RELATIVE_HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
+_RELATIVE_DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, density and its square: their weights may have either sign.
 FREE = 4
-RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (len(_COVER) - 1)
+RISING = sum(len(knots) - 1 for knots in _KNOTS) + (
+    len(_RELATIVE_HEIGHTS) + len(_RELATIVE_DEPTHS)
+) * (len(_SHARE_KNOTS) - 1)
 COUNT = FREE + RISING
 
 
@@ -117,12 +135,12 @@ class SiteEvidence:
     mesh_spread, fitted_spread
         Root mean square distance of the points of the zone from these planes, relative to the
         limit.
-    ratio, near
+    ratio, footprint_ratio
         Maximum exception ratio in the zone and in the footprint.
-    relief, top
+    relief, footprint_relief
         Maximum distance of a point from its plane in the zone and in the footprint, relative to the
         limit.
-    density, thinnest
+    density, min_density
         Points per square metre in the zone, and their minimum density in the footprint.
     curve
         Distribution of terrain heights, from the points and the rock law of the mission.
@@ -144,11 +162,11 @@ class SiteEvidence:
     mesh_spread: Array
     fitted_spread: Array
     ratio: Array
-    near: Array
+    footprint_ratio: Array
     relief: Array
-    top: Array
+    footprint_relief: Array
     density: Array
-    thinnest: Array
+    min_density: Array
     curve: HeightCurve
     holes: HeightCurve
     doomed: BoolArray
@@ -159,10 +177,19 @@ class SiteEvidence:
     def judged(self) -> BoolArray:
         """Where the complete zone and footprint were observed (n,)."""
         needed = (
-            self.slope, self.roughness, self.mesh_slope, self.fitted_slope, self.mesh_spread,
-            self.fitted_spread, self.ratio, self.near, self.relief, self.top, self.density,
-            self.thinnest,
-        )  # fmt: skip
+            self.slope,
+            self.roughness,
+            self.mesh_slope,
+            self.fitted_slope,
+            self.mesh_spread,
+            self.fitted_spread,
+            self.ratio,
+            self.footprint_ratio,
+            self.relief,
+            self.footprint_relief,
+            self.density,
+            self.min_density,
+        )
         return np.asarray(np.logical_and.reduce([np.isfinite(a) for a in needed]))
 
     @property
@@ -172,35 +199,43 @@ class SiteEvidence:
         Noise, holes in the terrain and the slope limit of the lander must also be within the range
         of the fit.
         """
-        return self._within(MOST_HAZARDS, MOST_TILTING, MOST_SINKING)
+        return self._within(MAX_HAZARDS, MAX_TILT_VIOLATIONS, MAX_HOLE_VIOLATIONS)
 
     @property
     def near_domain(self) -> BoolArray:
         """Where undetected rocks are few enough for the regression to be conservative (n,)."""
-        return self._within(*_NEAR)
+        return self._within(*_NEAR_DOMAIN_LIMITS)
 
-    def _within(self, hazards: float, tilting: float, sinking: float) -> BoolArray:
+    def _within(
+        self, hazards: float, expected_tilt_violations: float, expected_hole_violations: float
+    ) -> BoolArray:
         noise = self.noise / self.lander.roughness_limit
-        sunk = self.holes.at(_DEPTHS[0] * self.lander.roughness_limit)
+        sunk = self.holes.at(_RELATIVE_DEPTHS[0] * self.lander.roughness_limit)
         steep = self.lander.slope_limit
-        if not (noise <= MOST_NOISE and sunk < MOST_SUNK and STEEPEST[0] <= steep <= STEEPEST[1]):
+        if not (
+            noise <= MAX_NOISE_RATIO
+            and sunk < MAX_DEEP_SHARE
+            and STEEPEST[0] <= steep <= STEEPEST[1]
+        ):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
-            few = (self.hazards() <= hazards) & (self.tilting() <= tilting)
-            few &= self.sinking() <= sinking
+            few = (self.hazards() <= hazards) & (
+                self.expected_tilt_violations() <= expected_tilt_violations
+            )
+            few &= self.expected_hole_violations() <= expected_hole_violations
         return np.asarray(self.judged & few)
 
-    def highest(self) -> Array:
+    def max_roughness(self) -> Array:
         """Return the larger of roughness and highest point over the limit (n,)."""
-        return np.maximum(self.roughness, self.top)
+        return np.maximum(self.roughness, self.footprint_relief)
 
-    def raised(self) -> tuple[Array, Array]:
+    def denoised_relief(self) -> tuple[Array, Array]:
         """Return highest point and spread without noise, over the limit (n,)."""
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
-        return np.maximum(self.top - 3.0 * noise, 0.0), spread
+        return np.maximum(self.footprint_relief - 3.0 * noise, 0.0), spread
 
-    def tipping(self, height: Array) -> Array:
+    def relative_tilt(self, height: Array) -> Array:
         """Return the tilt due to a raised pad over the remaining slope (n,), as tangents.
 
         Parameters
@@ -212,39 +247,41 @@ class SiteEvidence:
         tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
         return np.asarray((tilt + 2e-4) / left)
 
-    def tilting(self) -> Array:
+    def expected_tilt_violations(self) -> Array:
         """Return the expected undetected rocks under the pads that tilt too far (n,).
 
         The pads may be at any heading.
         """
         height = tilting_height(self.fitted_slope, self.lander)
-        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
+        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.min_density))
 
     def clear_of_pads(self) -> Array:
         """Return the probability that no undetected gravel tilts the lander too far (n,).
 
         The gravel count is conservative, as in `lunarsim.safety.calibration.clear_of_pads`. The
-        result is 1 where only rocks higher than `_KNOWN` times the minimum counted height could
-        tilt the lander.
+        result is 1 where only rocks higher than `_COUNTED_HEIGHT_FACTOR` times the minimum counted
+        height could tilt the lander.
         """
         height = least_tilting_height(self.fitted_slope, self.lander)
-        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
+        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.min_density)
         left = np.where(height < self.curve.gravel_counted, UNCOUNTED, 1.0)
-        return np.where(height < _KNOWN * self.curve.counted, left * np.exp(-found), 1.0)
+        return np.where(
+            height < _COUNTED_HEIGHT_FACTOR * self.curve.counted, left * np.exp(-found), 1.0
+        )
 
-    def sinking(self) -> Array:
+    def expected_hole_violations(self) -> Array:
         """Return the expected undetected holes under the pads that tilt too far (n,)."""
         height, width = tilting_height(self.fitted_slope, self.lander), self.lander.pad_diameter
-        found = self.holes.sunk(height, self.thinnest, width)
+        found = self.holes.sunk(height, self.min_density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
-    def piercing(self) -> Array:
+    def expected_roughness_violations(self) -> Array:
         """Return the expected undetected rocks above the remaining roughness (n,).
 
         The rocks are counted in the footprint.
         """
-        height = (1.0 - self.raised()[0]) * self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.thinnest))
+        height = (1.0 - self.denoised_relief()[0]) * self.lander.roughness_limit
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.min_density))
 
     def hazards(self) -> Array:
         """Return the expected undetected rocks above the roughness limit (n,).
@@ -252,7 +289,7 @@ class SiteEvidence:
         The rocks are counted in the footprint.
         """
         limit = self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.thinnest))
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.min_density))
 
 
 def evidence_of(
@@ -278,33 +315,33 @@ def evidence_of(
         Geometry and limits of the lander; rock population expected by the mission.
     """
     s = selection
-    risen = rises(quadtree)
+    risen = residual_heights(quadtree)
     steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
-    seen = sampling(quadtree)
-    height, grid = surface(quadtree, *_GROUND_BAND, seen)
+    seen = sampling_coverage(quadtree)
+    height, grid = terrain_raster(quadtree, *_TERRAIN_BAND_M, seen)
     xy = s.position[:, :2]
-    slope, roughness = _worst_about(bounded_safety(height, grid, lander), xy)
-    solid = without_holes(height, grid.posting, lander.leg_radius)
-    own_slope, own_roughness = _worst_about(bounded_safety(solid, grid, lander), xy)
+    slope, roughness = _max_about(bounded_safety(height, grid, lander), xy)
+    solid = close_holes(height, grid.posting, lander.leg_radius)
+    own_slope, own_roughness = _max_about(bounded_safety(solid, grid, lander), xy)
     mesh_slope = np.tan(s.slope) / steepest
     # The standard error of the slope over a square yields the spread about the plane. If the points
     # span no plane, that of the mesh is used.
     fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
-    spans = np.isfinite(s.fitted)
-    noise = min(noise, _least_spread(fitted_spread))
+    spans = np.isfinite(s.fitted_slope)
+    noise = min(noise, _min_spread(fitted_spread))
     return SiteEvidence(
         np.tan(slope) / steepest,
         roughness / limit,
         mesh_slope,
-        np.where(spans, np.tan(s.fitted) / steepest, mesh_slope),
+        np.where(spans, np.tan(s.fitted_slope) / steepest, mesh_slope),
         s.roughness / limit,
         np.where(spans, fitted_spread, s.roughness) / limit,
         s.ratio,
-        s.near,
+        s.footprint_ratio,
         s.relief / limit,
-        s.top / limit,
+        s.footprint_relief / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
-        _thinnest(seen, xy, lander),
+        _min_footprint_density(seen, xy, lander),
         height_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
         depth_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
         (own_slope >= lander.slope_limit) | (own_roughness >= limit),
@@ -313,13 +350,13 @@ def evidence_of(
     )
 
 
-def _least_spread(spread: Array) -> float:
+def _min_spread(spread: Array) -> float:
     """Return the spread of points about their planes in the smoothest zones of a map, m."""
     spread = spread[np.isfinite(spread)]
-    return float(np.quantile(spread, _SMOOTHEST)) if len(spread) else np.inf
+    return float(np.quantile(spread, _SMOOTHEST_QUANTILE)) if len(spread) else np.inf
 
 
-def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
+def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) -> Array:
     """Return the minimum density of points in the footprint about places (n, 2), 1/m^2."""
     g = seen.grid
     # A round footprint does not include the corners of the zone.
@@ -329,7 +366,7 @@ def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
     return np.asarray(least[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
 
-def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
+def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
     """Return the maximum slope and roughness of the four cells about places (n, 2); or NaN."""
     g = safety.grid
     row, col = g.cell(xy - 0.5 * g.posting)
@@ -350,17 +387,30 @@ def features(evidence: SiteEvidence, where: BoolArray) -> Array:
 
 def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
     """Return the features with non-negative weights, all of which indicate danger (n,)."""
-    point, spread = e.raised()
+    point, spread = e.denoised_relief()
     values = (
-        e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
-        np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope, e.mesh_spread, e.fitted_spread,
-        np.log10(np.maximum(e.ratio, 1e-4)), np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top,
-        np.log10(e.tilting() + 1e-6), np.log10(e.piercing() + 1e-6), np.log10(e.sinking() + 1e-6),
-    )  # fmt: skip
-    shares = np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit))
-    own = [Term(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
-    depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
-    return own + [Term(share, _COVER) for share in (*shares, *depths)]
+        e.slope,
+        e.roughness,
+        e.max_roughness(),
+        e.footprint_relief + 2.0 * spread,
+        np.log10(e.relative_tilt(point)),
+        np.log10(e.relative_tilt(spread)),
+        e.mesh_slope,
+        e.fitted_slope,
+        e.mesh_spread,
+        e.fitted_spread,
+        np.log10(np.maximum(e.ratio, 1e-4)),
+        np.log10(np.maximum(e.footprint_ratio, 1e-4)),
+        e.relief,
+        e.footprint_relief,
+        np.log10(e.expected_tilt_violations() + 1e-6),
+        np.log10(e.expected_roughness_violations() + 1e-6),
+        np.log10(e.expected_hole_violations() + 1e-6),
+    )
+    shares = np.log10(e.curve.at(_RELATIVE_HEIGHTS * e.lander.roughness_limit))
+    own = [Term(v[where], knots) for v, knots in zip(values, _KNOTS, strict=True)]
+    depths = np.log10(e.holes.at(_RELATIVE_DEPTHS * e.lander.roughness_limit))
+    return own + [Term(share, _SHARE_KNOTS) for share in (*shares, *depths)]
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
@@ -404,17 +454,17 @@ def ceiling(evidence: SiteEvidence) -> Array:
 
     In a sum of features, many favourable ones can outweigh one that is fatal. The bounds are the
     share of safe sites in the fitted worlds for slopes or roughness near or beyond the limit, at
-    most `MOST`.
+    most `MAX_PROBABILITY`.
     """
     e = evidence
     left = (
-        np.interp(e.slope, *_LEFT_OF_SLOPE),
-        np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_LEFT_OF_PLANE),
-        np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
-        np.interp(e.top, *_LEFT_OF_TOP),
+        np.interp(e.slope, *_SLOPE_CEILING),
+        np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_PLANE_SLOPE_CEILING),
+        np.interp(np.maximum(e.roughness, e.mesh_spread), *_ROUGHNESS_CEILING),
+        np.interp(e.footprint_relief, *_RELIEF_CEILING),
         e.clear_of_pads(),
     )
-    return np.asarray(MOST * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
+    return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:
@@ -423,5 +473,8 @@ def bound(evidence: SiteEvidence) -> Array:
     It is the probability of no undetected rock. Near the domain, where the regression is still
     informative, it is 1.
     """
-    none = np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)
+    none = np.nan_to_num(
+        np.exp(-evidence.expected_roughness_violations() - evidence.expected_tilt_violations()),
+        nan=0.0,
+    )
     return np.asarray(np.where(evidence.near_domain, 1.0, none))

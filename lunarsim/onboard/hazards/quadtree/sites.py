@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # Default half side of the lander's footprint, relative to that of the zone.
-_FOOTPRINT = 0.6
+_FOOTPRINT_ZONE_RATIO = 0.6
 # Meaning of `Selection.status`.
 STATUS = (
     "eligible",
@@ -75,18 +75,18 @@ class Selection:
     ratio
         Maximum exception ratio in the zone and `margin` around it (n,); NaN if a cell of the zone
         has too few points.
-    near
+    footprint_ratio
         The same in the footprint of the lander (n,).
     roughness
         Roughness (n,), m; NaN where not evaluated.
     relief
         Maximum distance of a point in the zone and `margin` around it from the median plane of its
         cell, or of an exception from the ground plane (n,), m; NaN as for `ratio`.
-    top
+    footprint_relief
         The same in the footprint of the lander (n,), m.
     points
         Number of points in the zone (n,), without outliers in height; NaN where not evaluated.
-    fitted, slope_sigma
+    fitted_slope, slope_sigma
         Slope of the least-squares plane through the points of the zone, and its standard error
         (n,), rad; NaN where not evaluated.
     status
@@ -102,12 +102,12 @@ class Selection:
     interest: Array
     slope: Array
     ratio: Array
-    near: Array
+    footprint_ratio: Array
     roughness: Array
     relief: Array
-    top: Array
+    footprint_relief: Array
     points: Array
-    fitted: Array
+    fitted_slope: Array
     slope_sigma: Array
     status: NDArray[np.int8]
     score: Array
@@ -152,21 +152,23 @@ class SiteSelector:
         self.settings = settings or SiteSettings()
         self._interest = interest
         self._thorough = thorough
-        self.footprint = _FOOTPRINT * self.settings.zone if footprint is None else footprint
+        self.footprint = (
+            _FOOTPRINT_ZONE_RATIO * self.settings.zone if footprint is None else footprint
+        )
         s = self.settings
         self.mesh = GroundMesh(quadtree, *s.mesh_band, s.density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
         self._site = tuple(quadtree.depth_of(size) for size in s.site_band)
-        squares = 1 << min(self._hazard[0] + h.FINER, quadtree.depths)
+        squares = 1 << min(self._hazard[0] + h.SQUARE_LEVELS, quadtree.depths)
         self._ratios, self._reliefs = (
             np.full((squares, squares), np.nan, np.float32) for _ in range(2)
         )
         self._version = 0
-        self._calls = 0
+        self._visit = 0
         # One row per square of the smallest cells; the memory of rows without a site is never
         # touched.
-        self._seen = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
-        self._found = np.zeros((1 << 2 * self._site[0], 9))
+        self._visited = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
+        self._results = np.zeros((1 << 2 * self._site[0], 9))
         self._status = np.full(1 << 2 * self._site[0], k.NO_PLANE, np.int8)
 
     @property
@@ -202,8 +204,8 @@ class SiteSelector:
     def nbytes(self) -> int:
         """Maximum memory, bytes; rows without a site are never written."""
         rasters = self._ratios.nbytes + self._reliefs.nbytes
-        seen = sum(a.nbytes for a in self._seen)
-        return rasters + seen + self._found.nbytes + self._status.nbytes
+        seen = sum(a.nbytes for a in self._visited)
+        return rasters + seen + self._results.nbytes + self._status.nbytes
 
     def update(self) -> Selection:
         """Process the changes of the map and return all sites."""
@@ -216,7 +218,7 @@ class SiteSelector:
 
     # --- changes --------------------------------------------------------------------------
 
-    def _fresh(self, depth: int) -> IntArray:
+    def _updated_outlines(self, depth: int) -> IntArray:
         """Return the outlines of cells of a depth, or leaves above it, that got points."""
         tree = self.map.tree
         nodes = band(tree, depth, 0, self._version)
@@ -230,8 +232,8 @@ class SiteSelector:
         self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
     ) -> tuple[Nodes, IntArray]:
         """Return the cells of a band in marked squares, and the outlines of squares without one."""
-        self._calls += 1
-        return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._calls)  # type: ignore[no-any-return]
+        self._visit += 1
+        return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._visit)  # type: ignore[no-any-return]
 
     def _update_hazards(self, outlines: IntArray) -> IntArray:
         """Search for hazards where points or planes changed.
@@ -243,14 +245,20 @@ class SiteSelector:
         square = self._half_steps(self._hazard[0])
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
-        finer = 2 * (1 << self.map.depths) // len(self._ratios)
+        square_side = 2 * (1 << self.map.depths) // len(self._ratios)
         # The expected number of points in a cell depends on squares beyond its edge: grow by all
         # but the last half step.
-        k.mark(self._fresh(self._hazard[1]), h.REACH * finer - 1, square, wide, marked)
-        nodes, empty = self._nodes_in(marked, self._hazard, self._seen[0])
+        k.mark(
+            self._updated_outlines(self._hazard[1]),
+            h.NEIGHBOUR_SQUARES * square_side - 1,
+            square,
+            wide,
+            marked,
+        )
+        nodes, empty = self._nodes_in(marked, self._hazard, self._visited[0])
         rasters = (self._ratios, self._reliefs)
-        cleared = h.clear(empty, finer, *rasters)
-        changed = h.judge_cells(
+        cleared = h.blank_squares(empty, square_side, *rasters)
+        changed = h.evaluate_cells(
             tree, nodes, self.mesh.arrays, s.roughness_limit, s.density, *rasters
         )
         return np.concatenate((empty[cleared], k.rectangles_of(tree, nodes[changed])))
@@ -262,10 +270,10 @@ class SiteSelector:
         zone = int(np.ceil((s.zone + s.margin) / (0.5 * self.map.least)))
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
-        for rectangles in (self._fresh(self._site[1]), changed):
+        for rectangles in (self._updated_outlines(self._site[1]), changed):
             k.mark(rectangles, zone, square, wide, marked)
-        nodes, _ = self._nodes_in(marked, self._site, self._seen[1])
-        k.judge_sites(
+        nodes, _ = self._nodes_in(marked, self._site, self._visited[1])
+        k.evaluate_sites(
             tree,
             nodes,
             self._site[0],
@@ -274,7 +282,7 @@ class SiteSelector:
             (np.cos(s.slope_limit), s.exception_limit, s.zone, self.footprint, s.margin),
             s.roughness == "printed",
             self._thorough,
-            self._found,
+            self._results,
             self._status,
         )
 
@@ -288,8 +296,8 @@ class SiteSelector:
     def _select(self) -> Selection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
-        place = k.places_of(self.map.tree, nodes, self._site[0])
-        found, status = self._found[place], self._status[place]
+        place = k.raster_indices(self.map.tree, nodes, self._site[0])
+        found, status = self._results[place], self._status[place]
         cosine, roughness = found[:, k.COSINE], found[:, k.ROUGHNESS]
         interest = self._interest_of(nodes)
         # The interest of the mission takes precedence, but the terrain status remains known.
@@ -311,16 +319,37 @@ class SiteSelector:
                 float(slope[i]),
                 float(roughness[i]),
             )
-            for i in best_apart(score, position[:, :2], s.count, s.separation)
+            for i in select_separated(score, position[:, :2], s.count, s.separation)
         )
-        ratio, near, relief, top, points, fitted, sigma = (
+        ratio, footprint_ratio, relief, footprint_relief, points, fitted_slope, sigma = (
             found[:, c].copy()
-            for c in (k.RATIO, k.NEAR, k.RELIEF, k.TOP, k.POINTS, k.FITTED, k.SIGMA)
+            for c in (
+                k.RATIO,
+                k.FOOTPRINT_RATIO,
+                k.RELIEF,
+                k.FOOTPRINT_RELIEF,
+                k.POINT_COUNT,
+                k.FITTED_SLOPE,
+                k.SLOPE_SIGMA,
+            )
         )
         return Selection(
-            nodes, position, interest, slope, ratio, near, roughness.copy(), relief, top, points,
-            fitted, sigma, status, score, ranked,
-        )  # fmt: skip
+            nodes,
+            position,
+            interest,
+            slope,
+            ratio,
+            footprint_ratio,
+            roughness.copy(),
+            relief,
+            footprint_relief,
+            points,
+            fitted_slope,
+            sigma,
+            status,
+            score,
+            ranked,
+        )
 
 
 def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -329,7 +358,7 @@ def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
     return view
 
 
-def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:
+def select_separated(score: Array, xy: Array, count: int, separation: float) -> list[int]:
     """Return the indices of the lowest finite scores with a minimum separation.
 
     Parameters

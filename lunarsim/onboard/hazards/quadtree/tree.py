@@ -16,16 +16,16 @@ Array = NDArray[np.float64]
 Nodes = NDArray[np.int32]
 
 # float32 coordinates resolve 1/16,777,216 of the side; deeper trees would fall below it.
-_DEEPEST = 16
+_MAX_DEPTH = 16
 # Maximum height from the elevation of the map, m: float32 resolves 1 mm there.
-_HIGHEST = 10_000.0
+_MAX_HEIGHT_M = 10_000.0
 # Maximum number of parts in which a batch is sorted, and minimum size of a part. Sorting then takes
 # little time, and points that came together remain together.
-_PARTS, _PART = 8, 1 << 18
+_MAX_SORT_PARTS, _MIN_SORT_PART_POINTS = 8, 1 << 18
 
 
 @dataclass(frozen=True)
-class Inserted:
+class InsertionCounts:
     """Counts of the points of a batch.
 
     Attributes
@@ -72,18 +72,18 @@ class QuadtreeMap:
         if split_count < 2:
             raise InputError("quadtree.split_count", split_count, "must be 2 or more")
         depths = max(1, int(np.ceil(np.log2(side / least) - 1e-9)))
-        if depths > _DEEPEST:
+        if depths > _MAX_DEPTH:
             raise InputError(
                 "quadtree.least_m",
                 least,
-                f"must be at least {side / 2**_DEEPEST:g} m for a side of {side:g} m",
+                f"must be at least {side / 2**_MAX_DEPTH:g} m for a side of {side:g} m",
             )
-        middle = np.zeros(3)
+        centre_enu = np.zeros(3)
         given = np.asarray(centre, dtype=np.float64)
-        middle[: given.size] = given
-        if not np.isfinite(middle).all():
-            raise InputError("quadtree.centre", middle.tolist(), "must be finite")
-        self.centre = middle
+        centre_enu[: given.size] = given
+        if not np.isfinite(centre_enu).all():
+            raise InputError("quadtree.centre", centre_enu.tolist(), "must be finite")
+        self.centre = centre_enu
         self.least = float(least)
         self.depths = depths
         self.side = least * 2.0**depths
@@ -111,7 +111,7 @@ class QuadtreeMap:
 
     # --- insertion ------------------------------------------------------------------------
 
-    def insert(self, points: ArrayLike) -> Inserted:
+    def insert(self, points: ArrayLike) -> InsertionCounts:
         """Add points (n, 3), ENU, m; ignore and count those off the map or with NaN.
 
         Raises
@@ -120,12 +120,16 @@ class QuadtreeMap:
             If the array has another shape or contains an infinity, or if most points over the map
             are farther than 10 km from its elevation, which is then wrong.
         """
-        points = _checked(points)
+        points = _check_points(points)
         added = outside = missing = high = 0
-        part = max(_PART, -(-len(points) // _PARTS))
+        part = max(_MIN_SORT_PART_POINTS, -(-len(points) // _MAX_SORT_PARTS))
         for first in range(0, len(points), part):
-            xyz, key, *left_out = _insertion_kernels.place(
-                points[first : first + part], self.centre, self.tree.half, self.depths, _HIGHEST
+            xyz, key, *left_out = _insertion_kernels.sort_points(
+                points[first : first + part],
+                self.centre,
+                self.tree.half,
+                self.depths,
+                _MAX_HEIGHT_M,
             )
             outside, missing, high = (
                 a + b for a, b in zip((outside, missing, high), left_out, strict=True)
@@ -133,18 +137,19 @@ class QuadtreeMap:
             if left_out[2] > len(xyz):
                 raise InputError(
                     "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} farther",
-                    f"most must be within {_HIGHEST:g} m of the map elevation {self.centre[2]:g} m",
+                    f"most must be within {_MAX_HEIGHT_M:g} m of the map "
+                    f"elevation {self.centre[2]:g} m",
                 )  # fmt: skip
-            self._enter(xyz, key)
+            self._insert_sorted(xyz, key)
             added += len(xyz)
-        return Inserted(added, int(outside + high), int(missing))
+        return InsertionCounts(added, int(outside + high), int(missing))
 
-    def _enter(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
+    def _insert_sorted(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
         """Insert points (n, 3) sorted by their keys (n,)."""
         base = self._points
         if not len(xyz):
             return
-        self._make_room(points=base + len(xyz))
+        self._reserve(points=base + len(xyz))
         self.tree.xyz[base : base + len(xyz)] = xyz
         self._points += len(xyz)
         at = 0
@@ -156,23 +161,23 @@ class QuadtreeMap:
             self._used = (used[0], used[1], used[2])
             if at == len(key):
                 break
-            self._make_room(
+            self._reserve(
                 nodes=len(self.tree.child) * 3 // 2 + 65_536,
                 runs=len(self.tree.start) * 3 // 2 + 65_536,
                 sums=len(self.tree.sums) * 3 // 2 + 16_384,
             )
 
-    def _make_room(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
+    def _reserve(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
         """Enlarge arrays if needed; the point arrays grow by half to limit copying."""
         t = self.tree
         if points > len(t.xyz):
-            t = _with_room(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
+            t = _enlarge_arrays(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
         if nodes > len(t.child):
-            t = _with_room(t, _NODE_ARRAYS, nodes, self._used[0])
+            t = _enlarge_arrays(t, _NODE_ARRAYS, nodes, self._used[0])
         if runs > len(t.start):
-            t = _with_room(t, _RUN_ARRAYS, runs, self._used[1])
+            t = _enlarge_arrays(t, _RUN_ARRAYS, runs, self._used[1])
         if sums > len(t.sums):
-            t = _with_room(t, ("sums",), sums, self._used[2])
+            t = _enlarge_arrays(t, ("sums",), sums, self._used[2])
         self.tree = t
 
     # --- size -----------------------------------------------------------------------------
@@ -267,17 +272,17 @@ class QuadtreeMap:
         return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64)))
 
     @property
-    def apart(self) -> NDArray[np.bool_]:
+    def is_outlier(self) -> NDArray[np.bool_]:
         """Which points are outliers in height (n,), in the order of `points`."""
-        return np.asarray(self.tree.apart[: self._points].copy())
+        return np.asarray(self.tree.is_outlier[: self._points].copy())
 
 
-_POINT_ARRAYS = ("xyz", "apart")
+_POINT_ARRAYS = ("xyz", "is_outlier")
 _NODE_ARRAYS = ("child", "depth", "column", "row", "count", "stamp", "head", "slot")
 _RUN_ARRAYS = ("start", "length", "following")
 
 
-def _checked(points: ArrayLike) -> Array:
+def _check_points(points: ArrayLike) -> Array:
     """Return points as an array (n, 3); raise InputError if they are invalid."""
     if np.iscomplexobj(points):
         raise InputError("quadtree.points", "complex numbers", "must be real coordinates in metres")
@@ -299,12 +304,12 @@ def _checked(points: ArrayLike) -> Array:
     return points
 
 
-def _with_room(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
-    arrays: dict[str, Any] = {name: _enlarged(getattr(tree, name), size, used) for name in names}
+def _enlarge_arrays(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
+    arrays: dict[str, Any] = {name: _enlarge(getattr(tree, name), size, used) for name in names}
     return tree._replace(**arrays)
 
 
-def _enlarged(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
+def _enlarge(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
     out = np.empty((size, *array.shape[1:]), array.dtype)
     out[:used] = array[:used]
     return out

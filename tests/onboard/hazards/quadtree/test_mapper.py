@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSelector,
     SiteSettings,
 )
-from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from lunarsim.onboard.navigation.estimate import Estimate
 
 SMALL = SiteSettings(
@@ -239,9 +239,9 @@ def test_eq_9_counts_interest():
 def test_costs_that_are_no_numbers_are_refused():
     xy = np.zeros((3, 2))
     with pytest.raises(InputError, match=r"sites\.score"):
-        best_apart(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
+        select_separated(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
     with pytest.raises(InputError, match=r"sites\.xy"):
-        best_apart(np.array([1.0, 2.0]), xy, 2, 1.0)
+        select_separated(np.array([1.0, 2.0]), xy, 2, 1.0)
 
 
 def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():

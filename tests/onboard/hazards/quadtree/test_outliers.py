@@ -64,13 +64,13 @@ def test_birds_are_told_and_nothing_else_is():
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
     quadtree.insert(lifted)
     far = {round(float(z), 3) for z in lifted[which, 2]}
-    told = quadtree.points[quadtree.apart]
+    told = quadtree.points[quadtree.is_outlier]
     # Ten points a square metre leave cells of 1.6 m, in which 1 m is hardly more than a slope.
     assert len(told) >= 0.95 * len(which)
     assert sum(round(float(z), 3) in far for z in told[:, 2]) == len(told)
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
     quadtree.insert(points)
-    assert quadtree.apart.sum() <= 2
+    assert quadtree.is_outlier.sum() <= 2
 
 
 def test_rocks_of_three_decimetres_are_exceptions():
@@ -100,7 +100,7 @@ def test_who_stands_apart_does_not_depend_on_the_order(seed, parts, dwell):
     one.insert(points)
     for part in np.array_split(rng.permutation(points), parts):
         many.insert(part)
-    first, second = (set(map(tuple, q.points[q.apart])) for q in (one, many))
+    first, second = (set(map(tuple, q.points[q.is_outlier])) for q in (one, many))
     assert first == second
     assert first or not dwell
 
@@ -111,9 +111,9 @@ def test_a_bird_that_finds_company_is_ground():
     ground = np.column_stack((rng.uniform(-2.0, 2.0, (2000, 2)), rng.normal(0.0, 0.02, 2000)))
     quadtree.insert(ground)
     quadtree.insert([[0.51, 0.52, 2.0]])
-    assert quadtree.apart.sum() == 1
+    assert quadtree.is_outlier.sum() == 1
     node = np.array([quadtree.cell_at((0.51, 0.52), 0.8, 0.8)], np.int32)
     assert quadtree.elevation(node)[0] < 0.01
     quadtree.insert([[0.53, 0.54, 2.1], [0.52, 0.51, 1.9]])
-    assert quadtree.apart.sum() == 0
+    assert quadtree.is_outlier.sum() == 0
     assert quadtree.elevation(node)[0] > 0.02

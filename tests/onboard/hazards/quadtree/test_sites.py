@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSettings,
 )
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
-from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from tests.reference import quadtree as reference
 
 SMALL = SiteSettings(
@@ -124,7 +124,7 @@ def test_sites_follow_the_equations(form):
     corners = mesh.xy[mesh.triangles]
     half = 0.5 * quadtree.least
     corner = quadtree.centre[:2] - 0.5 * quadtree.side
-    points = points[~quadtree.apart]
+    points = points[~quadtree.is_outlier]
     # Hazard cells, Eqs. 3 to 5, in squares of a quarter of their side.
     hazard = quadtree.band(*s.hazard_band)
     seen = 0
@@ -180,13 +180,13 @@ def test_sites_follow_the_equations(form):
             tall = squares_within(selector.reliefs, r[:2] - corner, s.zone + s.margin)
             assert selection.relief[i] == np.nanmax(tall)
             middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone)
-            assert selection.near[i] == middle.max()
+            assert selection.footprint_ratio[i] == middle.max()
             top = squares_within(selector.reliefs, r[:2] - corner, 0.6 * s.zone)
-            assert selection.top[i] == np.nanmax(top)
+            assert selection.footprint_relief[i] == np.nanmax(top)
             inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone).all(1)]
             assert selection.points[i] == pytest.approx(len(inside), abs=2)
             slope, sigma = reference.fitted_slope(inside)
-            assert selection.fitted[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
+            assert selection.fitted_slope[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
             assert selection.slope_sigma[i] == pytest.approx(sigma, rel=1e-2)
         if status == "eligible":
             score = 1000.0 * (1.0 - normal[2]) + 100.0 * selection.roughness[i]
@@ -216,7 +216,7 @@ def test_a_cell_whose_only_point_stands_apart_has_too_few_points():
     points = np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
     quadtree = QuadtreeMap((0.0, 0.0), 6.4, 0.1)
     quadtree.insert(np.vstack((points, [[0.6, 0.6, 50.0]])))
-    assert quadtree.apart.sum() == 1
+    assert quadtree.is_outlier.sum() == 1
     selection = SiteSelector(quadtree, replace(SMALL, site_band=(0.4, 0.4))).update()
     i = np.argmin(np.hypot(*(selection.position[:, :2] - 0.6).T))
     assert selection.position[i, :2] == pytest.approx([0.6, 0.6])
@@ -232,7 +232,7 @@ def test_every_quarter_of_a_cell_is_to_be_seen():
             xy = rng.uniform(0.0, 1.6, (25 if q == sparse else 26, 2))
             xy -= [0.0 if q & 1 else 1.6, 0.0 if q & 2 else 1.6]
             quadtree.insert(np.column_stack((xy, np.zeros(len(xy)))))
-        assert k.mesh_nodes(quadtree.tree, root, 10.0)[0] == (sparse is None)
+        assert k.is_mesh_node(quadtree.tree, root, 10.0)[0] == (sparse is None)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -279,7 +279,7 @@ def test_the_board_holds_the_best_at_their_distance():
     rng = np.random.default_rng(2)
     xy, score = rng.uniform(0.0, 20.0, (400, 2)), rng.random(400)
     score[::3] = np.inf
-    chosen = best_apart(score, xy, 6, 3.0)
+    chosen = select_separated(score, xy, 6, 3.0)
     assert len(chosen) == 6
     assert np.isfinite(score[chosen]).all()
     assert (np.diff(score[chosen]) >= 0.0).all()

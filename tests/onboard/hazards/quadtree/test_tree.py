@@ -52,7 +52,7 @@ def test_cells_and_their_means_are_those_of_the_plain_tree(
     elevation, variance = quadtree.elevation(nodes), quadtree.variance(nodes)
     z = points[:, 2]
     apart = reference.stand_apart(z, tree, t.half, quadtree.depths, 8)
-    assert np.array_equal(quadtree.apart, apart)
+    assert np.array_equal(quadtree.is_outlier, apart)
     for key, i in own.items():
         assert t.count[i] == len(tree[key])
         least = key[0] == quadtree.depths and len(tree[key]) >= 8

@@ -21,30 +21,30 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # Standard deviation of the Gaussian window for the mean terrain between sparse points, in cells.
-_BELL = 3.0
+_WINDOW_SIGMA_CELLS = 3.0
 # Minimum weight of points in that window for a cell without points to count as observed.
-_NEAR = 1e-3
+_MIN_WINDOW_WEIGHT = 1e-3
 # Cell size in which points are counted, and width of the window for their density, m.
-_FINE, _WINDOW = 0.2, 1.0
+_CELL_M, _DENSITY_WINDOW_M = 0.2, 1.0
 # Distance from a gap up to which the density is evaluated, in such windows.
-_ASIDE = 1.6
+_SEARCH_WINDOWS = 1.6
 # Minimum expected number of points for an empty rectangle to be a gap.
-_EXPECTED = 14.0
+_MIN_EXPECTED_POINTS = 14.0
 # Rows and columns of the rectangles, in such cells.
-_SHAPES = (
+_GAP_SHAPES = (
     *((n, n) for n in (1, 2, 3, 4, 5, 6)),
     *((n, m) for n, m in ((2, 6), (6, 2), (2, 10), (10, 2), (1, 8), (8, 1), (3, 8), (8, 3))),
 )
 # Maximum number of points for residual heights.
-_ASKED = 250_000
+_MAX_SAMPLED_POINTS = 250_000
 # Maximum height of an outlier that may be a rock, m.
-_LOW = 1.0
+_MAX_ROCK_OUTLIER_M = 1.0
 # Minimum side of the squares for local planes, which are fitted over 5 x 5 squares, m.
-_SQUARE = 0.4
+_MIN_SQUARE_M = 0.4
 
 
-def surface(
-    quadtree: QuadtreeMap, smallest: float, largest: float, seen: Sampling | None = None
+def terrain_raster(
+    quadtree: QuadtreeMap, smallest: float, largest: float, seen: SamplingCoverage | None = None
 ) -> tuple[Array, Grid]:
     """Return mean elevations (rows, cols), m, and their grid; NaN where not observed.
 
@@ -69,7 +69,7 @@ def surface(
     t = quadtree.tree
     finer = finest - t.depth[nodes].astype(np.int64)
     row, col = t.row[nodes].astype(np.int64), t.column[nodes].astype(np.int64)
-    trend = _trend(row, col, finer, height, wide)
+    trend = _mean_terrain(row, col, finer, height, wide)
     out = np.full((wide, wide), np.nan)
     for more in np.unique(finer):
         side = 1 << int(more)
@@ -88,7 +88,7 @@ def surface(
     return out, grid
 
 
-def without_holes(height: Array, posting: float, width: float) -> Array:
+def close_holes(height: Array, posting: float, width: float) -> Array:
     """Return terrain (rows, cols) with its holes filled by a grey closing.
 
     The closing fills holes no wider than `width`, m, along rows or columns. It leaves planes and
@@ -101,17 +101,17 @@ def without_holes(height: Array, posting: float, width: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Sampling:
+class SamplingCoverage:
     """Sampling density of a quadtree map.
 
     Attributes
     ----------
     grid
-        Cells of about `_FINE`: the map side divided by a power of two.
+        Cells of about `_CELL_M`: the map side divided by a power of two.
     gap
         True where points are missing that chance would not have omitted (rows, cols).
     density
-        Points per square metre about each cell, over `_WINDOW` (rows, cols).
+        Points per square metre about each cell, over `_DENSITY_WINDOW_M` (rows, cols).
     """
 
     grid: Grid
@@ -119,27 +119,28 @@ class Sampling:
     density: Array
 
 
-def sampling(quadtree: QuadtreeMap) -> Sampling:
+def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
     """Return the sampling density of a map and its gaps.
 
-    A gap is an empty rectangle in which the density around it predicts at least `_EXPECTED` points.
+    A gap is an empty rectangle in which the density around it predicts at least
+    `_MIN_EXPECTED_POINTS` points.
     """
-    wide = 1 << quadtree.depth_of(_FINE)
+    wide = 1 << quadtree.depth_of(_CELL_M)
     posting = quadtree.side / wide
     grid = Grid.centred(quadtree.centre[:2], quadtree.side, posting)
     points, half = quadtree.tree.xyz[: quadtree.count], np.float32(0.5 * quadtree.side)
     count = np.zeros((wide, wide), np.int64)
     count_in_squares(points, half, np.float32(posting), count)
-    window = max(1, min(wide, round(_WINDOW / posting)))
+    window = max(1, min(wide, round(_DENSITY_WINDOW_M / posting)))
     mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
     # The density on both sides of a gap, not in it, predicts the points. The coverage of a scan has
     # no concave edges, and next to a scan only coarser ones may have measured.
-    aside = window // 2 + 1, round(_ASIDE * window)
-    about = np.maximum(*(_on_both_sides(mean, *aside, axis) for axis in (0, 1)))
+    aside = window // 2 + 1, round(_SEARCH_WINDOWS * window)
+    about = np.maximum(*(_density_on_both_sides(mean, *aside, axis) for axis in (0, 1)))
     total = np.zeros((wide + 1, wide + 1), np.int64)
     np.cumsum(np.cumsum(count, axis=0), axis=1, out=total[1:, 1:])
     gap = np.zeros((wide, wide), np.bool_)
-    for high, across in _SHAPES:
+    for high, across in _GAP_SHAPES:
         if max(high, across) > wide:
             continue
         inside = (
@@ -148,17 +149,17 @@ def sampling(quadtree: QuadtreeMap) -> Sampling:
         )  # fmt: skip
         # Density at the centre of each rectangle.
         here = about[high // 2 :, across // 2 :][: wide - high + 1, : wide - across + 1]
-        empty = (inside == 0) & (here * high * across >= _EXPECTED)
+        empty = (inside == 0) & (here * high * across >= _MIN_EXPECTED_POINTS)
         # Mark all cells of an empty rectangle: its rows, then its columns.
         tall = np.zeros((wide, empty.shape[1]), np.bool_)
         for i in range(high):
             tall[i : i + empty.shape[0]] |= empty
         for j in range(across):
             gap[:, j : j + empty.shape[1]] |= tall
-    return Sampling(grid, gap, mean / posting**2)
+    return SamplingCoverage(grid, gap, mean / posting**2)
 
 
-def _on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
+def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
     """Return the smaller of the maximum densities `near` to `far` cells before and behind."""
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
@@ -167,30 +168,30 @@ def _on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
     return np.asarray(np.moveaxis(least, -1, axis))
 
 
-def _trend(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
+def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
     """Return the mean terrain about each cell of a raster (wide, wide); NaN far from points."""
     sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
     at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
     sums[at], count[at] = height, 1.0
-    weight = ndimage.gaussian_filter(count, _BELL, mode="constant")
+    weight = ndimage.gaussian_filter(count, _WINDOW_SIGMA_CELLS, mode="constant")
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = ndimage.gaussian_filter(sums, _BELL, mode="constant") / weight
-    return np.where(weight > _NEAR, mean, np.nan)
+        mean = ndimage.gaussian_filter(sums, _WINDOW_SIGMA_CELLS, mode="constant") / weight
+    return np.where(weight > _MIN_WINDOW_WEIGHT, mean, np.nan)
 
 
-def rises(quadtree: QuadtreeMap) -> Array:
+def residual_heights(quadtree: QuadtreeMap) -> Array:
     """Return the residual heights of some points above the local plane (n,), m.
 
-    The plane is fitted to about a hundred points without outliers. Outliers less than `_LOW` from
-    the plane are included, because a single return from a small rock cannot be distinguished from
-    one in the air.
+    The plane is fitted to about a hundred points without outliers. Outliers less than
+    `_MAX_ROCK_OUTLIER_M` from the plane are included, because a single return from a small rock
+    cannot be distinguished from one in the air.
     """
     t, count = quadtree.tree, quadtree.count
-    index = np.arange(0, count, max(1, count // _ASKED))
-    points, apart = t.xyz[index].astype(np.float64), t.apart[index]
+    index = np.arange(0, count, max(1, count // _MAX_SAMPLED_POINTS))
+    points, apart = t.xyz[index].astype(np.float64), t.is_outlier[index]
     spacing = quadtree.side / np.sqrt(max(len(points), 1))
     squares = LocalPlaneGrid(
-        Grid.centred((0.0, 0.0), quadtree.side, max(_SQUARE, 2.0 * spacing)), 1
+        Grid.centred((0.0, 0.0), quadtree.side, max(_MIN_SQUARE_M, 2.0 * spacing)), 1
     )
     found = points[:, 2] - squares.heights(squares.planes(points[~apart]), points)
-    return np.asarray(found[~apart | (np.abs(found) < _LOW)])
+    return np.asarray(found[~apart | (np.abs(found) < _MAX_ROCK_OUTLIER_M)])
