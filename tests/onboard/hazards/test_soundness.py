@@ -216,7 +216,8 @@ weights = st.integers(0, 10_000).map(
 
 SITE = {
     "slope": 0.4, "roughness": 0.3, "mesh_slope": 0.4, "fitted_slope": 0.4, "mesh_spread": 0.1,
-    "fitted_spread": 0.1, "ratio": 0.0, "near": 0.0, "relief": 0.2, "top": 0.2,
+    "fitted_spread": 0.1, "ratio": 0.0, "footprint_ratio": 0.0, "relief": 0.2,
+    "footprint_relief": 0.2,
 }  # fmt: skip
 
 
@@ -235,7 +236,7 @@ def site_among(
     curve: HeightCurve, holes: HeightCurve, noise: float, **changes: float
 ) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
-    own = {"density": np.array([30.0]), "thinnest": np.array([30.0])} | own
+    own = {"density": np.array([30.0]), "min_density": np.array([30.0])} | own
     own["doomed"] = np.maximum(own["slope"], own["roughness"]) >= 1.0
     return SiteEvidence(**own, curve=curve, holes=holes, lander=Lander(), noise=noise)
 
@@ -247,8 +248,8 @@ def site_among(
 def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, worse):
     here = {
         "slope": slope, "fitted_slope": slope, "mesh_slope": 0.8 * slope, "roughness": rough,
-        "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "top": 0.8 * rough,
-        "relief": rough, "ratio": ratio, "near": 0.5 * ratio,
+        "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "footprint_relief": 0.8 * rough,
+        "relief": rough, "ratio": ratio, "footprint_ratio": 0.5 * ratio,
     }  # fmt: skip
     p = site_safety(site(rocks, **here), model)[0][0]
     for name, value in here.items():
@@ -268,7 +269,7 @@ def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slo
     residual_heights[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
     worse = residual_heights.copy()
     worse[: int(rng.integers(1, count + 1))] *= times
-    own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "thinnest": density}
+    own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "min_density": density}
     p = [
         site_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[0][0]
         for said in ((r, 0.02, 0.25, 0.05) for r in (residual_heights, worse))
@@ -310,7 +311,7 @@ def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
         assert known[0] == claims
 
 
-@pytest.mark.parametrize("name", [*SITE, "density", "thinnest"])
+@pytest.mark.parametrize("name", [*SITE, "density", "min_density"])
 def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
     for value in (np.nan, np.inf):
         own = site(0.02, **{name: value})
@@ -322,7 +323,13 @@ def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
 
 def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
     assert site_safety(site(0.02))[0][0] > 0.95
-    fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}
+    fatal = {
+        "slope": 1.3,
+        "mesh_slope": 1.15,
+        "fitted_slope": 1.15,
+        "roughness": 1.6,
+        "footprint_relief": 4.0,
+    }
     for name, value in fatal.items():
         assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
 
@@ -352,17 +359,17 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
     assert site(0.02, noise=0.9 * MAX_NOISE_RATIO * limit).in_domain.all()
     assert not site(0.02, noise=1.1 * MAX_NOISE_RATIO * limit).in_domain.any()
     assert site(0.25).in_domain.all()
-    assert not site(0.25, thinnest=1.0).in_domain.any()
+    assert not site(0.25, min_density=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
     # Few hazards, but at the limit of the slope any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
     assert steep.hazards()[0] < MAX_HAZARDS
     assert not steep.in_domain.any()
     # Holes that no point has met under the pads, or much ground that is known to lie deep.
-    gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, thinnest=1.0)
+    gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, min_density=1.0)
     assert gaping.expected_hole_violations()[0] > MAX_HOLE_VIOLATIONS
     assert not gaping.in_domain.any()
-    sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, thinnest=1000.0)
+    sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, min_density=1000.0)
     assert sunk.expected_hole_violations()[0] < MAX_HOLE_VIOLATIONS
     assert not sunk.in_domain.any()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
@@ -375,12 +382,15 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
 
 
 def test_what_noise_adds_to_the_highest_point_is_taken_off():
-    quiet, noisy = site(0.02, noise=1e-4, top=0.4), site(0.02, noise=0.02, top=0.4)
+    quiet, noisy = (
+        site(0.02, noise=1e-4, footprint_relief=0.4),
+        site(0.02, noise=0.02, footprint_relief=0.4),
+    )
     limit = Lander().roughness_limit
-    assert quiet.shifted_up()[0] == pytest.approx(0.4 - 3e-4 / limit)
-    assert noisy.shifted_up()[0] == pytest.approx(0.4 - 0.06 / limit)
-    assert quiet.shifted_up()[1] == pytest.approx(0.1, abs=1e-5)
-    assert noisy.shifted_up()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
+    assert quiet.denoised_relief()[0] == pytest.approx(0.4 - 3e-4 / limit)
+    assert noisy.denoised_relief()[0] == pytest.approx(0.4 - 0.06 / limit)
+    assert quiet.denoised_relief()[1] == pytest.approx(0.1, abs=1e-5)
+    assert noisy.denoised_relief()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
 
 
 def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():

@@ -47,8 +47,8 @@ def swept(seed=0, n=20_000, side=19.0):
 
 
 FIELDS = (
-    "nodes", "position", "interest", "slope", "ratio", "near", "roughness", "relief", "top",
-    "points", "fitted", "slope_sigma", "status", "score",
+    "nodes", "position", "interest", "slope", "ratio", "footprint_ratio", "roughness",
+    "relief", "footprint_relief", "points", "fitted_slope", "slope_sigma", "status", "score",
 )  # fmt: skip
 
 

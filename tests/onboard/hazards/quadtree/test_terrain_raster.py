@@ -44,7 +44,7 @@ def test_the_surface_is_that_of_a_plain_search(count, seed):
     cells = np.column_stack((
         quadtree.centres(nodes), quadtree.sizes(nodes), quadtree.elevation(nodes)
     ))  # fmt: skip
-    expected = reference.terrain_raster(cells, grid.centres(), 0.4)
+    expected = reference.surface(cells, grid.centres(), 0.4)
     assert height == pytest.approx(expected, abs=1e-6, nan_ok=True)
 
 
@@ -89,7 +89,7 @@ def test_holes_are_filled_as_by_a_plain_search(seed):
     height[rng.random(height.shape) < 0.1] = np.nan
     for width in (0.3, 0.9, 1.3):
         filled = close_holes(height + 1e7, 0.4, width) - 1e7
-        expected = reference.close_holes(height, int(np.ceil(width / 0.8)))
+        expected = reference.without_holes(height, int(np.ceil(width / 0.8)))
         assert filled == pytest.approx(expected, abs=1e-8, nan_ok=True)
 
 
