@@ -231,8 +231,8 @@ def _gaussian_mean(p: FloatMap, row: int, col: int, sigma: float) -> float:
     reach = int(3.0 * sigma + 0.5)
     if reach == 0:
         return float(p[row, col])
-    away = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (away / sigma) ** 2)
+    offsets = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (offsets / sigma) ** 2)
     weight /= weight.sum()
     south, west = max(row - reach, 0), max(col - reach, 0)
     window = p[south : row + reach + 1, west : col + reach + 1]

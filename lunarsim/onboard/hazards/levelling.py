@@ -33,13 +33,13 @@ class Levelling:
         time, mass
             Time (s) and mass (kg) passed to the navigation estimate.
         """
-        found = self._navigation.ground_turn
-        if found is None:
+        rotation = self._navigation.ground_turn
+        if rotation is None:
             return
-        turn, angle = found.since(self._applied_rotation)
+        turn, angle = rotation.since(self._applied_rotation)
         if angle < SURE_TILT:
             return
-        self._applied_rotation = found.rotation
+        self._applied_rotation = rotation.rotation
         sigma = self._navigation.estimate(time, mass).tilt_sigma
         for mapper in self._mappers.values():
-            mapper.level(turn, found.pivot, sigma)
+            mapper.level(turn, rotation.pivot, sigma)

@@ -194,8 +194,8 @@ def is_aside(grid: Grid, centre: Array) -> bool:
         Point (2,) or (3,), local frame, m.
     """
     west, east, south, north = grid.extent
-    far = np.abs(np.asarray(centre)[:2] - grid.centre)
-    return bool((far > 0.125 * min(east - west, north - south)).any())
+    distance = np.abs(np.asarray(centre)[:2] - grid.centre)
+    return bool((distance > 0.125 * min(east - west, north - south)).any())
 
 
 def check_map(size: float, posting: float, lander: Lander) -> None:

@@ -143,8 +143,8 @@ def _rock_free_probabilities(
     """
     tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
     if relief.residual_heights is None or relief.site_evidence is None:
-        there = replace(tracks, existence=existence_given_elevations(tracks, relief, lander))
-        clear = resample_to_grid(rocks.clear(there), rocks.hazard_map.grid, grid, 1.0, "minimum")
+        updated = replace(tracks, existence=existence_given_elevations(tracks, relief, lander))
+        clear = resample_to_grid(rocks.clear(updated), rocks.hazard_map.grid, grid, 1.0, "minimum")
         return clear, np.zeros(grid.shape)
     ratio = terms.height_ratio
     samples = ElevationSamples(relief.residual_heights, relief.site_evidence.density, grid, ratio)
@@ -174,12 +174,12 @@ def undetected_rock_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
-        left = np.maximum(rocks.ratio[n], np.float32(COMMON_MISS_PROBABILITY))
-        if (left == 1.0).all():
+        remaining = np.maximum(rocks.ratio[n], np.float32(COMMON_MISS_PROBABILITY))
+        if (remaining == 1.0).all():
             ratio[n] = 1.0
             continue
-        left = resample_to_grid(left, rocks.hazard_map.grid, grid, 1.0, "maximum")
-        mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
+        remaining = resample_to_grid(remaining, rocks.hazard_map.grid, grid, 1.0, "maximum")
+        mean = mean_over_discs(remaining, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
         ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON_MISS_PROBABILITY)))
     return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)

@@ -115,17 +115,19 @@ def estimate_rock_heights(
     prior /= prior.sum(axis=1, keepdims=True)
     per_square = INDEPENDENT_SHARE * density * np.pi / (2.0 * height_ratio) ** 2
     above = np.maximum(candidates**2 - np.maximum(top, 0.0)[:, None] ** 2, 0.0)
-    left = prior * np.exp(-per_square[:, None] * above)
+    unseen_prior = prior * np.exp(-per_square[:, None] * above)
     high = candidates > limit
     existence = np.clip(tracks.existence, 0.0, 1.0)
-    told = scale * radius >= limit
-    is_large = told & (tracks.existence > 0.5)
+    is_above_limit = scale * radius >= limit
+    is_large = is_above_limit & (tracks.existence > 0.5)
     share = rock_track_precision(tracks.xy, scale * radius, is_large, samples)
-    existence = np.where(told, existence * share, existence)
+    existence = np.where(is_above_limit, existence * share, existence)
     large, low = prior[:, high].sum(axis=1), prior[:, ~high].sum(axis=1)
     harmless = existence * low + 1.0 - existence
-    missed = left[:, high].sum(axis=1) * harmless
-    missed /= np.maximum(large * (existence * left[:, ~high].sum(axis=1) + 1.0 - existence), 1e-300)
+    missed = unseen_prior[:, high].sum(axis=1) * harmless
+    missed /= np.maximum(
+        large * (existence * unseen_prior[:, ~high].sum(axis=1) + 1.0 - existence), 1e-300
+    )
     odds = (
         existence
         * large
@@ -165,15 +167,15 @@ def estimate_height_scale(
         Height over radius, and its relative standard deviation.
     """
     samples = density * np.pi * radius**2
-    told = 2.0 * height_ratio
-    good = (samples >= _MIN_SAMPLES) & (existence > 0.5) & (top > 0.0)
-    if not good.any():
-        return PRIOR_SCALE_RATIO * told, _PRIOR_SCALE_SIGMA
-    share = np.sqrt(1.0 - np.log(2.0) / samples[good])
-    median = float(np.median(np.log(top[good] / (radius[good] * share))))
-    count = _ROCK_WEIGHT * np.count_nonzero(good)
-    scale = np.exp((count * median + np.log(PRIOR_SCALE_RATIO * told)) / (count + 1.0))
-    return float(max(scale, told)), float(_PRIOR_SCALE_SIGMA / np.sqrt(count + 1.0))
+    expected_scale = 2.0 * height_ratio
+    is_sampled = (samples >= _MIN_SAMPLES) & (existence > 0.5) & (top > 0.0)
+    if not is_sampled.any():
+        return PRIOR_SCALE_RATIO * expected_scale, _PRIOR_SCALE_SIGMA
+    share = np.sqrt(1.0 - np.log(2.0) / samples[is_sampled])
+    median = float(np.median(np.log(top[is_sampled] / (radius[is_sampled] * share))))
+    count = _ROCK_WEIGHT * np.count_nonzero(is_sampled)
+    scale = np.exp((count * median + np.log(PRIOR_SCALE_RATIO * expected_scale)) / (count + 1.0))
+    return float(max(scale, expected_scale)), float(_PRIOR_SCALE_SIGMA / np.sqrt(count + 1.0))
 
 
 def highest_residual(

@@ -38,12 +38,12 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 
 @kernel(shared=True, allocates=False)
-def measured_cells(share, height, weight, base, least, noise, prior, mean, variance, observed):
+def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, variance, observed):
     """Write mean, variance and observed: the measurement if its weight suffices, else the prior."""
     rows, cols = height.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
-            if weight[i, j] > least:
+            if weight[i, j] > min_weight:
                 mean[i, j] = base + np.float64(height[i, j]) / np.float64(weight[i, j])
                 variance[i, j] = noise
                 observed[i, j] = True
@@ -57,32 +57,32 @@ def measured_cells(share, height, weight, base, least, noise, prior, mean, varia
 def fill_holes(z):
     """Fill NaN cells in place with the mean of their known neighbours, repeatedly."""
     rows, cols = z.shape
-    left = np.empty((rows * cols, 2), np.int64)
+    holes = np.empty((rows * cols, 2), np.int64)
     count = 0
     for i in range(rows):
         for j in range(cols):
             if np.isnan(z[i, j]):
-                left[count, 0] = i
-                left[count, 1] = j
+                holes[count, 0] = i
+                holes[count, 1] = j
                 count += 1
     value = np.empty(count)
     while count > 0:
         for n in range(count):
             total = 0.0
             known = 0
-            for i in range(max(left[n, 0] - 1, 0), min(left[n, 0] + 2, rows)):
-                for j in range(max(left[n, 1] - 1, 0), min(left[n, 1] + 2, cols)):
+            for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
+                for j in range(max(holes[n, 1] - 1, 0), min(holes[n, 1] + 2, cols)):
                     if not np.isnan(z[i, j]):
                         total += z[i, j]
                         known += 1
             value[n] = total / known if known > 0 else np.nan
         kept = 0
         for n in range(count):
-            i = left[n, 0]
-            j = left[n, 1]
+            i = holes[n, 0]
+            j = holes[n, 1]
             if np.isnan(value[n]):
-                left[kept, 0] = i
-                left[kept, 1] = j
+                holes[kept, 0] = i
+                holes[kept, 1] = j
                 kept += 1
             else:
                 z[i, j] = value[n]
@@ -107,20 +107,20 @@ def edges(share, points, triangles, row, col, spacing, longest, usable):
     `row` and `col` are the detector positions of the points. See `gaussian.triangle_edges`.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
-        most = 0.0
-        apart = 0
-        wide = 0.0
+        max_square = 0.0
+        pixel_distance = 0
+        max_spacing = 0.0
         for e in range(3):
             a = triangles[t, e]
             b = triangles[t, (e + 1) % 3]
             dx = points[a, 0] - points[b, 0]
             dy = points[a, 1] - points[b, 1]
-            most = max(most, dx * dx + dy * dy)
-            wide = max(wide, spacing[a])
+            max_square = max(max_square, dx * dx + dy * dy)
+            max_spacing = max(max_spacing, spacing[a])
             if row.size > 0:
-                apart = max(apart, abs(row[a] - row[b]), abs(col[a] - col[b]))
-        longest[t] = np.sqrt(most) if apart <= _MAX_PIXEL_DISTANCE else np.inf
-        usable[t] = longest[t] <= _OCCLUSION_RATIO * wide
+                pixel_distance = max(pixel_distance, abs(row[a] - row[b]), abs(col[a] - col[b]))
+        longest[t] = np.sqrt(max_square) if pixel_distance <= _MAX_PIXEL_DISTANCE else np.inf
+        usable[t] = longest[t] <= _OCCLUSION_RATIO * max_spacing
 
 
 @kernel(fast=True)
@@ -166,7 +166,7 @@ def _inside(edge, x, across):
 
 @kernel()
 def _regress_triangle(
-    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, least, mean,
+    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, min_weight, mean,
     variance, observed,
 ):  # fmt: skip
     rows, cols = mean.shape
@@ -200,17 +200,21 @@ def _regress_triangle(
     za = points[a, 2] - centre - gx * (ax - mx) - gy * (ay - my)
     zb = points[b, 2] - centre - gx * (bx - mx) - gy * (by - my)
     zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)
-    one, two, three = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
+    edge_ab, edge_bc, edge_ca = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
     for i in range(i0, i1 + 1):
         y = y0 + p * i
-        first = one[2] * (y - one[1])
-        second = two[2] * (y - two[1])
-        third = three[2] * (y - three[1])
+        first = edge_ab[2] * (y - edge_ab[1])
+        second = edge_bc[2] * (y - edge_bc[1])
+        third = edge_ca[2] * (y - edge_ca[1])
         for j in range(j0, j1 + 1):
-            if weight[i, j] > least:
+            if weight[i, j] > min_weight:
                 continue
             x = x0 + p * j
-            if not (_inside(one, x, first) & _inside(two, x, second) & _inside(three, x, third)):
+            if not (
+                _inside(edge_ab, x, first)
+                & _inside(edge_bc, x, second)
+                & _inside(edge_ca, x, third)
+            ):
                 continue
             ka = prior * _correlation(ax, ay, x, y, per_length)
             kb = prior * _correlation(bx, by, x, y, per_length)
@@ -227,7 +231,7 @@ def _regress_triangle(
 
 @kernel(shared=True, allocates=False)
 def regress(
-    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least,
+    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, min_weight,
     mean, variance, observed,
 ):  # fmt: skip
     """Write mean and variance (Eqs. 4 to 6) of the unmeasured cells, per triangle.
@@ -248,5 +252,6 @@ def regress(
     for t in range(share[0], triangles.shape[0], share[1]):
         _regress_triangle(
             points, noise, triangles[t, 0], triangles[t, 1], triangles[t, 2], usable[t],
-            gradient[t], x0, y0, p, prior[t], length[t], weight, least, mean, variance, observed,
+            gradient[t], x0, y0, p, prior[t], length[t], weight, min_weight,
+            mean, variance, observed,
         )  # fmt: skip

@@ -42,12 +42,12 @@ def check_points(points: ArrayLike) -> NDArray[np.float64]:
     cloud = np.ascontiguousarray(as_real_array(points))
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError("must have shape (n, 3): east, north, up")
-    kept = finite_rows(cloud)
-    if kept.all():
+    is_finite = finite_rows(cloud)
+    if is_finite.all():
         return cloud
     if np.isinf(cloud).any():
         raise ValueError("must not contain infinities; use NaN for rays without a return")
-    return cloud[kept]
+    return cloud[is_finite]
 
 
 def as_real_array(values: ArrayLike) -> NDArray[np.float64]:

@@ -89,16 +89,22 @@ def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evide
     rocks
         Rock population expected by the mission.
     """
-    seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
+    observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling
-    said = (s.residual_heights, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
+    curve_args = (
+        s.residual_heights,
+        s.noise,
+        lander.roughness_limit,
+        rocks.cover,
+        rocks.height_ratio[0],
+    )
     return Evidence(
-        stochastic_safety(seen, dem.variance, dem.grid, lander),
-        plane_stochastic_safety(seen, dem.variance, dem.grid, lander),
-        bounded_safety(seen, dem.grid, lander),
+        stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        plane_stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        bounded_safety(observed_mean, dem.grid, lander),
         lander,
-        height_curve(*said),
-        depth_curve(*said),
+        height_curve(*curve_args),
+        depth_curve(*curve_args),
         s.density,
         s.noise,
         s.spacing,

@@ -209,9 +209,13 @@ class _Mesh:
             raise ValueError(f"image_shape: must hold {len(raw)} points, got {image_shape}")
         triangles = delaunay_of_image(_blank(raw), image_shape)
         pixels = np.arange(len(raw))
-        wide = _pixel_spacing(raw, image_shape) if spacing is None else spacing
-        apart = np.ascontiguousarray(np.broadcast_to(np.asarray(wide, np.float64), len(raw)))
-        return cls(raw, triangles, triangle_edges(raw, triangles, pixels, image_shape[1], apart)[1])
+        pixel_spacing = _pixel_spacing(raw, image_shape) if spacing is None else spacing
+        point_spacing = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(pixel_spacing, np.float64), len(raw))
+        )
+        return cls(
+            raw, triangles, triangle_edges(raw, triangles, pixels, image_shape[1], point_spacing)[1]
+        )
 
     @classmethod
     def _of_cloud(
@@ -220,12 +224,16 @@ class _Mesh:
         vertices, group = _merge_coincident(cloud)
         triangles = delaunay(vertices[:, :2])
         if spacing is None:
-            apart = sample_spacing(vertices)
+            vertex_spacing = sample_spacing(vertices)
         else:
             given = np.broadcast_to(np.asarray(spacing, dtype=np.float64), len(raw))
-            apart = np.full(len(vertices), np.inf)
-            np.minimum.at(apart, group, given[finite_rows(raw)])
-        return cls(vertices, triangles, triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)[1])
+            vertex_spacing = np.full(len(vertices), np.inf)
+            np.minimum.at(vertex_spacing, group, given[finite_rows(raw)])
+        return cls(
+            vertices,
+            triangles,
+            triangle_edges(vertices, triangles, NO_PIXELS, 1, vertex_spacing)[1],
+        )
 
 
 def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
@@ -276,6 +284,6 @@ def _merge_coincident(
     first = order[np.concatenate(([True], ~same))]
     count = np.bincount(group)
     z = np.bincount(group, weights=cloud[order, 2]) / count
-    of = np.empty(len(cloud), np.int64)
-    of[order] = group
-    return np.column_stack((cloud[first, :2], z)), of
+    row_of = np.empty(len(cloud), np.int64)
+    row_of[order] = group
+    return np.column_stack((cloud[first, :2], z)), row_of

@@ -270,9 +270,9 @@ class GaussianDemMapper(HazardMapper):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
             return DemSnapshot(dem, self.lander, self.rocks, self.refit)
-        seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
-        judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
-        safety = judge(seen, dem.variance, self.grid, self.lander)
+        observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
+        test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
+        safety = test(observed_mean, dem.variance, self.grid, self.lander)
         return HazardMap(self.grid, safety.p_safe, safety.observed, dem.mean, dem.variance)
 
     @property

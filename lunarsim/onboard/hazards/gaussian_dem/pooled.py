@@ -93,8 +93,8 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     vertices, noise, spacing = pool.vertices()
     triangles = delaunay(vertices[:, :2]) if len(vertices) > 2 else np.zeros((0, 3), np.int64)
     # The pool keeps one sample per cell, so the spacing is at least the posting.
-    apart = np.maximum(spacing, grid.posting)
-    longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)
+    vertex_spacing = np.maximum(spacing, grid.posting)
+    longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, vertex_spacing)
     squares = LocalPlaneGrid.of(grid, longest[usable])
     first, second, third = _corners(vertices[:, :2], triangles)
     middles = (first + second + third) / 3.0
@@ -112,11 +112,11 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     if len(triangles) and not observed.all():
         noises = _corners(noise, triangles)
         # Noise adds the variance of both ends to the squared difference of each of three edges.
-        added = 2.0 * (noises[0] + noises[1] + noises[2])
-        own = increments[:, 0] - (_SIGNIFICANCE_RATIO - 1.0) * added
+        noise_increments = 2.0 * (noises[0] + noises[1] + noises[2])
+        own_increments = increments[:, 0] - (_SIGNIFICANCE_RATIO - 1.0) * noise_increments
         rate = np.maximum(
             _INTERIOR_GROWTH_RATIO * squares.at(growth, middles),
-            _SIGNIFICANT_GROWTH_FACTOR * own / increments[:, 1],
+            _SIGNIFICANT_GROWTH_FACTOR * own_increments / increments[:, 1],
         )
         prior = _PRIOR_VARIANCE_RATIO * (np.maximum.reduce(noises) + rate * increments[:, 1])
         k.regress(
@@ -125,8 +125,8 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
         )  # fmt: skip
     measured = weight > DENSE
     with np.errstate(divide="ignore", invalid="ignore"):
-        averaged = pool.splat[..., 3] / pool.splat[..., 1] ** 2
-    sk.add_kinks(mean, measured, averaged, _CURVATURE_SHARE, variance)
+        mean_variance = pool.splat[..., 3] / pool.splat[..., 1] ** 2
+    sk.add_kinks(mean, measured, mean_variance, _CURVATURE_SHARE, variance)
     return PooledDem(
         grid,
         mean,
@@ -192,10 +192,10 @@ def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array)
     )
     if length.sum() <= 0.0:
         return np.full(squares.shape, _MIN_GROWTH_M)
-    whole = max(rise.sum() / length.sum(), _MIN_GROWTH_M)
-    usual = _GLOBAL_WEIGHT_SQUARES * length.sum() / np.count_nonzero(length)
-    own = (_sum_3x3(rise) + usual * whole) / (_sum_3x3(length) + usual)
-    return np.asarray(np.maximum(own, _MIN_GROWTH_M), dtype=np.float64)
+    map_growth = max(rise.sum() / length.sum(), _MIN_GROWTH_M)
+    prior_length = _GLOBAL_WEIGHT_SQUARES * length.sum() / np.count_nonzero(length)
+    growth = (_sum_3x3(rise) + prior_length * map_growth) / (_sum_3x3(length) + prior_length)
+    return np.asarray(np.maximum(growth, _MIN_GROWTH_M), dtype=np.float64)
 
 
 def _sum_3x3(values: NDArray[Any]) -> Array:

@@ -100,21 +100,21 @@ class SamplePool:
         if not len(cloud):
             return 0
         finite = finite_rows(raw)
-        noise, apart = (
+        noise, gaps = (
             _check_positive(name, np.broadcast_to(as_real_array(values), len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
         base = base_height(cloud) if self.base is None else self.base
         g = self.grid
-        own = np.zeros(g.shape)
+        call_weight = np.zeros(g.shape)
         count = k.pool(
-            cloud, base, np.maximum(noise, _MIN_SIGMA_M), apart, (g.x0, g.y0, g.posting),
-            self.centroid, self.splat, own, self.spacing,
+            cloud, base, np.maximum(noise, _MIN_SIGMA_M), gaps, (g.x0, g.y0, g.posting),
+            self.centroid, self.splat, call_weight, self.spacing,
         )  # fmt: skip
-        np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
+        np.maximum(self.splat[..., 0], call_weight, out=self.splat[..., 0])
         # A cloud outside the grid leaves the pool empty.
-        self.base = base if own.any() else self.base
+        self.base = base if call_weight.any() else self.base
         return int(count)
 
     def height_offset(self, points: ArrayLike) -> tuple[float, float] | None:
@@ -135,10 +135,10 @@ class SamplePool:
         both = known[:, 0] > 0.0
         if np.count_nonzero(both) < _MIN_SHARED_CELLS or self.base is None:
             return None
-        off = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
-        middle = float(np.median(off))
-        spread = _MAD_TO_SIGMA * float(np.median(np.abs(off - middle)))
-        return middle, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(off)))
+        difference = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
+        median = float(np.median(difference))
+        spread = _MAD_TO_SIGMA * float(np.median(np.abs(difference - median)))
+        return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
     def shifted_up(self, by: float) -> SamplePool:
         """Return the same samples shifted up by a height, m."""
@@ -229,11 +229,11 @@ class SamplePool:
             return self if other.base is None else other
         out = SamplePool(self.grid)
         out.base = self.base
-        lower = other.base - self.base
+        base_offset = other.base - self.base
         out.centroid = self.centroid + other.centroid
-        out.centroid[..., 3] += lower * other.centroid[..., 0]
+        out.centroid[..., 3] += base_offset * other.centroid[..., 0]
         out.splat = self.splat + other.splat
-        out.splat[..., 2] += lower * other.splat[..., 1]
+        out.splat[..., 2] += base_offset * other.splat[..., 1]
         out.splat[..., 0] = np.maximum(self.splat[..., 0], other.splat[..., 0])
         out.spacing = np.minimum(self.spacing, other.spacing)
         return out
@@ -263,8 +263,8 @@ def _overlap(count: int, by: int) -> tuple[slice, slice]:
 
 def _check_positive(name: str, values: Array) -> Array:
     out = np.ascontiguousarray(values, dtype=np.float64)
-    wrong = ~((out > 0.0) & (out <= _MAX_LENGTH_M))
-    if wrong.any():
+    is_invalid = ~((out > 0.0) & (out <= _MAX_LENGTH_M))
+    if is_invalid.any():
         problem = f"must be positive and at most {_MAX_LENGTH_M:g} m"
-        raise InputError(name, float(out[wrong][0]), problem)
+        raise InputError(name, float(out[is_invalid][0]), problem)
     return out

@@ -26,16 +26,16 @@ NEIGHBOUR_SQUARES = 1 << SQUARE_LEVELS
 
 
 @kernel()
-def _distances(tree, node, plane, wide, stack, off, square):
+def _distances(tree, node, plane, squares, stack, distance, square):
     """Write the distances (n,) of a cell's points to a plane, and their squares (n,).
 
-    Outliers in height are omitted. `plane` is a point and a normal (6,); `wide` is the number of
+    Outliers in height are omitted. `plane` is a point and a normal (6,); `squares` is the number of
     squares along a side of the cell. Returns the number of points.
     """
     x, y, z, a, b, c = plane
     reach = tree.half / (1 << tree.depth[node])
     mid_x, mid_y = cell_centre(tree, node)
-    per_metre = wide / (2.0 * reach)
+    per_metre = squares / (2.0 * reach)
     n = 0
     stack[0] = node
     top = 1
@@ -55,36 +55,36 @@ def _distances(tree, node, plane, wide, stack, off, square):
                 if tree.is_outlier[i]:
                     continue
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
-                off[n] = (px - x) * a + (py - y) * b + (tree.xyz[i, 2] - z) * c
-                row = min(max(int((py - mid_y + reach) * per_metre), 0), wide - 1)
-                col = min(max(int((px - mid_x + reach) * per_metre), 0), wide - 1)
-                square[n] = row * wide + col
+                distance[n] = (px - x) * a + (py - y) * b + (tree.xyz[i, 2] - z) * c
+                row = min(max(int((py - mid_y + reach) * per_metre), 0), squares - 1)
+                col = min(max(int((px - mid_x + reach) * per_metre), 0), squares - 1)
+                square[n] = row * squares + col
                 n += 1
             run = tree.following[run]
     return n
 
 
 @kernel()
-def _count_exceptions(off, square, middle, tolerance, ratio, relief):
+def _count_exceptions(distance, square, middle, tolerance, share, max_distance):
     """Write share of exceptions and maximum distance per square (w, w) of a cell.
 
     Distances (n,) are measured from a plane and from its parallel at distance `middle`.
     """
-    wide = ratio.shape[0]
-    number = np.zeros((wide, wide))
-    for i in range(off.size):
-        row, col = square[i] // wide, square[i] % wide
+    squares = share.shape[0]
+    number = np.zeros((squares, squares))
+    for i in range(distance.size):
+        row, col = square[i] // squares, square[i] % squares
         number[row, col] += 1.0
-        reach = abs(off[i] - middle)
-        far = max(abs(off[i]), reach)
+        reach = abs(distance[i] - middle)
+        far = max(abs(distance[i]), reach)
         if far > tolerance:
-            ratio[row, col] += 1.0
+            share[row, col] += 1.0
             reach = far
-        relief[row, col] = max(relief[row, col], reach)
-    for row in range(wide):
-        for col in range(wide):
+        max_distance[row, col] = max(max_distance[row, col], reach)
+    for row in range(squares):
+        for col in range(squares):
             if number[row, col] > 0.0:
-                ratio[row, col] /= number[row, col]
+                share[row, col] /= number[row, col]
 
 
 @kernel()

@@ -196,7 +196,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
     step = 2.0 * tree.half / wide
     square = 2 << (tree.depths - smallest)
     out = np.empty(1024, np.int32)
-    none = np.empty(64, np.int64)
+    empty_squares = np.empty(64, np.int64)
     n, m = np.int64(0), np.int64(0)  # typed zeros, so that functions compile once
     for row in range(wide):
         for col in range(wide):
@@ -205,8 +205,8 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
             x, y = (col + 0.5) * step - tree.half, (row + 0.5) * step - tree.half
             node = node_at(tree, x, y, smallest, largest)
             if node < 0:
-                none = with_capacity(none, m)
-                none[m] = row * wide + col
+                empty_squares = with_capacity(empty_squares, m)
+                empty_squares[m] = row * wide + col
                 m += 1
                 continue
             place = raster_index(tree, node, smallest)
@@ -217,7 +217,7 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
                 n += 1
     empty = np.empty((m, 4), np.int64)
     for i in range(m):
-        row, col = none[i] // wide, none[i] % wide
+        row, col = empty_squares[i] // wide, empty_squares[i] % wide
         empty[i, 0] = col * square
         empty[i, 1] = (col + 1) * square
         empty[i, 2] = row * square
@@ -329,8 +329,8 @@ def _fitted_slope(s):
     if n < 4 or not spread > 1e-12 * (xx + yy) ** 2:
         return np.nan, np.nan
     east, north = (yy * xz - xy * yz) / spread, (xx * yz - xy * xz) / spread
-    left = max(zz - east * xz - north * yz, 0.0) / (n - 3.0)
-    return np.arctan(np.hypot(east, north)), np.sqrt(left * (xx + yy) / spread)
+    residual = max(zz - east * xz - north * yz, 0.0) / (n - 3.0)
+    return np.arctan(np.hypot(east, north)), np.sqrt(residual * (xx + yy) / spread)
 
 
 @kernel()
@@ -383,13 +383,13 @@ def _max_known_over_zone(raster, x, y, reach):
 
 
 @kernel()
-def _site_status(cosine, worst, least_cosine, exception):
+def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
     """Return the status of a site from slope and exception ratio."""
-    if cosine < least_cosine:
+    if cosine < min_cosine:
         return STEEP
-    if np.isnan(worst):
+    if np.isnan(max_ratio):
         return SPARSE
-    return HAZARD if worst > exception else ELIGIBLE
+    return HAZARD if max_ratio > max_exceptions else ELIGIBLE
 
 
 @kernel()
@@ -433,7 +433,7 @@ def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorou
         Results (N, 9) and status (N,), one row per square of the smallest cells.
     """
     ratios, reliefs = rasters
-    least_cosine, exception, zone, footprint, margin = limits
+    min_cosine, exception, zone, footprint, margin = limits
     per_square = 2.0 * tree.half / ratios.shape[0]
     for i in prange(nodes.size):
         node = np.int64(
@@ -459,16 +459,16 @@ def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorou
             status[place] = SPARSE
             continue
         column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
-        worst = _max_over_zone(ratios, column, row, zone / per_square)
-        if not np.isnan(worst):
+        max_ratio = _max_over_zone(ratios, column, row, zone / per_square)
+        if not np.isnan(max_ratio):
             reach = (zone + margin) / per_square
-            worst = _max_known_over_zone(ratios, column, row, reach)
-            out[RATIO] = worst
+            max_ratio = _max_known_over_zone(ratios, column, row, reach)
+            out[RATIO] = max_ratio
             out[FOOTPRINT_RATIO] = _max_over_zone(ratios, column, row, footprint / per_square)
             out[RELIEF] = _max_known_over_zone(reliefs, column, row, reach)
             out[FOOTPRINT_RELIEF] = _max_known_over_zone(
                 reliefs, column, row, footprint / per_square
             )
-        status[place] = _site_status(normal[2], worst, least_cosine, exception)
-        if status[place] == ELIGIBLE or (thorough and not np.isnan(worst)):
+        status[place] = _site_status(normal[2], max_ratio, min_cosine, exception)
+        if status[place] == ELIGIBLE or (thorough and not np.isnan(max_ratio)):
             _measure_zone(tree, node, zone, normal, printed, stack, s, out)

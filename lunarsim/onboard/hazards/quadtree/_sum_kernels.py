@@ -140,30 +140,30 @@ def _unsummed_points(tree, node, found):
 @kernel()
 def _mark_outliers(tree, node, index, tolerance):
     """Mark which of the loose points of a cell are outliers."""
-    held = 0.0
+    summed_count = 0.0
     if tree.child[node] >= 0:
         for q in range(4):
             slot = tree.slot[tree.child[node] + q]
-            held += tree.sums[slot, NUMBER] if slot >= 0 else 0.0
+            summed_count += tree.sums[slot, NUMBER] if slot >= 0 else 0.0
     order = np.argsort(tree.xyz[index, 2])
-    apart = 0
+    outlier_count = 0
     for j in range(index.size):
         z = np.float64(tree.xyz[index[order[j]], 2])
-        alone = (j == 0 or z - tree.xyz[index[order[j - 1]], 2] > tolerance) and (
+        is_isolated = (j == 0 or z - tree.xyz[index[order[j - 1]], 2] > tolerance) and (
             j == index.size - 1 or tree.xyz[index[order[j + 1]], 2] - z > tolerance
         )
-        if alone and held > 0.0:
+        if is_isolated and summed_count > 0.0:
             for q in range(4):
                 slot = tree.slot[tree.child[node] + q]
                 if slot >= 0 and tree.sums[slot, NUMBER] > 0.0:
-                    alone &= (
+                    is_isolated &= (
                         z < tree.sums[slot, MIN_Z] - tolerance
                         or z > tree.sums[slot, MAX_Z] + tolerance
                     )
-        tree.is_outlier[index[order[j]]] = alone
-        apart += alone
-    total = held + index.size
-    if total < MIN_POINTS_FOR_OUTLIERS or apart > MAX_OUTLIER_SHARE * total:
+        tree.is_outlier[index[order[j]]] = is_isolated
+        outlier_count += is_isolated
+    total = summed_count + index.size
+    if total < MIN_POINTS_FOR_OUTLIERS or outlier_count > MAX_OUTLIER_SHARE * total:
         tree.is_outlier[index] = False
 
 

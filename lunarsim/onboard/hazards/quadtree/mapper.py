@@ -277,11 +277,11 @@ class QuadtreeMapper(HazardMapper):
         s = self.selection
         assert s is not None
         sizes = self.map.sizes(s.nodes)
-        under = (np.abs(s.position[:, :2] - np.asarray(site)[:2]) <= 0.5 * sizes[:, None]).all(1)
+        at_site = (np.abs(s.position[:, :2] - np.asarray(site)[:2]) <= 0.5 * sizes[:, None]).all(1)
         return Scoreboard(
             np.array([one.position for one in s.ranked]).reshape(-1, 3),
             np.array([one.score for one in s.ranked]),
-            float(s.score[under].min(initial=np.inf)),
+            float(s.score[at_site].min(initial=np.inf)),
         )
 
     def _compute_map(self, selection: Selection) -> HazardMap:

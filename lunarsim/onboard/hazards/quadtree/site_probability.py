@@ -315,25 +315,25 @@ def evidence_of(
         Geometry and limits of the lander; rock population expected by the mission.
     """
     s = selection
-    risen = residual_heights(quadtree)
-    steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
+    heights = residual_heights(quadtree)
+    max_slope_tangent, limit = np.tan(lander.slope_limit), lander.roughness_limit
     seen = sampling_coverage(quadtree)
     height, grid = terrain_raster(quadtree, *_TERRAIN_BAND_M, seen)
     xy = s.position[:, :2]
     slope, roughness = _max_about(bounded_safety(height, grid, lander), xy)
-    solid = close_holes(height, grid.posting, lander.leg_radius)
-    own_slope, own_roughness = _max_about(bounded_safety(solid, grid, lander), xy)
-    mesh_slope = np.tan(s.slope) / steepest
+    filled = close_holes(height, grid.posting, lander.leg_radius)
+    filled_slope, filled_roughness = _max_about(bounded_safety(filled, grid, lander), xy)
+    mesh_slope = np.tan(s.slope) / max_slope_tangent
     # The standard error of the slope over a square yields the spread about the plane. If the points
     # span no plane, that of the mesh is used.
     fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
     spans = np.isfinite(s.fitted_slope)
     noise = min(noise, _min_spread(fitted_spread))
     return SiteEvidence(
-        np.tan(slope) / steepest,
+        np.tan(slope) / max_slope_tangent,
         roughness / limit,
         mesh_slope,
-        np.where(spans, np.tan(s.fitted_slope) / steepest, mesh_slope),
+        np.where(spans, np.tan(s.fitted_slope) / max_slope_tangent, mesh_slope),
         s.roughness / limit,
         np.where(spans, fitted_spread, s.roughness) / limit,
         s.ratio,
@@ -342,9 +342,9 @@ def evidence_of(
         s.footprint_relief / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
         _min_footprint_density(seen, xy, lander),
-        height_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
-        depth_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
-        (own_slope >= lander.slope_limit) | (own_roughness >= limit),
+        height_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        depth_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        (filled_slope >= lander.slope_limit) | (filled_roughness >= limit),
         lander,
         noise,
     )
@@ -361,9 +361,9 @@ def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) ->
     g = seen.grid
     # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
-    least = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
+    minimum = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
     row, col = g.cell(xy)
-    return np.asarray(least[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
+    return np.asarray(minimum[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
 
 def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
@@ -439,14 +439,14 @@ def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[
     model
         Weights; default: the packaged ones.
     """
-    e, known = evidence, evidence.in_domain
-    p, claimed = np.zeros(len(e.slope)), known.copy()
+    e, in_domain = evidence, evidence.in_domain
+    p, is_calibrated = np.zeros(len(e.slope)), in_domain.copy()
     if e.judged.any():
-        seen, most = e.judged, ceiling(e)[e.judged]
-        odds = (model or measured()).judge(_free(e, seen), _terms(e, seen))
-        p[seen] = cautious(odds.low, most, bound(e)[seen], known[seen])
-        claimed[seen] &= odds.verdict(most, HOPELESS, e.doomed[seen]).agreed
-    return p, claimed
+        evaluated, upper = e.judged, ceiling(e)[e.judged]
+        odds = (model or measured()).judge(_free(e, evaluated), _terms(e, evaluated))
+        p[evaluated] = cautious(odds.low, upper, bound(e)[evaluated], in_domain[evaluated])
+        is_calibrated[evaluated] &= odds.verdict(upper, HOPELESS, e.doomed[evaluated]).agreed
+    return p, is_calibrated
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
@@ -457,14 +457,14 @@ def ceiling(evidence: SiteEvidence) -> Array:
     most `MAX_PROBABILITY`.
     """
     e = evidence
-    left = (
+    factors = (
         np.interp(e.slope, *_SLOPE_CEILING),
         np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_PLANE_SLOPE_CEILING),
         np.interp(np.maximum(e.roughness, e.mesh_spread), *_ROUGHNESS_CEILING),
         np.interp(e.footprint_relief, *_RELIEF_CEILING),
         e.clear_of_pads(),
     )
-    return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
+    return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.minimum.reduce(factors), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:

@@ -71,15 +71,15 @@ def terrain_raster(
     row, col = t.row[nodes].astype(np.int64), t.column[nodes].astype(np.int64)
     trend = _mean_terrain(row, col, finer, height, wide)
     out = np.full((wide, wide), np.nan)
-    for more in np.unique(finer):
-        side = 1 << int(more)
-        mine = finer == more
+    for level in np.unique(finer):
+        side = 1 << int(level)
+        selected = finer == level
         blocks = trend.reshape(wide // side, side, wide // side, side)
-        off = (blocks - blocks.mean(axis=(1, 3), keepdims=True)).reshape(wide, wide)
+        offset = (blocks - blocks.mean(axis=(1, 3), keepdims=True)).reshape(wide, wide)
         for i in range(side):
             for j in range(side):
-                at = row[mine] * side + i, col[mine] * side + j
-                out[at] = height[mine] + off[at]
+                at = row[selected] * side + i, col[selected] * side + j
+                out[at] = height[selected] + offset[at]
     out = np.where(np.isnan(out), trend, out) + quadtree.centre[2]
     if seen is not None:
         # The cell counts of both rasters differ by a power of two.
@@ -135,26 +135,30 @@ def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
     mean = ndimage.uniform_filter(count.astype(np.float64), window, mode="constant")
     # The density on both sides of a gap, not in it, predicts the points. The coverage of a scan has
     # no concave edges, and next to a scan only coarser ones may have measured.
-    aside = window // 2 + 1, round(_SEARCH_WINDOWS * window)
-    about = np.maximum(*(_density_on_both_sides(mean, *aside, axis) for axis in (0, 1)))
+    search_range = window // 2 + 1, round(_SEARCH_WINDOWS * window)
+    expected_density = np.maximum(
+        *(_density_on_both_sides(mean, *search_range, axis) for axis in (0, 1))
+    )
     total = np.zeros((wide + 1, wide + 1), np.int64)
     np.cumsum(np.cumsum(count, axis=0), axis=1, out=total[1:, 1:])
     gap = np.zeros((wide, wide), np.bool_)
-    for high, across in _GAP_SHAPES:
-        if max(high, across) > wide:
+    for height, width in _GAP_SHAPES:
+        if max(height, width) > wide:
             continue
         inside = (
-            total[high:, across:] - total[:-high, across:] - total[high:, :-across]
-            + total[:-high, :-across]
+            total[height:, width:] - total[:-height, width:] - total[height:, :-width]
+            + total[:-height, :-width]
         )  # fmt: skip
         # Density at the centre of each rectangle.
-        here = about[high // 2 :, across // 2 :][: wide - high + 1, : wide - across + 1]
-        empty = (inside == 0) & (here * high * across >= _MIN_EXPECTED_POINTS)
+        expected = expected_density[height // 2 :, width // 2 :][
+            : wide - height + 1, : wide - width + 1
+        ]
+        empty = (inside == 0) & (expected * height * width >= _MIN_EXPECTED_POINTS)
         # Mark all cells of an empty rectangle: its rows, then its columns.
         tall = np.zeros((wide, empty.shape[1]), np.bool_)
-        for i in range(high):
+        for i in range(height):
             tall[i : i + empty.shape[0]] |= empty
-        for j in range(across):
+        for j in range(width):
             gap[:, j : j + empty.shape[1]] |= tall
     return SamplingCoverage(grid, gap, mean / posting**2)
 
@@ -163,9 +167,9 @@ def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Ar
     """Return the smaller of the maximum densities `near` to `far` cells before and behind."""
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
-    most = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
-    least = np.minimum(most[:, :length], most[:, far + near :])
-    return np.asarray(np.moveaxis(least, -1, axis))
+    maxima = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
+    smaller = np.minimum(maxima[:, :length], maxima[:, far + near :])
+    return np.asarray(np.moveaxis(smaller, -1, axis))
 
 
 def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
