@@ -48,7 +48,7 @@ class LocalPlaneGrid:
         at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
         return np.ascontiguousarray(values[at])
 
-    def planes(self, vertices: Array) -> Array:
+    def fit_planes(self, vertices: Array) -> Array:
         """Fit a plane to the vertices in 5 x 5 squares about each square (rows, cols, 3).
 
         Components: height at the centre of the raster of squares, m, slope to the east and slope to
@@ -72,7 +72,7 @@ class LocalPlaneGrid:
         level = (s[..., 3] - east * s[..., 1] - north * s[..., 2]) / n
         return np.stack((level, east, north), axis=-1)
 
-    def heights(self, planes: Array, points: Array) -> Array:
+    def plane_heights(self, planes: Array, points: Array) -> Array:
         """Return the heights of the planes at points (n, 2 or more), m."""
         west, _, south, _ = self.grid.extent
         side = self.cells * self.grid.posting

@@ -52,7 +52,7 @@ def rock_track_precision(
     row, col = grid.cell(xy[is_large])
     rock = samples.detectability(height[is_large], samples.density[row, col])
     seen = samples.max_residual[row, col] >= rock.min_residual
-    # Where nothing shows, both likelihoods are relative to that of no rise at any place.
+    # Without a rise, both likelihoods are divided by the probability of no rise at any place.
     rock_likelihood = np.where(seen, rock.rise_probability, 1.0 - rock.detection_probability)
     other_likelihood = np.where(seen, rock.false_alarm_probability, 1.0)
     own = np.zeros((len(height), len(_SHARE_GRID)))

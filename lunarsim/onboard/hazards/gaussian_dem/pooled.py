@@ -98,7 +98,7 @@ def pooled_dem(pool: SamplePool) -> PooledDem:
     squares = LocalPlaneGrid.of(grid, longest[usable])
     first, second, third = _corners(vertices[:, :2], triangles)
     middles = (first + second + third) / 3.0
-    planes = squares.planes(vertices)
+    planes = squares.fit_planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
     increments = np.empty((len(triangles), 2))
     sk.triangle_growth(vertices, noise, triangles, gradient, increments)
@@ -152,7 +152,7 @@ def _sampling_statistics(
     # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
     taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
-    residual_heights = vertices[:, 2] - squares.heights(planes, vertices)
+    residual_heights = vertices[:, 2] - squares.plane_heights(planes, vertices)
     residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
     # Vertices are in the order of their cells.
     residual_raster[np.nonzero(pool.centroid[..., 0])] = residual_heights

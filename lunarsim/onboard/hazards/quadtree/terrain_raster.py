@@ -197,5 +197,5 @@ def residual_heights(quadtree: QuadtreeMap) -> Array:
     squares = LocalPlaneGrid(
         Grid.centred((0.0, 0.0), quadtree.side, max(_MIN_SQUARE_M, 2.0 * spacing)), 1
     )
-    found = points[:, 2] - squares.heights(squares.planes(points[~apart]), points)
+    found = points[:, 2] - squares.plane_heights(squares.fit_planes(points[~apart]), points)
     return np.asarray(found[~apart | (np.abs(found) < _MAX_ROCK_OUTLIER_M)])

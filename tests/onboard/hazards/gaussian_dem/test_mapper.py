@@ -158,7 +158,7 @@ def test_impossible_intervals_are_refused(interval):
 
 @pytest.mark.parametrize("make", [GaussianDemMapper, QuadtreeMapper])
 def test_what_is_no_expectation_of_rocks_is_refused(make):
-    with pytest.raises(InputError, match="RockExpectation.* got 'many'"):
+    with pytest.raises(InputError, match=r"RockExpectation.* got 'many'"):
         make(GRID, lander=Lander(), rocks="many")
     for cover in (np.nan, 0.0, -1.0, 0.5):
         with pytest.raises(InputError, match=r"rocks\.cover: .*0\.2"):
