@@ -19,8 +19,8 @@ from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
     FREE,
-    MAX_HAZARDS,
-    MAX_HOLE_VIOLATIONS,
+    MAX_EXPECTED_HAZARDS,
+    MAX_EXPECTED_HOLES,
     MAX_NOISE_RATIO,
     SiteEvidence,
     evidence_of,
@@ -363,14 +363,14 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
     assert not site(20.0).in_domain.any()
     # Few hazards, but at the limit of the slope any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
-    assert steep.hazards()[0] < MAX_HAZARDS
+    assert steep.hazards()[0] < MAX_EXPECTED_HAZARDS
     assert not steep.in_domain.any()
     # Holes that no point has met under the pads, or much ground that is known to lie deep.
     gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, min_density=1.0)
-    assert gaping.expected_hole_violations()[0] > MAX_HOLE_VIOLATIONS
+    assert gaping.expected_hole_violations()[0] > MAX_EXPECTED_HOLES
     assert not gaping.in_domain.any()
     sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, min_density=1000.0)
-    assert sunk.expected_hole_violations()[0] < MAX_HOLE_VIOLATIONS
+    assert sunk.expected_hole_violations()[0] < MAX_EXPECTED_HOLES
     assert not sunk.in_domain.any()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))

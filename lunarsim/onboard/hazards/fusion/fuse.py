@@ -87,7 +87,7 @@ def fuse_evidence(
     terrain = relief.surface
     rock_map = _rock_map(rocks, terrain.grid, 1.0)
     clear, none_missed = _rock_free_probabilities(relief, rocks, terms)
-    thinning = undetected_rock_ratio(rocks, terrain.grid, terms)
+    thinning = footprint_undetected_ratio(rocks, terrain.grid, terms)
     site_evidence = _reduce_undetected(relief, thinning)
     p, known = _elevation_probability(relief, site_evidence)
     measured, flat = terrain.observed, np.zeros(terrain.grid.shape, np.float32)
@@ -154,7 +154,7 @@ def _rock_free_probabilities(
     return rock_free_probability(placed, heights, grid, lander), none_missed
 
 
-def undetected_rock_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
+def footprint_undetected_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
     """Return the ratio of rocks that remain undetected by the rock sensor, per site.
 
     Both sensors may miss a rock for the same reason, so no observation reduces the ratio below

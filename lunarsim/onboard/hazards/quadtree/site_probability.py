@@ -57,9 +57,9 @@ _RELIEF_CEILING = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.
 # Limits of the domain: expected undetected hazards in a footprint, and expected undetected rocks
 # and holes under the pads that tilt the lander over its limit. Rocks are counted by
 # `HeightCurve.missed`, at least three times the count of the Gaussian DEM.
-MAX_HAZARDS = 0.1
-MAX_TILT_VIOLATIONS = 0.1
-MAX_HOLE_VIOLATIONS = 0.03
+MAX_EXPECTED_HAZARDS = 0.1
+MAX_EXPECTED_TILTING_ROCKS = 0.1
+MAX_EXPECTED_HOLES = 0.03
 # Limits near the domain, for the same numbers: there the fits to all other worlds were low enough,
 # see `bound`.
 _NEAR_DOMAIN_LIMITS = (1.0, 2.0, 1.0)
@@ -199,7 +199,7 @@ class SiteEvidence:
         Noise, holes in the terrain and the slope limit of the lander must also be within the range
         of the fit.
         """
-        return self._within(MAX_HAZARDS, MAX_TILT_VIOLATIONS, MAX_HOLE_VIOLATIONS)
+        return self._within(MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES)
 
     @property
     def near_domain(self) -> BoolArray:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
-from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence, undetected_rock_ratio
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.registration import register_tracks
 from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.rock_existence import (
@@ -137,7 +137,9 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
     ratio = rng.uniform(0.05, 2.0, GRID.shape)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
     both = fuse_evidence(own, eyes(ratio, known), TERMS)
-    thinned = replace(own.site_evidence, thinning=undetected_rock_ratio(eyes(ratio), GRID, TERMS))
+    thinned = replace(
+        own.site_evidence, thinning=footprint_undetected_ratio(eyes(ratio), GRID, TERMS)
+    )
     p, _ = calibrated_safety(thinned)
     for row, col in product(range(SIDE), repeat=2):
         x, y = GRID.centre_of(row, col)
@@ -152,7 +154,9 @@ def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
     own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), residual_heights=SAMPLED)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
     both = fuse_evidence(own, eyes(0.3, known), TERMS)
-    thinned = replace(own.site_evidence, thinning=undetected_rock_ratio(eyes(0.3), GRID, TERMS))
+    thinned = replace(
+        own.site_evidence, thinning=footprint_undetected_ratio(eyes(0.3), GRID, TERMS)
+    )
     p, _ = calibrated_safety(thinned)
     heights = estimate_rock_heights(known, samples(own), LANDER)
     expected = p * rock_free_probability(known, heights, GRID, LANDER)
@@ -190,7 +194,7 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     own = replace(own, residual_heights=SAMPLED)
     rock = tracks((0.1, 0.2, 0.5, 0.7))
     told = eyes(0.5, rock, unseen=raster(0.2))
-    judged = replace(own.site_evidence, thinning=undetected_rock_ratio(told, GRID, TERMS))
+    judged = replace(own.site_evidence, thinning=footprint_undetected_ratio(told, GRID, TERMS))
     heights = estimate_rock_heights(rock, samples(own), LANDER)
     clear = rock_free_probability(rock, heights, GRID, LANDER)
     p = calibrated_safety(judged)[0] * clear
@@ -214,7 +218,7 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     left = np.arange(SIDE) == 0
     ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
     rocks = eyes(ratio)
-    touched = undetected_rock_ratio(rocks, GRID, TERMS).touched & own.hazard_map.observed
+    touched = footprint_undetected_ratio(rocks, GRID, TERMS).touched & own.hazard_map.observed
     assert touched.any() and (own.hazard_map.observed & ~touched).any()
     both = fuse_evidence(own, rocks, TERMS)
     rest = own.hazard_map.observed & ~touched
@@ -293,7 +297,7 @@ def test_what_is_left_under_a_footprint_is_the_mean_over_it():
     wide = Grid(0.0, 0.0, 0.5, 41, 41)
     ratio = np.ones(wide.shape)
     ratio[20, 20] = 31.0
-    mean = undetected_rock_ratio(eyes(ratio, of=wide), wide, TERMS).ratio
+    mean = footprint_undetected_ratio(eyes(ratio, of=wide), wide, TERMS).ratio
     xy = wide.centres()
     far = np.hypot(*np.moveaxis(xy - xy[20, 20], -1, 0))
     for n, diameter in enumerate(DIAMETERS):

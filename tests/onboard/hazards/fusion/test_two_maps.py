@@ -10,7 +10,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
-from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence, undetected_rock_ratio
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.registration import register_tracks
 from lunarsim.onboard.hazards.fusion.rock_existence import existence_given_elevations
 from lunarsim.onboard.hazards.fusion.rock_heights import (
@@ -88,7 +88,7 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
 
 def test_off_the_camera_map_rocks_are_as_many_as_expected():
     wide, small = Grid(0.0, 0.0, 0.5, 41, 41), Grid(0.1, 0.2, 0.4, 40, 22)
-    ratio = undetected_rock_ratio(eyes(0.3, of=small), wide, TERMS).ratio
+    ratio = footprint_undetected_ratio(eyes(0.3, of=small), wide, TERMS).ratio
     assert ratio[:, 14, 8] == pytest.approx(0.3)
     assert (ratio[:, :, 25:] == 1.0).all()
 
@@ -168,7 +168,7 @@ def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     rocks = eyes(0.3)
     both = fuse_evidence(ReliefEvidence(drawn, judged, refit), rocks, TERMS)
-    thinned = replace(judged, thinning=undetected_rock_ratio(rocks, GRID, TERMS))
+    thinned = replace(judged, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
     expected, _ = calibrated_safety(thinned, refit=refit)
     assert np.array_equal(both.p_safe, expected)
     assert (both.p_safe != calibrated_safety(thinned)[0]).all()

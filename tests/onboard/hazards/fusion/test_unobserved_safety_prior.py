@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.hazards.fusion.flat_terrain import no_undetected_rock_probability
-from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence, undetected_rock_ratio
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
 from lunarsim.onboard.hazards.fusion.rock_heights import (
     estimate_rock_heights,
     rock_free_probability,
@@ -43,7 +43,7 @@ def beside(cells, expected=0.9, posting=GRID.posting):
 
 def thinned_by(own, rocks):
     """Return what elevations are judged by, with what an eye for rocks leaves."""
-    return replace(own.site_evidence, thinning=undetected_rock_ratio(rocks, GRID, TERMS))
+    return replace(own.site_evidence, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
 
 
 def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
