@@ -1,4 +1,4 @@
-"""Planes through samples, square by square, beside a least-squares fit of each neighbourhood."""
+"""Test local planes against a least-squares fit of each neighbourhood."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 
 
 def test_planes_are_least_squares_of_five_by_five_squares():
-    """In every square of a map off the origin, those at its edges too, and points beside it."""
+    """Check every square of a map off the origin, including edges and points off the map."""
     rng = np.random.default_rng(3)
     grid = Grid(x0=12.0, y0=-7.0, posting=0.5, rows=18, cols=26)
     squares = LocalPlaneGrid(grid, 3)

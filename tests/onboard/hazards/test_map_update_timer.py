@@ -1,4 +1,4 @@
-"""When maps are drawn anew."""
+"""Test when maps are recomputed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every mapper of LiDAR returns must do: call no ground safer for being worse."""
+"""Test that LiDAR mappers never call worse terrain safer."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def tilted(degrees: float, rocks: int = 0, size: float = 0.8) -> Terrain:
 
 
 def flashes(terrain: Terrain) -> list[tuple[LidarScan, Estimate]]:
-    """Return three flashes from above, with the poses they were taken at."""
+    """Return three scans from above with their poses."""
     lidar = FlashLidar(rows=128, cols=128)
     out = []
     for n, height in enumerate((110.0, 100.0, 92.0)):
@@ -118,7 +118,7 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
 @pytest.mark.parametrize("name", ["calibrated", "quadtree"])
 @pytest.mark.parametrize("expected", [0.05, 1e-6])
 def test_gravel_is_not_taken_for_bare_ground(name, expected):
-    """Whether the mission expects any or not: what is surely safe is, where gravel tilts it too."""
+    """Sites claimed safe are safe, even where gravel adds tilt, expected or not."""
     rocks = RockExpectation(cover=expected)
     made = {"calibrated": GaussianDemMapper, "quadtree": QuadtreeMapper}[name]
     for tilt in (4.0, 8.4, 9.0):
@@ -222,12 +222,12 @@ SITE = {
 
 
 def site(rocks: float, noise: float = 0.02, **changes: float) -> SiteEvidence:
-    """Return one site, gentle and without an exception but for changes, among so many rocks."""
+    """Return a smooth site without exceptions, except for changes, among expected rocks."""
     return site_among(curve_of(rocks), curve_of(0.01), noise, **changes)
 
 
 def curve_of(rocks: float) -> HeightCurve:
-    """Return the curve of so many times the usual rocks."""
+    """Return the height curve of a multiple of the usual rocks."""
     height = Lander().roughness_limit * np.geomspace(0.08, 8.0, 40)
     return HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
 
@@ -262,7 +262,7 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
     st.floats(2.0, 200.0),
 )  # fmt: skip
 def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slope, density):
-    """Some of the points that met a rock, or fell into a hole, met a greater one."""
+    """Some of the points on a rock or in a hole are on a larger one."""
     rng = np.random.default_rng(seed)
     residual_heights = np.zeros(int(rng.choice([300, 3000, 20_000])))
     count = int(rng.integers(1, 100))
@@ -278,7 +278,7 @@ def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slo
 
 
 def fits_of(*odds: float) -> Ensemble:
-    """Return fits that say the same of all sites."""
+    """Return fits that give the same probability for all sites."""
     return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
 
 

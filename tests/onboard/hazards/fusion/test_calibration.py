@@ -1,4 +1,4 @@
-"""The last stage of the fused map, and the second map that it looks at."""
+"""Test the last calibration stage of the fused map and its second map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ground that was measured to be level: what bounds it, and where nothing is said."""
+"""Test the probability of measured flat terrain: its bounds, and where it is 0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fused map: of one eye its own, of two no safer for worse evidence of either."""
+"""Test the fused map: one sensor gives its own map, worse evidence is never safer."""
 
 from __future__ import annotations
 

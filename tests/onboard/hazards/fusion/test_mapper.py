@@ -1,4 +1,4 @@
-"""The mapper of other mappers: what it is made of, and when it draws."""
+"""Test the fused mapper: which mappers it uses, and when it updates its map."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
 
 
 class Lazy(Made):
-    """A mapper whose ground is there before it is judged."""
+    """Mapper whose elevations are available before their evaluation."""
 
     def __init__(self):
         super().__init__()

@@ -1,4 +1,4 @@
-"""Rocks of one eye, moved to where the elevations of another show them."""
+"""Test the registration of tracked rocks to elevations of another sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How high rocks stand that one eye tracks and another has sampled."""
+"""Test the heights of rocks that one sensor tracks and another has sampled."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ GRID = Grid(-3.0, 2.0, 0.25, 30, 26)
 
 
 def tracks(*rocks, sigma=0.05) -> RockTracks:
-    """Return rocks, each of (x, y, radius, existence)."""
+    """Return rocks, each given as (x, y, radius, existence)."""
     table = np.array(rocks, np.float64).reshape(-1, 4)
     n = len(table)
     return RockTracks(table[:, :2], np.full(n, sigma), table[:, 2], np.full(n, 0.0016), table[:, 3])
 
 
 def heights(rocks, top=0.0, density=8.0) -> RockHeights:
-    """Return what rocks are on a map all of whose samples stand equally high."""
+    """Return the height estimates of rocks on a map with one residual height everywhere."""
     residual_heights = np.full(GRID.shape, top, np.float32)
     return estimate_rock_heights(
         rocks,
@@ -99,7 +99,7 @@ def test_rocks_read_as_too_small_are_found_to_be_so():
 
 
 def test_a_scale_that_nobody_has_measured_holds_every_shape_that_a_shadow_may_be_read_as():
-    """Half spheres read as cubes have 0.7 of their radius; cubes have their own."""
+    """Hemispheres read as cubes have 0.7 of their radius; cubes have their own radius."""
     none = np.zeros(0)
     scale, sigma = estimate_height_scale(none, none, none, none, 0.4)
     assert 0.8 < scale < 0.8 / 0.7

@@ -1,4 +1,4 @@
-"""How many of the large rocks that a camera tracks are rocks."""
+"""Test the share of rocks among the large rock tracks of a camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMIT = Lander().roughness_limit
 
 
 def places(rng, n) -> np.ndarray:
-    """Return places at least 3 m from each other, on the wide map."""
+    """Return points at least 3 m from each other on the wide map."""
     grid = np.stack(np.meshgrid(np.arange(-12.0, 13.0, 4.0), np.arange(-12.0, 13.0, 4.0)), -1)
     return rng.permutation(grid.reshape(-1, 2))[:n] + rng.uniform(-0.4, 0.4, (n, 2))
 
@@ -95,7 +95,7 @@ def test_what_a_track_itself_shows_does_not_count_for_it_twice():
 
 
 def tracks(xy, radius, there=0.95) -> RockTracks:
-    """Return rocks, all alike."""
+    """Return identical rocks."""
     n = len(xy)
     return RockTracks(
         np.asarray(xy), np.full(n, 0.1), np.full(n, radius), np.full(n, 1e-4), np.full(n, there)

@@ -1,4 +1,4 @@
-"""What of two eyes' evidence reaches the fused map, and what of it must not."""
+"""Test which evidence of two sensors reaches the fused map."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
 
 
 def own_calibration() -> ScenarioCalibration:
-    """Return one that makes sites much less safe, wherever they are."""
+    """Return a calibration that makes sites much less safe everywhere."""
     wide = Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
     figures = lander_figures(LANDER)
     return ScenarioCalibration(Stage(-3.0), Stage(-3.0), wide, figures, measured().digest)

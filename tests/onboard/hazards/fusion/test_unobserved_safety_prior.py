@@ -1,4 +1,4 @@
-"""Where no elevation was measured: the eye for rocks, times what the map says of what was."""
+"""Test the prior for terrain without a measured elevation."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ MEASURED[:, 6:] = False
 
 
 def beside(cells, expected=0.9, posting=GRID.posting):
-    """Return the reference's prior, by (p, none stands unseen) of what was measured."""
+    """Return the prior of the reference from pairs (p, no undetected rock) of measured cells."""
     return plain.unobserved_safety_prior(list(cells), posting, FOOTPRINT, expected)
 
 
 def thinned_by(own, rocks):
-    """Return what elevations are judged by, with what an eye for rocks leaves."""
+    """Return the site evidence of elevations after thinning by a rock sensor."""
     return replace(own.site_evidence, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
 
 

@@ -27,7 +27,7 @@ def cloud(seed: int, n: int = 60, spread: float = 3.9) -> np.ndarray:
 
 
 def test_a_plane_is_registered_to_cell_centres():
-    """Half a cell of misregistration would show as 0.05 m here."""
+    """A registration error of half a cell would be 0.05 m here."""
     x, y = np.meshgrid(np.linspace(-4, 4, 161), np.linspace(-4, 4, 161))
     points = np.column_stack((x.ravel(), y.ravel(), 0.2 * x.ravel()))
     inner = (slice(1, -1), slice(1, -1))
@@ -86,7 +86,7 @@ def test_missing_returns_are_not_observed():
 
 
 def test_missing_returns_count_whatever_the_spacing():
-    """A detector that knows of lost pixels needs no rule of thumb."""
+    """Lost pixels of a detector are gaps at any sample spacing."""
     x, y = np.meshgrid(np.linspace(-4, 4, 33), np.linspace(4, -4, 33))
     image = np.column_stack((x.ravel(), y.ravel(), np.zeros(33 * 33)))
     image[(np.abs(image[:, :2]) < 0.3).all(axis=1)] = np.nan
@@ -97,12 +97,12 @@ def test_missing_returns_count_whatever_the_spacing():
 
 
 def hole(points, side):
-    """Return the points outside a square hole about the origin."""
+    """Return the points outside a square hole at the origin."""
     return points[(np.abs(points[:, :2]) > 0.5 * side).any(axis=1)]
 
 
 def test_a_hole_among_many_lost_returns_is_not_observed():
-    """Four of five returns are missing, and all in a hole of 10 m."""
+    """Four of five returns are missing, and all returns in a hole of 10 m."""
     rng = np.random.default_rng(5)
     line = np.linspace(-20.0, 20.0, 101)
     x, y = np.meshgrid(line, line[::-1])
@@ -203,7 +203,7 @@ def test_a_random_field_has_a_spread_that_can_be(wrong):
 
 
 def test_samples_without_noise_and_ground_all_alike_still_give_a_map():
-    """The samples of a triangle then say all but the same: its matrix is nearly singular."""
+    """The matrix of a triangle is then nearly singular."""
     plane = cloud(1)
     plane[:, 2] = 0.3 + 0.1 * plane[:, 0]
     for length in (1e3, 1e6, 1e9):
@@ -239,7 +239,7 @@ def test_coincident_points_are_merged():
 
 
 def random_field(seed: int, n: int, sigma_f: float, length: float, eps: float) -> np.ndarray:
-    """A draw of the model itself at random places."""
+    """Return a draw of the model at random points."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0.0, 20.0, (n, 2))
     gram = sigma_f**2 * np.exp(-np.linalg.norm(xy[:, None] - xy[None], axis=2) / length)
@@ -259,7 +259,7 @@ def test_full_regression_on_three_points_is_the_local_one():
 
 @pytest.mark.statistical
 def test_full_regression_is_consistent_with_its_own_model():
-    """Normalised errors of held-out points have unit mean square."""
+    """Normalized errors of held-out points have unit mean square."""
     points = random_field(4, 1500, 0.3, 6.0, 0.02)
     known, held = points[:1200], points[1200:]
     mean, variance = full_regression(

@@ -1,4 +1,4 @@
-"""When the Gaussian DEM's mapper draws its map."""
+"""Test the Gaussian DEM mapper: updates, settings and tilt correction."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 def flash(
     mapper: GaussianDemMapper, east: float = 0.0, tilt_sigma: float = 1.0, up: float = 0.0
 ) -> None:
-    """Look straight down on level ground from 50 m; by the lander's estimate it stands `up`, m."""
+    """Scan flat terrain vertically from 50 m; the estimated height is too high by `up`, m."""
     down = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     scan = LidarScan(0.0, 50.0 / down[:, 2], down, mount, np.full(len(down), 0.01), (32, 32))
@@ -179,7 +179,7 @@ def test_a_safety_that_there_is_not_is_refused(safety):
 
 
 def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: float) -> None:
-    """Look down on ground of heights (east, north) from 30 m; the estimate errs by a tilt."""
+    """Scan terrain of heights (east, north) from 30 m; the estimate has a tilt error."""
     nadir = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     rays = nadir @ mount.T

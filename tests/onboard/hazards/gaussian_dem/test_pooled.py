@@ -1,4 +1,4 @@
-"""The Gaussian DEM of many scans: sums, regression, and whether it errs as it says."""
+"""Test the pooled Gaussian DEM: sums, regression and consistency of its variance."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def rough(seed: int, slope_deg: float = 5.0) -> Terrain:
 
 
 def scan(terrain: Terrain, spacing: float, sigma: float, rng, jitter: float = 0.5):
-    """Return samples straight from above, `spacing` m apart."""
+    """Return samples from vertically above, `spacing` m apart."""
     line = np.arange(-15.9, 16.0, spacing)
     x, y = np.meshgrid(line, line)
     xy = np.column_stack((x.ravel(), y.ravel())) + jitter * spacing * rng.uniform(-0.5, 0.5, 2)
@@ -134,10 +134,10 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng, jitter: float = 0.
 
 
 def strata(dem, pool: SamplePool, terrain: Terrain) -> dict[str, np.ndarray]:
-    """Return normalised squares of measured, of interpolated cells, and of those shown as rocks.
+    """Return squared normalized errors of measured, interpolated and rock cells.
 
-    What counts as a rock is what the map shows as one. Rocks that no sample has met belong to the
-    ground between samples, whose spread they are part of.
+    A cell counts as a rock if the map shows one. Rocks without a sample are part of the terrain
+    between samples and of its variance.
     """
     square = (dem.mean - terrain.raster(dem.grid)) ** 2 / dem.variance
     shown = dem.mean - Terrain(terrain.relief, RockField.empty()).raster(dem.grid) > 0.12
@@ -186,7 +186,7 @@ def test_the_same_view_again_tells_nothing_of_what_lies_between():
 
 
 def test_slopes_buried_in_noise_stay_slopes():
-    """A regression on three corners alone would flatten each triangle."""
+    """A regression on three corners only would flatten each triangle."""
     grid = Grid.centred((0.0, 0.0), 30.0, 0.25)
     plane = Heightfield(
         Grid.centred((0.0, 0.0), 60.0, 1.0),
@@ -229,7 +229,7 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
 
 
 def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
-    """Middles, and what is known beforehand of ground between samples, to the bit."""
+    """Compare centres and prior of the terrain between samples, bit for bit."""
     pool, given, middles, at = SamplePool(GRID), [], [], LocalPlaneGrid.at
     points, sigma = samples(3, 25)
     pool.add(points, sigma, 0.5)

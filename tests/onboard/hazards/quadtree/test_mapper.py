@@ -1,4 +1,4 @@
-"""The mapper: layers of its map, scans that wait, and what it may not be given."""
+"""Test the quadtree mapper: map layers, update interval and invalid input."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def estimate(position=(0.0, 0.0, 30.0), attitude=(0.0, 0.0, 0.0, 1.0), *, time=0
 
 
 def scan(n=90, half=0.3, time=0.0, bump=True) -> LidarScan:
-    """Return a scan from 30 m straight above level ground, a boulder on it."""
+    """Return a scan from 30 m vertically above flat terrain with a boulder."""
     t = np.linspace(-half, half, n)
     x, y = (a.ravel() for a in np.meshgrid(t, t))
     rays = np.column_stack((x, y, np.ones(n * n)))
@@ -56,7 +56,7 @@ def mapper(**options) -> QuadtreeMapper:
 
 
 def interest(value=0.25):
-    """Return an interest of nought west of 0.15 m and `value` east of it."""
+    """Return an interest of 0 west of 0.15 m and of `value` east of it."""
     grid = Grid.centred((0.15, 0.0), 22.0, 1.0)  # its cells lie aside of those of the map
     return InterestMap(grid, np.where(grid.centres()[..., 0] < 0.0, 0.0, value))
 
@@ -142,7 +142,7 @@ def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
     assert m.grid.centre == pytest.approx((5.0, -3.0), abs=0.2)
 
     def on_both(points):
-        """Return the points on the new and on the old map, in an order of their own."""
+        """Return the points on both the new and the old map, sorted."""
         inside = np.ones(len(points), bool)
         for grid in (GRID, m.grid):
             west, east, south, north = grid.extent

@@ -1,4 +1,4 @@
-"""Returns that stand apart move neither means nor sites; rocks still count."""
+"""Test outliers in height: they change neither means nor sites; rocks still count."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIDE = 100.0
 
 
 def field(seed, count=300_000):
-    """Return points of gentle ground with half spheres of 0.35 to 0.6 m, and where those lie."""
+    """Return points of smooth terrain with hemispheres of 0.35 to 0.6 m, and their centres."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-0.5 * SIDE, 0.5 * SIDE, (count, 2))
     z = 0.3 * np.sin(xy[:, 0] / 9.0) + 0.02 * xy[:, 1]
@@ -26,7 +26,7 @@ def field(seed, count=300_000):
 
 
 def with_birds(points, birds, seed):
-    """Return the points with so many lifted or sunk by 1 to 1000 m."""
+    """Return the points, some of them raised or lowered by 1 to 1000 m."""
     rng = np.random.default_rng(seed)
     points = points.copy()
     which = rng.choice(len(points), birds, replace=False)

@@ -1,4 +1,4 @@
-"""Site selection: against the paper's equations done plainly, and against itself from scratch."""
+"""Test site selection against plain equations of the paper and against a new selector."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL = SiteSettings(
 
 
 def ground(p):
-    """Return a wavy ground with a bump every few metres."""
+    """Return wavy terrain with a bump every few metres."""
     bump = np.hypot(p[:, 0] % 5.0 - 2.0, p[:, 1] % 7.0 - 3.0) < 0.4
     return 0.1 * np.sin(p[:, 0] / 4.0) + 0.03 * p[:, 1] + 0.5 * bump
 
@@ -53,7 +53,7 @@ FIELDS = (
 
 
 def squares_within(raster, place, reach):
-    """Return the squares of 0.2 m that overlap a zone about a place; those on the map."""
+    """Return the squares of 0.2 m on the map that overlap a zone."""
     first = np.maximum(np.floor((place - reach) / 0.2 + 1e-6).astype(int), 0)
     last = np.ceil((place + reach) / 0.2 - 1e-6).astype(int)
     return raster[first[1] : last[1], first[0] : last[0]]
@@ -392,7 +392,7 @@ def test_a_boulder_in_a_hollow_is_found_and_what_was_not_seen_is_not_clear():
 
 
 def unseen_by(points):
-    """Return where the ground of points (n, 3) was not seen, by squares of 0.4 m over 25.6 m."""
+    """Return unobserved squares of 0.4 m over 25.6 m, for points (n, 3)."""
     quadtree = QuadtreeMap((0.0, 0.0), 25.6, 0.1)
     quadtree.insert(points)
     selector = SiteSelector(quadtree, SiteSettings(mesh_band=(1.6, 3.2)))
@@ -402,7 +402,7 @@ def unseen_by(points):
 
 
 def level(rng, density, half):
-    """Return level ground of so many points on a square metre (n, 3) over a square."""
+    """Return points (n, 3) of flat terrain in a square, with a given density."""
     xy = rng.uniform(-half, half, (rng.poisson(density * (2.0 * half) ** 2), 2))
     return np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
 

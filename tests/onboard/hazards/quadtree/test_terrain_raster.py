@@ -1,4 +1,4 @@
-"""The ground of a quadtree as a raster, and how high its points stand above it."""
+"""Test the terrain raster of a quadtree and the residual heights of its points."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_density_is_that_of_a_plain_count():
 
 
 def evidence(points: np.ndarray, side: float = 12.8):
-    """Return what a quadtree of points says of its sites, and where these are (n, 2)."""
+    """Return the site features of a quadtree of points, and the site positions (n, 2)."""
     lander = replace(Lander(), leg_radius=1.0, pad_diameter=0.2)
     quadtree = QuadtreeMap((0.0, 0.0, 100.0), side, 0.1)
     quadtree.insert(points)
@@ -214,7 +214,7 @@ def test_a_footprint_is_as_thin_as_its_thinnest_metre():
 
 
 def test_the_lander_stands_on_the_ground_under_the_site():
-    """Ground and its mirror image give evidence that is mirrored: no site looks a cell aside."""
+    """Mirrored terrain gives mirrored evidence: no site uses a neighbouring cell."""
     rng = np.random.default_rng(11)
     xy = rng.uniform(-6.39, 6.39, (20_000, 2))
     # Nothing lies on an edge between cells, which belong to their east.

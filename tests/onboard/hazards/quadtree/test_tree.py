@@ -1,4 +1,4 @@
-"""The quadtree against a plain one, whatever the order and size of the batches."""
+"""Test the quadtree against a plain one, for any order and size of the batches."""
 
 from __future__ import annotations
 
