@@ -88,7 +88,7 @@ def test_no_map_calls_steeper_ground_safer(name):
         p.append(float(drawn.p_safe[middle].mean()))
     assert (np.diff(p) <= 0.01).all(), p
     assert p[0] > 0.9, p
-    # The limit is 10 deg; a calibrated map may not doubt it for long.
+    # The limit is 10 deg; a calibrated map must not stay uncertain for long.
     assert p[-1] < 0.01, p
     assert p[-2] < 0.05, p
 
@@ -110,7 +110,7 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
         share.append(sure.sum() / judged.sum())
         if sure.any():
             assert drawn.p_safe[sure].mean() - truth.safe[sure].mean() < 0.005
-    # Ground of which a tenth is unsafe, for rocks that no sample has told, is not surely safe.
+    # Terrain of which a tenth is unsafe, due to rocks without samples, is not claimed safe.
     assert share[0] > 0.3
     assert share[1] < 0.1
 
@@ -293,7 +293,7 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
     assert p == pytest.approx((1.0 - UNTOLD) * SURE * expit(2.8 - MARGIN))
     assert not known.any()
-    # Far from the domain no more than the chance that no unseen rock stands there.
+    # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
     assert not far.near_domain.any()
     nothing = np.exp(-far.expected_roughness_violations() - far.expected_tilt_violations())
@@ -361,11 +361,11 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
     assert site(0.25).in_domain.all()
     assert not site(0.25, min_density=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
-    # Few hazards, but at the limit of the slope any stone tilts the lander too far.
+    # Few hazards, but at the slope limit any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
     assert steep.hazards()[0] < MAX_EXPECTED_HAZARDS
     assert not steep.in_domain.any()
-    # Holes that no point has met under the pads, or much ground that is known to lie deep.
+    # Undetected holes under the pads, or much terrain that is known to be deep.
     gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, min_density=1.0)
     assert gaping.expected_hole_violations()[0] > MAX_EXPECTED_HOLES
     assert not gaping.in_domain.any()
@@ -375,7 +375,7 @@ def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_th
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))
         assert other.in_domain.all() == inside
-    # Outside, p is no more than the chance that nothing stands there.
+    # Outside the domain, p is at most the probability of no undetected rock.
     unknown = site(20.0)
     nothing = np.exp(-unknown.expected_roughness_violations() - unknown.expected_tilt_violations())
     assert (site_safety(unknown)[0] <= nothing).all()
@@ -405,7 +405,7 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
         RockExpectation(),
     )  # fmt: skip
     assert mapper.noise == max(sigma)
-    # Density is counted over the whole zone; where there are most points it is that of the scans.
+    # The density is averaged over the complete zone; its maximum is that of the scans.
     points = mapper.map.points
     count = (np.abs(points[:, :2]) < 4.0).all(axis=1).sum() / 64.0
     inside = (np.abs(mapper.selection.position[:, :2]) < 2.0).all(axis=1)

@@ -31,7 +31,7 @@ def test_it_rises_with_either_map_and_stays_close_to_the_first(weights):
     changed = c.probability(p, q[rng.permutation(400)], True)
     assert np.abs(logit(changed.astype(float)) - logit(p)).max() < 2.001
     assert c.probability(np.zeros(3), np.ones(3), True).tolist() == [0.0] * 3
-    # What the second map has not seen does not count.
+    # Cells without an observation in the second map are ignored.
     unseen = c.probability(p, q, False)
     assert np.array_equal(unseen, FusedCalibration(*weights[:2]).probability(p, q, True))
 
@@ -44,7 +44,7 @@ def test_a_fit_finds_what_the_second_map_knows():
     safe = rng.random(40_000) < truth
     found = FusedCalibration.fit(expit(x), expit(y), seen, safe, ~safe)
     assert (found.intercept, found.slope, found.other) == pytest.approx((0.3, 0.9, 0.5), abs=0.05)
-    # One that knows nothing is given no weight, and few sites change little.
+    # An uninformative second map gets no weight, and few sites change little.
     told = FusedCalibration.fit(expit(x), expit(-y), seen, safe, ~safe)
     assert told.other == 0.0
     few = FusedCalibration.fit(expit(x), expit(y), seen, safe, ~safe, worth=1e-6)
@@ -84,7 +84,7 @@ def test_the_mapper_looks_at_the_second_map_without_being_made_of_it(tmp_path):
     own.update(0.7, None)
     expected = c.probability(np.float32([0.7]), [0.0], [False])
     assert (fused.hazard_map().p_safe == expected).all()
-    # It draws anew when the second one has.
+    # The map is updated when the second map is.
     second.update(0.9, None)
     expected = c.probability(np.float32([0.7]), np.float32([0.9]), [True])
     assert (fused.hazard_map().p_safe == expected).all()

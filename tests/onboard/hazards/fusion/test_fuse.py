@@ -47,7 +47,7 @@ from tests.two_eyes import (
     tracks,
 )
 
-# --- one eye, or one that saw nothing ----------------------------------------------------------
+# --- one sensor, or one without observations ---------------------------------------------------
 
 
 @pytest.mark.parametrize("density", [2.0, 30.0])
@@ -64,7 +64,7 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
     raised = alone.p_safe > own.hazard_map.p_safe
     assert raised.any()
     assert np.array_equal(alone.in_domain, own.hazard_map.in_domain & ~raised)
-    # An eye that saw nothing changes nothing.
+    # A rock sensor without observations changes nothing.
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
         assert np.array_equal(getattr(blind, name), getattr(alone, name)), name
@@ -93,7 +93,7 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_noth
     blind = fuse_evidence(own, eyes(seen=False), TERMS)
     assert np.array_equal(blind.p_safe, p)
     assert np.array_equal(blind.in_domain, known)
-    # Where a rock is tracked none is claimed in between.
+    # No calibrated probability is claimed where a rock is tracked.
     rock = fuse_evidence(own, eyes(1.0, tracks((0.0, 0.0, 0.4, 0.3)), seen=False), TERMS)
     assert not rock.in_domain[0, 0]
 
@@ -117,7 +117,7 @@ def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
     assert both.p_safe == pytest.approx(0.5 * own.hazard_map.p_safe, rel=1e-6)
 
 
-# --- two eyes ----------------------------------------------------------------------------------
+# --- two sensors -------------------------------------------------------------------------------
 
 
 def test_lit_ground_makes_sites_safer_and_dark_ground_less_safe():
@@ -127,7 +127,7 @@ def test_lit_ground_makes_sites_safer_and_dark_ground_less_safe():
         for r in (20.0, 1.0, 0.3, COMMON_MISS_PROBABILITY, 0.0)
     ]
     assert p[0] < p[1] < p[2] < p[3]
-    # Both eyes miss some rocks for one reason.
+    # Both sensors miss some rocks for a common reason.
     assert p[4] == p[3]
 
 
@@ -198,7 +198,7 @@ def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, 
     heights = estimate_rock_heights(rock, samples(own), LANDER)
     clear = rock_free_probability(rock, heights, GRID, LANDER)
     p = calibrated_safety(judged)[0] * clear
-    # Where the camera has not looked, or is not believed, only what samples let expect counts.
+    # Where the camera has no observation, or is rejected, only the expectation from samples counts.
     blind = replace(told, hazard_map=replace(told.hazard_map, observed=np.zeros(GRID.shape, bool)))
     raised = 0
     for eye, missed in ((told, 0.2), (replace(told, unseen=None), 1.0), (blind, 1.0)):
@@ -224,7 +224,7 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     rest = own.hazard_map.observed & ~touched
     assert np.array_equal(both.p_safe[rest], own.hazard_map.p_safe[rest])
     assert (both.p_safe[touched] > own.hazard_map.p_safe[touched]).any()
-    # The map of the elevations alone is not asked for.
+    # The map of the elevations is not computed.
     asked = replace(own, compute_map=lambda: pytest.fail("judged"))
     assert np.array_equal(fuse_evidence(asked, rocks, TERMS).p_safe, both.p_safe)
 
@@ -262,7 +262,7 @@ def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts(
     assert both.p_safe == pytest.approx(0.72)
     assert not both.in_domain.any()
     assert fuse_evidence(own, eyes(1.0), TERMS).in_domain.all()
-    # Nor without the other eye.
+    # The same holds without the other sensor.
     few = replace(own, site_evidence=relief(slope=0.5, rough=0.3, density=300.0).site_evidence)
     alone = fuse_evidence(few, None, TERMS)
     assert (alone.p_safe > 0.8).all()
@@ -350,7 +350,7 @@ def test_worse_evidence_of_either_eye_never_makes_a_site_safer(
         assert (p(**change) <= before + 1e-6).all(), change
 
 
-# --- rocks looked for in the elevations --------------------------------------------------------
+# --- rocks located in the elevations -----------------------------------------------------------
 
 ROCK = (2.0, 2.0, 0.4, 0.8)
 
@@ -388,7 +388,7 @@ def test_odds_given_the_elevations_equal_a_plain_loop(seed, x, radius, there, ro
     density = rng.uniform(1.0, 30.0, GRID.shape)
     own = relief(z, density=density)
     found = existence_given_elevations(tracks((x, 2.1, radius, there)), own, LANDER)[0]
-    # Seven metres about a cell hold the whole map: all ground is compared with one mean.
+    # The window of seven metres covers the complete map: all terrain has one mean.
     half = 7
     rise = [
         [
@@ -434,7 +434,7 @@ def test_on_other_cells_the_worst_nearby_counts_and_nothing_beyond_the_edge():
         assert (low[~inside] == -1.0).all()
         assert (high[~inside] == 9.0).all()
         for row, col in np.argwhere(inside):
-            # Every cell that overlaps the other's has at least, or at most, that value.
+            # Every overlapping cell has at least, or at most, that value.
             off = np.abs(of.centres() - xy[row, col]).max(axis=-1)
             over = values[off < 0.5 * (of.posting + to.posting) - 1e-9]
             assert low[row, col] <= over.min()

@@ -47,9 +47,9 @@ def test_it_draws_no_oftener_than_it_is_told_to():
         if p is not None:
             own.update(p, None)
         told.append(float(fused.hazard_map().p_safe[0, 0]))
-    # Of nothing it draws at once.
+    # An empty map is updated at once.
     assert told == pytest.approx([0.0, 0.7, 0.7, 0.3, 0.3])
-    # What is taken back, or laid elsewhere, is not waited with.
+    # Retracted observations and a moved grid cause an update at once.
     own.grid = Grid.centred((1.0, 0.0), 8.0, 0.5)
     assert fused.hazard_map().grid == own.grid
     own.update(0.1, None)

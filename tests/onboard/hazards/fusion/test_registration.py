@@ -53,7 +53,7 @@ def test_rocks_are_moved_to_where_the_elevations_show_them():
     )
     assert after.xy - before.xy == pytest.approx(np.broadcast_to(off, (30, 2)), abs=0.2)
     assert (after.sigma < 0.3).all()
-    # As well as the shift, and each as well as it lies among the others.
+    # The result is as certain as the shift, plus the relative position error of each rock.
     shift = estimate_shift(
         before, ElevationSamples(residual_heights, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0
     )

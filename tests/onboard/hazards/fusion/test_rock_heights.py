@@ -86,7 +86,7 @@ def test_rocks_read_as_too_small_are_found_to_be_so():
     rng = np.random.default_rng(1)
     true = rng.uniform(0.3, 0.6, 40)
     density = np.full(40, 20.0)
-    # The highest of so many samples on a half sphere.
+    # Median of the highest of n samples on a hemisphere.
     count = rng.poisson(density * np.pi * true**2)
     top = np.array([
         h * np.sqrt(rng.random(max(n, 1)).max()) for h, n in zip(true, count, strict=True)
@@ -94,7 +94,7 @@ def test_rocks_read_as_too_small_are_found_to_be_so():
     found, sigma = estimate_height_scale(0.7 * true, np.ones(40), top, density, 0.5)
     assert found == pytest.approx(1.0 / 0.7, rel=0.1)
     assert abs(np.log(0.7 * found)) < 2.0 * sigma < 0.1
-    # Samples fall short; nothing makes rocks lower than the mission expects.
+    # Samples underestimate heights; the scale is at least the expectation of the mission.
     assert estimate_height_scale(0.7 * true, np.ones(40), 0.1 * top, density, 0.5)[0] == 1.0
 
 
@@ -104,7 +104,7 @@ def test_a_scale_that_nobody_has_measured_holds_every_shape_that_a_shadow_may_be
     scale, sigma = estimate_height_scale(none, none, none, none, 0.4)
     assert 0.8 < scale < 0.8 / 0.7
     assert abs(np.log([0.8 / scale, 0.8 / 0.7 / scale])).max() < 1.5 * sigma
-    # So rocks that may be too high are not passed over.
+    # Rocks that may be too high are therefore not ignored.
     read = 0.7 * 1.1 * LIMIT
     assert heights(tracks((0.0, 5.0, read, 1.0)), 0.0, 0.0).hazard[0] > 0.3
 
@@ -132,7 +132,7 @@ def test_samples_that_show_nothing_leave_what_both_eyes_miss():
     dense = heights(rock, 0.0, 400.0).hazard[0]
     odds = COMMON_MISS_PROBABILITY * 0.8 / 0.2
     assert dense == pytest.approx(odds / (1.0 + odds), rel=1e-3)
-    # One that they show keeps its odds: the elevations count it already.
+    # A rock that the samples show keeps its odds: the elevations count it already.
     assert heights(rock, LIMIT, 1e-9).hazard[0] == pytest.approx(0.8, abs=1e-3)
     assert heights(replace(rock, existence=np.array([0.4])), LIMIT, 1.0).hazard[0] <= 0.4
 
@@ -156,7 +156,7 @@ def test_larger_rocks_are_no_less_likely_too_high_and_reach_no_less_far():
     found = heights(tracks(*((40.0, 5.0, r, 0.8) for r in radius)))
     assert (np.diff(found.hazard) >= -1e-9).all()
     assert (np.diff(found.reach) >= 0.0).all()
-    # Far above the limit they are so all the way out.
+    # Rocks far above the limit exceed it over their complete outline.
     large = radius > 3.0
     assert found.hazard[large] == pytest.approx(0.8)
     assert found.reach[large] == pytest.approx(found.scale * radius[large], rel=0.15)
@@ -182,7 +182,7 @@ def test_a_rock_counts_as_far_as_it_is_too_high():
         rock, RockHeights(1.0, np.array([0.6]), np.array([reach])), wide, LANDER
     )
     far = np.hypot(*np.moveaxis(wide.centres(), -1, 0))
-    # Places among radii are known to a fifth of one.
+    # Positions have an uncertainty of a fifth of the radius.
     edge, soft = LANDER.leg_radius + reach, 3.0 * np.hypot(0.2 * 0.4, 0.15 * reach + 0.02)
     assert clear[far < edge - soft] == pytest.approx(0.4, abs=0.02)
     assert clear[far > edge + 1.4 * soft] == pytest.approx(1.0, abs=1e-3)
@@ -222,7 +222,7 @@ def test_only_tracks_told_to_be_too_high_are_rocks_by_the_share_of_them_that_are
         return np.full(len(height), 0.5)
 
     monkeypatch.setattr(fused_heights, "rock_track_precision", half)
-    # Samples that stand so high double the height over the radius.
+    # Samples of this height double the height over the radius.
     rocks = tracks(
         (0.0, 5.0, 0.6 * LIMIT, 0.8), (0.0, 5.0, 0.3 * LIMIT, 0.8), (0.0, 5.0, LIMIT, 0.4)
     )

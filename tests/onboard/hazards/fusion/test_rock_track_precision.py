@@ -85,7 +85,7 @@ def test_what_a_track_itself_shows_does_not_count_for_it_twice():
     density = np.full(WIDE.shape, 12.0)
     residual_heights = bumps(xy[:4], WIDE, 0.6, 16.0, rng)
     before = rock_track_precision(xy, *told, ElevationSamples(residual_heights, density, WIDE, 0.5))
-    # One that does not show is told otherwise: not its own share changes, but that of the others.
+    # Remove the rise of one track: the share of the other tracks changes, not its own.
     shown = residual_heights.copy()
     row, col = WIDE.cell(xy[7])
     shown[row, col] = 0.6
@@ -117,13 +117,13 @@ def test_hollows_that_are_tracked_as_large_rocks_hardly_count():
     many = hazard(tracks(xy, 2.0 * LIMIT))
     assert alone > 0.3
     assert (many < 0.05).all()
-    # Rocks that are too low to matter do not count for them, nor what hardly exists.
+    # Rocks below the limit and improbable tracks are ignored.
     low = tracks(xy, 0.6 * LIMIT)
     mixed = replace(low, radius=np.where(np.arange(24) == 0, 2.0 * LIMIT, low.radius))
     assert hazard(mixed)[0] == pytest.approx(alone)
     doubted = tracks(xy, 2.0 * LIMIT)
     doubted = replace(doubted, existence=np.where(np.arange(24) == 0, 0.95, 0.5))
     assert hazard(doubted)[0] == pytest.approx(alone)
-    # True ones are as likely as before.
+    # True rocks keep their probability.
     true = bumps(xy, WIDE, 2.0 * LIMIT, 12.0, rng)
     assert (hazard(tracks(xy, 2.0 * LIMIT), true) > 0.7).mean() > 0.8

@@ -54,7 +54,7 @@ def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_
 
 @pytest.mark.parametrize("there", [0.98, 0.999])
 def test_a_site_that_a_tracked_rock_makes_unsafe_is_no_frequency_for_that(there):
-    # Elevations that show it leave its odds as they are.
+    # Elevations that show the rock leave its odds unchanged.
     bump = np.zeros(GRID.shape)
     bump[4, 4] = 0.6 * LANDER.roughness_limit
     own = relief(bump, slope=0.1, rough=0.1, density=300.0)
@@ -75,7 +75,7 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
     assert (both.elevation[:, :5] == 2.0).all()
     assert (both.elevation[:, 5:] == 0.0).all()
     assert both.variance is spread
-    # So too of ground that its mapper has not judged.
+    # The same holds for elevations without site evidence.
     z = own.surface.elevation
     bare = SimpleNamespace(grid=GRID, observed=seen, elevation=z, variance=spread)
     unjudged = fuse_evidence(
@@ -97,7 +97,7 @@ def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
     own = replace(relief(slope=0.4, rough=0.2, **DOUBTED), residual_heights=SAMPLED)
     fine = Grid(0.0, 0.0, 0.25, 17, 17)
     unseen = np.full(fine.shape, 0.1, np.float32)
-    # Between two cells of the elevations' map.
+    # Between two cells of the elevation map.
     unseen[8, 9] = 0.7
     both = fuse_evidence(own, eyes(1.0, of=fine, unseen=unseen), replace(TERMS, relief_prior=0.8))
     assert both.p_safe[4, 4] == pytest.approx(0.8 * 0.3)
@@ -142,7 +142,7 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
     rocks = replace(rocks, sigma=np.full(4, 0.4))
     own = replace(relief(density=6.0), residual_heights=residual_heights)
     told = replace(samples(own), height_ratio=ratio)
-    # Before it is measured shadows are taken to tell radii too small.
+    # Without measurements, shadows are assumed to underestimate radii.
     placed = register_tracks(rocks, told, 1.2 * 2.0 * ratio)
     assert np.abs(placed.xy - rocks.xy).max() > 0.1
     free = rock_free_probability(
@@ -152,7 +152,7 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
     assert both.p_safe == pytest.approx(own.hazard_map.p_safe * free, rel=1e-5)
 
 
-# --- a calibration of a scenario's own ---------------------------------------------------------
+# --- a calibration for the scenario ------------------------------------------------------------
 
 
 def own_calibration() -> ScenarioCalibration:

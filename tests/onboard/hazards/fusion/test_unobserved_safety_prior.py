@@ -31,7 +31,7 @@ from tests.two_eyes import (
     tracks,
 )
 
-# Beyond, no elevation was measured.
+# No elevation was measured beyond this column.
 MEASURED = np.ones(GRID.shape, bool)
 MEASURED[:, 6:] = False
 
@@ -109,7 +109,7 @@ def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_
     own = replace(
         own, surface=replace(own.surface, p_safe=p, in_domain=known), site_evidence=judged
     )
-    # The fewer were measured the more the mission's expectation counts.
+    # The expectation of the mission counts more with fewer measured sites.
     assert 0.9 > fuse_evidence(own, eyes(0.1), TERMS).p_safe[:, 6:].max() > prior
 
 

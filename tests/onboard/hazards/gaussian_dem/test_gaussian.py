@@ -118,7 +118,7 @@ def test_a_hole_among_many_lost_returns_is_not_observed():
         gaussian_dem(image, grid),
     ):
         assert not dem.observed[middle].any()
-    # Sparse samples are no hole where nothing but their distance is known.
+    # Sparse samples are not a hole if only their distance is known.
     assert gaussian_dem(image, grid).observed[~middle].mean() > 0.5
 
 
@@ -280,7 +280,8 @@ def test_local_regression_approaches_the_full_one():
     )
     use = (dem.observed & (weight <= 0.5)).ravel()
     gap = dem.mean.ravel()[use] - mean[use]
-    # Three vertices know less than all points: the variance is larger, the means agree within it.
+    # Three vertices hold less information than all points: the variance is larger, and the means
+    # agree within it.
     assert np.all(dem.variance.ravel()[use] >= variance[use] - 1e-6)
     assert np.sqrt(np.mean(gap**2)) < 0.6 * np.sqrt(np.mean(dem.variance.ravel()[use]))
 

@@ -111,7 +111,7 @@ def test_it_publishes_what_its_map_follows_from():
     p, known = calibrated_safety(told.site_evidence, refit=refit)
     assert np.array_equal(told.hazard_map.p_safe, p)
     assert np.array_equal(told.hazard_map.in_domain, known)
-    # What was told stays as it was told.
+    # Earlier evidence is not modified.
     flash(mapper, east=1.0)
     assert mapper.hazard_map() is not told.hazard_map
     assert told.hazard_map.elevation is told.surface.elevation
@@ -137,7 +137,7 @@ def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
 @pytest.mark.parametrize("beside", [0.1, 100.0])
 def test_a_map_whose_returns_all_fell_beside_it_has_seen_nothing(beside, safety):
     mapper = GaussianDemMapper(GRID, Lander(), safety=safety)
-    # The nearest row of returns lies on the outer half of the cells' rim, or far off.
+    # The nearest row of returns lies on the outer half of the edge cells, or far off.
     down = LIDAR.directions()
     east = GRID.extent[1] + beside - 50.0 * (down[:, 0] / down[:, 2]).min()
     flash(mapper, east, tilt_sigma=np.deg2rad(1.0))
@@ -188,7 +188,7 @@ def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: fl
         at = reach[:, None] * rays + [0.0, 0.0, 30.0]
         reach = (30.0 - ground(at[:, 0], at[:, 1])) / -rays[:, 2]
     scan = LidarScan(0.0, reach, nadir, mount, np.full(len(rays), 0.01), (32, 32))
-    # Above the pivot, which is the origin: turned about it the pose is the right one.
+    # The pose is above the pivot, the origin: the rotation about it corrects the pose.
     here = np.array([30.0 * np.sin(wrong), 0.0, 30.0 * np.cos(wrong)])
     attitude = quat_from_rotation_vector([0.0, wrong, 0.0])
     own = np.diag([1.0] * 6 + [sigma**2] * 3)
@@ -220,10 +220,10 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     off = np.abs(mapper.dem().mean - expected)
     assert np.nanmedian(off) < 0.003
     assert np.nanquantile(off, 0.99) < 0.02
-    # Nothing but what slid over the edge of the map is gone: each ray twice.
+    # Only samples that moved over the edge of the map are lost: each ray was used twice.
     ratio = mapper.pool.centroid[..., 0].sum() / right.pool.centroid[..., 0].sum()
     assert 1.9 < ratio < 2.05
-    # By then the tilt is known: another turn moves nothing, nor does what comes later.
+    # The tilt is then known: another rotation moves neither earlier nor later samples.
     before = mapper.pool.centroid.copy()
     mapper.level(turn, np.zeros(3), sure)
     assert np.array_equal(mapper.pool.centroid, before)
@@ -244,13 +244,13 @@ def test_a_turn_by_nothing_leaves_samples_as_they_were():
     assert np.array_equal(same.spacing, pool.spacing)
     assert same.centroid == pytest.approx(pool.centroid, abs=1e-6)
     assert same.splat == pytest.approx(pool.splat, abs=1e-6)
-    # Cells that come to lie on one another are measured as well as the better of them.
+    # Merged cells are measured as well as the better of them.
     eighth = quat_to_matrix(quat_from_rotation_vector([0.0, 0.0, 0.25 * np.pi]))
     assert pool.rotated(eighth, np.zeros(3)).splat[..., 0].max() <= pool.splat[..., 0].max()
 
 
 def test_corners_hit_by_two_pools_are_measured_no_better_than_by_the_better_of_them():
-    # A return on the edge of four cells gives each a quarter of its weight, which measures none.
+    # A return on the corner of four cells gives each a quarter of its weight, which is too little.
     one, other = SamplePool(GRID), SamplePool(GRID)
     x, y = GRID.centres()[4, 4] + 0.5 * GRID.posting
     near = np.array([[x, y, 0.0], [x + 1.5, y, 0.1], [x, y + 1.5, 0.2]])
@@ -258,7 +258,7 @@ def test_corners_hit_by_two_pools_are_measured_no_better_than_by_the_better_of_t
     other.add(near + [0.0, 0.0, 0.01], 0.01, 0.5)
     both = one.union(other)
     assert both.splat[4, 4] == pytest.approx([0.25, 5000.0, both.splat[4, 4, 2], 1250.0])
-    # Twice in one call it is half, which measures it just not.
+    # Twice in one call gives half, which is just too little.
     one.add(np.repeat(near, 2, axis=0), 0.01, 0.5)
     assert one.splat[4, 4, 0] == pytest.approx(0.5)
     assert one.rotated(np.eye(3), np.zeros(3)).splat[4, 4, 0] == pytest.approx(0.5)

@@ -70,7 +70,7 @@ def test_a_million_cells_take_less_than_300_megabytes():
     chain(points, grid, 256)
     done.set()
     watcher.join()
-    # Mean, variance and what `exact_safety` returns are 17 MB at the least.
+    # Mean, variance and the result of `exact_safety` take at least 17 MB.
     assert 17.0 < max(seen) - before < 300.0
 
 
@@ -81,5 +81,5 @@ def test_a_thousand_calls_keep_nothing():
     before = trimmed()
     for _ in range(1000):
         chain(points, grid, 16)
-    # One kept map of each kind and call would be 60 MB.
+    # One additional map of each kind per call would take 60 MB.
     assert trimmed() - before < 3.0

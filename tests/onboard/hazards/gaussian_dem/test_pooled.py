@@ -45,7 +45,7 @@ def test_sums_are_those_of_a_plain_loop(seed, level):
     dem = pooled_dem(pool)
     measured = np.nan_to_num(about[..., 2]) > 0.5
     assert dem.mean[measured] == pytest.approx(about[measured][:, 0], abs=1e-3)
-    # Noise alone is the least that a measured cell errs by.
+    # Noise is the minimum error of a measured cell.
     assert (dem.variance[measured] >= about[measured][:, 1] * (1.0 - 1e-5)).all()
 
 
@@ -179,7 +179,7 @@ def test_the_same_view_again_tells_nothing_of_what_lies_between():
     assert np.median(b.variance[between] / a.variance[between]) > 0.4
     assert np.median(b.sampling.density) == pytest.approx(np.median(a.sampling.density))
     assert np.mean(strata(b, often, terrain)["interpolated"]) < 1.6
-    # Noise does average where it is all there is.
+    # Noise averages out where it is the only error.
     assert np.median(b.variance[~between & a.observed]) < 0.5 * np.median(
         a.variance[~between & a.observed]
     )
@@ -223,7 +223,7 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
     assert pool.base is None
     assert pool.add(np.full((4, 3), np.nan), 0.1, 0.5) == 0
     assert not pooled_dem(pool).observed.any()
-    # One at all, or all in a line, is no map of what lies between.
+    # A single sample, or collinear samples, give no map between them.
     pool.add([[0.0, 0.0, 1.0]], 0.1, 0.5)
     assert pooled_dem(pool).observed.mean() < 0.05
 
@@ -238,12 +238,12 @@ def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
     pooled_dem(pool)
     vertices, noise, triangles, _, gradient, _, _, _, prior, length, *_ = given[0]
     assert np.ptp(noise) > 0.0
-    # The third time it is asked for the samples themselves.
+    # The third call is for the samples themselves.
     for points in middles[:2]:
         np.testing.assert_array_equal(points, vertices[triangles].mean(axis=1)[:, :2])
     grown = np.empty((len(triangles), 2))
     sk.triangle_growth(vertices, noise, triangles, gradient, grown)
     corners = noise[triangles]
-    # Of it so many times the noisiest corner and what the ground rises by on the way.
+    # A multiple of the largest corner noise plus the growth along the edges.
     times = prior / (corners.max(axis=1) + prior / length * grown[:, 1])
     np.testing.assert_allclose(times, times[0], rtol=1e-12)

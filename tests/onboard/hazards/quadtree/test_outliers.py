@@ -50,7 +50,7 @@ def test_birds_change_hardly_a_site(birds):
     eligible = [{tuple(p) for p in s.position[s.status == 0, :2]} for s in (clean, found)]
     assert len(eligible[0]) > 3000
     assert len(eligible[0] ^ eligible[1]) < 0.01 * len(eligible[0])
-    # Heights and roughness are those of the ground, too.
+    # Heights and roughness also match the terrain.
     height = {tuple(p[:2]): p[2] for p in clean.position}
     gap = np.array([p[2] - height[tuple(p[:2])] for p in found.position if tuple(p[:2]) in height])
     assert np.quantile(np.abs(gap), 0.999) < 0.05
@@ -65,7 +65,7 @@ def test_birds_are_told_and_nothing_else_is():
     quadtree.insert(lifted)
     far = {round(float(z), 3) for z in lifted[which, 2]}
     told = quadtree.points[quadtree.is_outlier]
-    # Ten points a square metre leave cells of 1.6 m, in which 1 m is hardly more than a slope.
+    # With ten points per square metre, cells have 1.6 m, where 1 m is hardly more than a slope.
     assert len(told) >= 0.95 * len(which)
     assert sum(round(float(z), 3) in far for z in told[:, 2]) == len(told)
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
@@ -80,10 +80,10 @@ def test_rocks_of_three_decimetres_are_exceptions():
     square = selector.map.side / len(hazards)
     col, row = np.floor((rocks + 0.5 * selector.map.side) / square).astype(int).T
     near = [hazards[r - 1 : r + 2, c - 1 : c + 2].any() for r, c in zip(row, col, strict=True)]
-    # Of the least rocks 0.1 m2 stand out of the tolerance: three of thirty points a square metre.
+    # The smallest rocks exceed the tolerance over 0.1 m^2: three of thirty points per square metre.
     assert np.mean(near) > 0.9
     assert np.mean(np.array(near)[radius > 0.4]) == 1.0
-    # Away from rocks nothing is a hazard.
+    # There are no hazards away from rocks.
     centres = (np.argwhere(hazards)[:, ::-1] + 0.5) * square - 0.5 * selector.map.side
     gap = np.hypot(*(centres[:, None] - rocks[None]).transpose(2, 0, 1)) - radius
     assert (gap.min(axis=1) > square).mean() < 0.02

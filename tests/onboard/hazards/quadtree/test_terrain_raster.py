@@ -55,7 +55,7 @@ def test_a_plane_seen_thinly_keeps_its_slope():
     xy = grid.centres()
     plane = 100.0 + 0.15 * xy[..., 0] - 0.1 * xy[..., 1]
     middle = (np.abs(xy) < 4.0).all(axis=-1)
-    # Points fall anywhere in their cells.
+    # Points are anywhere in their cells.
     assert np.abs(height - plane)[middle].mean() < 0.03
     east = np.gradient(height, grid.posting, axis=1)[middle].mean()
     assert east == pytest.approx(0.15, abs=0.01)
@@ -73,11 +73,11 @@ def test_ground_far_from_any_point_is_unknown():
 def test_rises_are_the_heights_above_the_ground_about():
     rng = np.random.default_rng(5)
     points = scattered(rng, 20_000)
-    # Boxes of 0.2 m, one on 1.4 m each way.
+    # Boxes of 0.2 m, one every 1.4 m.
     tall = (points[:, :2] % 1.4 < 0.2).all(axis=1)
     points[:, 2] += np.where(tall, 0.4, 0.0) + rng.normal(0.0, 0.01, len(points))
     found = residual_heights(mapped(points))
-    # A box met by one point is taken for a bird.
+    # A box hit by one point counts as a bird.
     assert tall.mean() - 0.003 < (found > 0.3).mean() <= tall.mean()
     assert (np.abs(found) < 0.1).mean() > 0.97
 
@@ -102,11 +102,11 @@ def test_a_filled_plane_keeps_its_slope_and_its_rocks_and_loses_narrow_holes():
     inside = np.s_[4:-4, 4:-4]
     assert close_holes(plane, 0.4, 1.5)[inside] == pytest.approx(plane[inside])
     assert close_holes(rocks - plane, 0.4, 1.5) == pytest.approx(rocks - plane)
-    # What is lower between a rock and ground that rises behind it is a hole.
+    # A depression between a rock and rising terrain behind it is a hole.
     assert (close_holes(rocks, 0.4, 1.5) <= rocks.max()).all()
     assert close_holes(rocks, 0.4, 1.5)[10:12, 10:12] == pytest.approx(rocks[10:12, 10:12])
     assert np.abs(close_holes(holes, 0.4, 1.5) - plane)[inside].max() < 0.17
-    # One wider than that stays.
+    # A wider depression remains.
     holes[10:20, 10:20] -= 0.5
     assert close_holes(holes, 0.4, 1.5)[15, 15] == pytest.approx(holes[15, 15], abs=0.2)
 
@@ -131,7 +131,7 @@ def test_a_hole_that_chance_would_not_leave_is_a_gap(density, width, corner):
     height, grid = terrain_raster(quadtree, 0.4, 1.6, seen)
     near = (np.abs(grid.centres() - corner) < 0.5 * width).all(axis=-1)
     assert np.isnan(height[near]).any()
-    # Ground that was seen stays seen.
+    # Observed terrain remains observed.
     away = (np.abs(seen.grid.centres() - corner) > 0.5 * width + 0.5).any(axis=-1)
     assert seen.gap[away & (np.abs(seen.grid.centres()) < 6.0).all(axis=-1)].mean() < 0.002
 
@@ -171,7 +171,7 @@ def test_density_is_that_of_a_plain_count():
     seen = sampling_coverage(mapped(points))
     xy = seen.grid.centres()
     for row, col in rng.integers(8, 56, (20, 2)):
-        # float32 and the edges of cells.
+        # Differences at cell edges are due to float32.
         inside = (np.abs(points[:, :2] - xy[row, col]) < 0.5).all(axis=1).sum()
         assert seen.density[row, col] == pytest.approx(inside, abs=2)
 
@@ -217,7 +217,7 @@ def test_the_lander_stands_on_the_ground_under_the_site():
     """Mirrored terrain gives mirrored evidence: no site uses a neighbouring cell."""
     rng = np.random.default_rng(11)
     xy = rng.uniform(-6.39, 6.39, (20_000, 2))
-    # Nothing lies on an edge between cells, which belong to their east.
+    # No point lies on an edge between cells, which belongs to the eastern cell.
     xy = xy[(np.abs(xy % 0.1 - 0.05) < 0.0499).all(axis=1)]
     bump = 0.6 * np.exp(-(((xy[:, 0] - 1.3) / 0.5) ** 2) - ((xy[:, 1] + 0.9) / 0.5) ** 2)
     points = np.column_stack((xy, 100.0 + bump))
@@ -237,7 +237,7 @@ def test_the_lander_stands_on_the_ground_under_the_site():
 def test_a_rock_and_a_slope_doom_a_site_and_a_hole_does_not():
     rng = np.random.default_rng(14)
     xy = scattered(rng, 30_000)[:, :2]
-    # A square under the western leg of a site in the middle.
+    # A square under the western leg of the central site.
     bad = (np.abs(xy - [-0.8, 0.0]) < 0.4).all(axis=1)
     grounds = {
         "level": (0.0, False), "rock": (np.where(bad, 0.6, 0.0), True),
@@ -261,5 +261,5 @@ def test_one_return_low_above_the_ground_may_be_a_rock_and_a_high_one_is_not():
     assert quadtree.is_outlier.sum() > 60
     found = residual_heights(quadtree)
     assert ((found > 0.4) & (found < 0.6)).sum() == 50
-    # But for those alone in their cell, of which nothing says that they stand apart.
+    # Except points that are alone in their cell, which cannot be classified.
     assert (found > 1.0).sum() <= 10
