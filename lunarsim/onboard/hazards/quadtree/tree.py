@@ -137,7 +137,7 @@ class QuadtreeMap:
             if left_out[2] > len(xyz):
                 raise InputError(
                     "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} farther",
-                    f"most must be within {_MAX_HEIGHT_M:g} m of the map "
+                    f"most heights must be within {_MAX_HEIGHT_M:g} m of the map "
                     f"elevation {self.centre[2]:g} m",
                 )  # fmt: skip
             self._insert_sorted(xyz, key)
