@@ -1,4 +1,4 @@
-"""Landing hazard maps: the common `HazardMap` product and the mappers that produce it."""
+"""Landing hazard maps: the `HazardMap` product and the interface of mappers."""
 
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper

@@ -29,7 +29,7 @@ def built_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, Hazar
 
 
 def _build_stage(part: Any) -> int:
-    """Return the build stage of a mapper: 0 without dependencies, 1 with `ground`, 2 with `of`."""
+    """Return the build stage: 0 without dependencies, 1 with `ground`, 2 with `of`."""
     if hasattr(part, "of"):
         return 2
     return 1 if getattr(part, "ground", "") else 0

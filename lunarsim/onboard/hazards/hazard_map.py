@@ -143,7 +143,7 @@ class HazardMap:
         )
 
     def eligible_at(self, xy: ArrayLike) -> BoolMap:
-        """Return whether the cells at points (..., 2) are eligible (...,); False off the map."""
+        """Return whether cells at points (..., 2) are eligible (...,); False off the map."""
         inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
         return inside if self.eligible is None else inside & self._layer_at(self.eligible, xy)
 

@@ -124,7 +124,7 @@ class HazardMapper(ABC):
 
     @property
     def sources(self) -> frozenset[str]:
-        """Names of the mappers whose evidence this mapper fuses; empty if it maps measurements."""
+        """Names of the mappers whose evidence it fuses; empty if it maps measurements."""
         return frozenset()
 
     def tables(self) -> dict[str, dict[str, Array]]:

@@ -1,4 +1,4 @@
-"""Evidence that mappers provide besides their maps, for fusion.
+"""Evidence that mappers provide in addition to their maps, for fusion.
 
 Probabilities of two maps cannot be multiplied: a rock that both sensors detect would count twice,
 and a rock that neither detects would count once per sensor. The evidence behind the maps can be

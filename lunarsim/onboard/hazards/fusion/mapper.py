@@ -283,7 +283,7 @@ class FusedMapper(HazardMapper):
         return self._calibrated(fused, second)
 
     def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
-        """Return the map after the calibration C, which uses the probability of the second map."""
+        """Return the map after the calibration C with the second map as a feature."""
         assert self.calibration is not None
         other, seen = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
         if second is not None:

@@ -3,7 +3,7 @@
 At long range all rocks of a camera share one position error: 1 mrad of pointing is 1.5 m on the
 terrain from 1500 m. Relative to each other the rocks are placed to decimetres. The module estimates
 the common shift that moves the rocks to rises in the elevations. Let h be the probability that
-samples show a rock, and f the probability that any place looks like one
+samples show a rock, and f the probability that any place resembles one
 (`lunarsim.onboard.hazards.fusion.elevation_samples`). A rock with a rise contributes ``log((h + (1
 - h) f) / f)`` to the log likelihood of a shift, one without contributes ``log(1 - h)``. With the
 prior of the shift this yields its mean and covariance. If the elevations are not informative, both
@@ -117,6 +117,6 @@ def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) 
 
 
 def _cell_offsets(far: float, posting: float) -> NDArray[np.int64]:
-    """Return the whole numbers of cells up to a distance in both directions (n,)."""
+    """Return the integer cell offsets up to a distance in both directions (n,)."""
     most = round(far / posting)
     return np.arange(-most, most + 1)

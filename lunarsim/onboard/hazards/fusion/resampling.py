@@ -45,7 +45,7 @@ def resample_to_grid(
 def _cell_indices(
     of: Grid, to: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return rows and columns of one grid at the cells of another, and which lie on it."""
+    """Return rows, columns of one grid at the cells of another, and which are on it."""
     xy = to.centres()
     row, col = of.cell(xy)
     found = np.clip(row, 0, of.rows - 1), np.clip(col, 0, of.cols - 1), of.contains(xy)

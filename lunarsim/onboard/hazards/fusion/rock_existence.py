@@ -76,7 +76,7 @@ def existence_given_elevations(tracks: RockTracks, relief: ReliefEvidence, lande
 
 
 def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
-    """Return heights above the mean of their surroundings (rows, cols), m; NaN where unknown."""
+    """Return heights above the local mean (rows, cols), m; NaN where unknown."""
     width = 2 * round(0.5 * _WINDOW_LEG_RADII * lander.leg_radius / grid.posting) + 1
     known = np.isfinite(z)
     share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")

@@ -240,7 +240,7 @@ def rock_free_probability(
 
 
 def _scaled_radius_at_limit(height: Array, limit: float) -> Array:
-    """Return the radius at which half ellipsoids exceed the limit, times twice the height ratio."""
+    """Return 2 height_ratio times the radius at which half ellipsoids meet the limit."""
     return np.asarray(np.sqrt(np.maximum(height**2 - limit**2, 0.0)))
 
 

@@ -1,7 +1,7 @@
 """Precision of large rock tracks: the share of them that are rocks.
 
 Not only rocks cast shadows. Hollows do too, in the same way in every image: a track of a hollow has
-a high probability of existence and looks like a large rock. Samples of elevation distinguish them
+a high probability of existence and resembles a large rock. Samples of elevation distinguish them
 statistically, over all tracks together: the samples show a rise at a rock with a known probability,
 and at any other place with the false-alarm probability. Among the tracks that would be too high for
 the lander, the share s of rocks has the posterior

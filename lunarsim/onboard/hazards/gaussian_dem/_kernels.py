@@ -39,7 +39,7 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 @kernel(shared=True, allocates=False)
 def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, variance, observed):
-    """Write mean, variance and observed: the measurement if its weight suffices, else the prior."""
+    """Write mean, variance and observed: the measurement if it suffices, or the prior."""
     rows, cols = height.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):

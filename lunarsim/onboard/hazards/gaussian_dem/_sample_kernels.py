@@ -1,4 +1,4 @@
-"""Compiled kernels of the pooled samples and of the terrain roughness between them."""
+"""Compiled kernels of pooled samples and of the terrain roughness between them."""
 
 from __future__ import annotations
 

@@ -129,5 +129,5 @@ def check_heights(cloud: NDArray[np.float64]) -> None:
 
 
 def base_height(cloud: NDArray[np.float64]) -> float:
-    """Return a reference height (m) close to the cloud, so that relative heights stay small."""
+    """Return a reference height (m) close to the cloud, to keep sums small."""
     return float(cloud[len(cloud) // 2, 2]) if len(cloud) else 0.0

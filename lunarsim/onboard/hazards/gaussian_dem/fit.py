@@ -92,7 +92,7 @@ def fit_hyperparameters(
 def _sample_pairs(
     cloud: Array, rng: np.random.Generator, pairs: int, largest_lag: float
 ) -> tuple[Array, Array]:
-    """Return distance and half the squared height difference of random pairs of points."""
+    """Return distance and half the squared height difference of random point pairs."""
     # Random direction and log-uniform lag, so that every bin gets its share.
     first = rng.integers(0, len(cloud), pairs)
     low = 0.02 * largest_lag

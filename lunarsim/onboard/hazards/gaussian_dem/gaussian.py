@@ -1,4 +1,4 @@
-"""The Gaussian DEM: local Gaussian random field regression on a Delaunay triangulation."""
+"""The Gaussian DEM: local random field regression on a Delaunay triangulation."""
 
 from __future__ import annotations
 

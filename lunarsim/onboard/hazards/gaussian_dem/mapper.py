@@ -294,7 +294,7 @@ class GaussianDemMapper(HazardMapper):
         both = self.pool.about(centre)
         if both.base is None:
             return both, SamplePool(both.grid)
-        # Grids with samples move by whole cells, so that both pools stay aligned.
+        # Grids with samples move by integer numbers of cells, so that both pools stay aligned.
         return tuple(  # type: ignore[return-value]
             SamplePool(both.grid) if one.base is None else one.on_shifted_grid(both.grid)
             for one in (self._samples, self._provisional)

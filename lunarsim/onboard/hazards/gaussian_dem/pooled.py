@@ -166,7 +166,7 @@ def _sampling_statistics(
 
 
 def _corners(values: Array, triangles: IntArray) -> list[Array]:
-    """Return the values (n, ...) at the first, second and third corners of triangles (m, ...)."""
+    """Return values (n, ...) at the three corners of triangles, each (m, ...)."""
     return [values[corner] for corner in triangles.T]
 
 

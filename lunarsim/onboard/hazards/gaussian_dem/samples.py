@@ -150,7 +150,8 @@ class SamplePool:
     def about(self, centre: ArrayLike) -> SamplePool:
         """Return the same samples on a grid about another point (2,) or (3,), m.
 
-        The grid moves by whole cells and drops samples that leave it. An empty pool moves exactly.
+        The grid moves by an integer number of cells and drops samples that leave it. An empty pool
+        moves exactly.
         """
         g = self.grid
         if self.base is None:
@@ -161,7 +162,7 @@ class SamplePool:
         return SamplePool(g.about(centre)) if out.base is None else out
 
     def on_shifted_grid(self, grid: Grid) -> SamplePool:
-        """Return the same samples on a grid shifted by whole cells.
+        """Return the same samples on a grid shifted by an integer number of cells.
 
         Samples that leave the grid are dropped.
         """
@@ -239,7 +240,7 @@ class SamplePool:
         return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
-        """Return one point per cell (n, 3), m, its variance (n,), m^2, and spacing (n,), m."""
+        """Return a point per cell (n, 3), m, its variance (n,), m^2, and spacing (n,), m."""
         rows, cols = np.nonzero(self.centroid[..., 0])
         total = self.centroid[rows, cols]
         mean = total[:, 1:] / total[:, :1]
@@ -249,7 +250,7 @@ class SamplePool:
 
 
 def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
-    """Return rows and columns of the points (n, 3) on a grid, and which points lie on it (n,)."""
+    """Return rows and columns of points (n, 3) on a grid, and which are on it (n,)."""
     keep = np.asarray(grid.contains(points[:, :2]))
     row, col = grid.cell(points[keep, :2])
     return (np.asarray(row), np.asarray(col)), keep

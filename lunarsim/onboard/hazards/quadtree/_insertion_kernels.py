@@ -35,7 +35,7 @@ def _column_of(v, half, per_metre):
 
 @kernel()
 def _order_of(key, bits):
-    """Return the order (n,) that sorts keys with a number of bits (radix sort, stable)."""
+    """Return the order (n,) that sorts keys with `bits` bits (stable radix sort)."""
     n = key.size
     order = np.arange(n).astype(np.int32)
     spare = np.empty(n, np.int32)
@@ -114,7 +114,7 @@ def sort_points(points, centre, half, depths, highest):
 
 @kernel()
 def _split(tree, node, used, version):
-    """Split a leaf into four children and divide its runs; return nodes, runs and sums in use."""
+    """Split a leaf and divide its runs; return nodes, runs and sums in use."""
     nodes, runs, slots = used
     first = nodes
     depth = tree.depth[node] + 1
@@ -200,7 +200,7 @@ def _end_of_cell(key, i, shift):
 
 @kernel(inline=True)
 def _count_along_path(tree, leaf, key, more, version, touched, count):
-    """Add `more` points to a leaf and its ancestors; list cells first touched by this batch."""
+    """Add `more` points to a leaf and its ancestors; list cells first touched."""
     node = 0
     depth = 0
     while True:

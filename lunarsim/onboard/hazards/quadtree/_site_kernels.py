@@ -60,7 +60,7 @@ def is_mesh_node(tree, nodes, per_area):
 
 @kernel(inner=True)
 def is_evenly_sampled(tree, node, per_area):
-    """Return whether each quarter of a cell is dense enough, or the cell itself if a leaf."""
+    """Return whether each quarter of a cell, or the leaf itself, is dense enough."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
         return tree.count[node] >= per_area * size * size
@@ -302,7 +302,7 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
 
 @kernel(inline=True)
 def _mean_square(s, z0, normal):
-    """Return the mean squared distance of summed points to the plane through (0, 0, z0)."""
+    """Return the mean squared distance of points to the plane through (0, 0, z0)."""
     a, b, c = normal
     n = s[NUMBER]
     sxz = s[5] - z0 * s[0]
@@ -335,7 +335,7 @@ def _fitted_slope(s):
 
 @kernel()
 def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
-    """Return sum |d| and the number of points in a closed rectangle, for Eq. 8 as printed."""
+    """Return sum |d| and number of points in a rectangle, for Eq. 8 as printed."""
     index = points_in(tree, west, east, south, north)
     total = 0.0
     n = 0
@@ -371,7 +371,7 @@ def _max_over_zone(raster, x, y, reach):
 
 @kernel()
 def _max_known_over_zone(raster, x, y, reach):
-    """Return the maximum of the squares that overlap a zone, ignoring NaN; 0 if all are NaN."""
+    """Return the maximum of the squares that overlap a zone, ignoring NaN; or 0."""
     worst = np.float32(0.0)
     reach = reach - 1e-6
     wide = raster.shape[0]

@@ -18,7 +18,7 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_ca
 # number, and the minimum and maximum z.
 SUMS = 12
 NUMBER, MIN_Z, MAX_Z = 9, 10, 11
-# Minimum number of points for a smallest cell to have sums of its own.
+# Minimum number of points for a smallest cell to have separate sums.
 MIN_POINTS_FOR_SUMS = 8
 # A point is an outlier if no other point of its cell is within this height: m, plus m per metre of
 # the cell side. A cell with fewer points, or with a larger share of outliers, has none.
@@ -96,7 +96,7 @@ def sums_of(tree, node, out):
 
 @kernel()
 def moments(tree, nodes):
-    """Return number, mean and variance of the heights (n, 3) of cells; NaN without points."""
+    """Return number, mean and variance of heights (n, 3) of cells; NaN without points."""
     out = np.empty((nodes.size, 3))
     s = np.empty(SUMS)
     for i in range(nodes.size):
@@ -171,7 +171,7 @@ def _mark_outliers(tree, node, index, tolerance):
 def update_outliers_and_sums(tree, node, found):
     """Recompute the outliers and the sums of a touched cell; return the list.
 
-    A cell with children that have sums of their own adds those.
+    A cell with children that have separate sums adds those.
     """
     found, n = _unsummed_points(tree, node, found)
     low, high = np.inf, -np.inf

@@ -78,7 +78,7 @@ def node_at(tree, x, y, smallest, largest):
 
 @kernel()
 def band(tree, smallest, largest, since):
-    """Return the smallest cells between two depths that got points after batch `since`."""
+    """Return the smallest cells between two depths with points after batch `since`."""
     found = np.empty(tree.child.size, np.int32)
     n = 0
     stack = np.empty(STACK, np.int32)
@@ -101,7 +101,7 @@ def band(tree, smallest, largest, since):
 
 @kernel()
 def points_in(tree, west, east, south, north):
-    """Return the pool indices of the points in a closed rectangle, relative to the centre."""
+    """Return the pool indices of points in a closed rectangle relative to the centre."""
     found = np.empty(1024, np.int64)
     n = np.int64(0)  # a typed zero, so that functions compile once
     stack = np.empty(STACK, np.int32)

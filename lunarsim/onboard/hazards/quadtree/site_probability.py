@@ -203,7 +203,7 @@ class SiteEvidence:
 
     @property
     def near_domain(self) -> BoolArray:
-        """Where undetected rocks are few enough for the regression to be conservative (n,)."""
+        """Where undetected rocks are so few that the regression is conservative (n,)."""
         return self._within(*_NEAR_DOMAIN_LIMITS)
 
     def _within(
@@ -351,13 +351,13 @@ def evidence_of(
 
 
 def _min_spread(spread: Array) -> float:
-    """Return the spread of points about their planes in the smoothest zones of a map, m."""
+    """Return the spread of points about their planes in the smoothest zones, m."""
     spread = spread[np.isfinite(spread)]
     return float(np.quantile(spread, _SMOOTHEST_QUANTILE)) if len(spread) else np.inf
 
 
 def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) -> Array:
-    """Return the minimum density of points in the footprint about places (n, 2), 1/m^2."""
+    """Return the minimum point density in the footprint at places (n, 2), 1/m^2."""
     g = seen.grid
     # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
@@ -367,7 +367,7 @@ def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) ->
 
 
 def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
-    """Return the maximum slope and roughness of the four cells about places (n, 2); or NaN."""
+    """Return the maximum slope and roughness of the four cells at places (n, 2)."""
     g = safety.grid
     row, col = g.cell(xy - 0.5 * g.posting)
     slope, rough = np.full(len(xy), -np.inf), np.full(len(xy), -np.inf)
@@ -386,7 +386,7 @@ def features(evidence: SiteEvidence, where: BoolArray) -> Array:
 
 
 def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
-    """Return the features with non-negative weights, all of which indicate danger (n,)."""
+    """Return the features with non-negative weights, which indicate danger (n,)."""
     point, spread = e.denoised_relief()
     values = (
         e.slope,
@@ -414,7 +414,7 @@ def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
-    """Return the features with unconstrained weights: intercept and sampling (m, `FREE`)."""
+    """Return the features with unconstrained weights (m, `FREE`)."""
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
     noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])

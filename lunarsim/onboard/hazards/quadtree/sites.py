@@ -1,4 +1,4 @@
-"""Incremental selection of landing sites on a quadtree (quadtree paper, section 4)."""
+"""Incremental selection of landing sites on a quadtree (paper, section 4)."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ class SiteSelector:
     def _nodes_in(
         self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
     ) -> tuple[Nodes, IntArray]:
-        """Return the cells of a band in marked squares, and the outlines of squares without one."""
+        """Return the cells of a band in marked squares, and outlines of empty squares."""
         self._visit += 1
         return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._visit)  # type: ignore[no-any-return]
 

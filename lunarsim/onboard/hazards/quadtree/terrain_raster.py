@@ -164,7 +164,7 @@ def sampling_coverage(quadtree: QuadtreeMap) -> SamplingCoverage:
 
 
 def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Array:
-    """Return the smaller of the maximum densities `near` to `far` cells before and behind."""
+    """Return the smaller of the maximum densities `near` to `far` cells either side."""
     lines = np.pad(np.moveaxis(density, axis, -1), ((0, 0), (far, far)))
     wide, length = far - near + 1, density.shape[axis]
     maxima = np.lib.stride_tricks.sliding_window_view(lines, wide, axis=-1).max(axis=-1)
@@ -173,7 +173,7 @@ def _density_on_both_sides(density: Array, near: int, far: int, axis: int) -> Ar
 
 
 def _mean_terrain(row: IntArray, col: IntArray, finer: IntArray, height: Array, wide: int) -> Array:
-    """Return the mean terrain about each cell of a raster (wide, wide); NaN far from points."""
+    """Return the mean terrain about each cell (wide, wide); NaN far from points."""
     sums, count = np.zeros((wide, wide)), np.zeros((wide, wide))
     at = (row << finer) + (1 << finer >> 1), (col << finer) + (1 << finer >> 1)
     sums[at], count[at] = height, 1.0

@@ -1,4 +1,4 @@
-"""Variable-resolution map: a quadtree of measured points (quadtree paper, section 3)."""
+"""Variable-resolution map: a quadtree of measured points (paper, section 3)."""
 
 from __future__ import annotations
 
@@ -229,7 +229,7 @@ class QuadtreeMap:
         return np.asarray(k.band(self.tree, low, high, since))
 
     def cell_at(self, xy: ArrayLike, smallest: float = 0.0, largest: float = np.inf) -> int:
-        """Return the smallest cell within a size band at a point (2,); -1 if there is none."""
+        """Return the smallest cell within a size band at a point (2,); -1 for none."""
         low = self.depth_of(smallest) if smallest > 0.0 else self.depths
         high = self.depth_of(largest) if np.isfinite(largest) else 0
         x, y = np.asarray(xy, dtype=np.float64)[:2] - self.centre[:2]
