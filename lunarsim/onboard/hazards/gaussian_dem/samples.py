@@ -179,8 +179,8 @@ class SamplePool:
         """Return the samples rotated about a pivot, without those that leave the grid.
 
         The mean point of each cell is rotated. This is exact except for samples that would move to
-        another cell than their mean. The splatted sums of a cell move by whole cells with the point
-        above its centre.
+        another cell than their mean. The splatted sums of a cell move by an integer number of cells
+        with the point above its centre.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Compiled search for hazards: points that leave the ground planes (Eqs. 3 to 5).
+"""Compiled search for hazards: points that leave the terrain planes (Eqs. 3 to 5).
 
 A cell needs a minimum point density to be evaluated. Exceptions are then counted in squares of a
 quarter of its side, so that the top of a boulder is a large share of the points in its square.
@@ -207,7 +207,7 @@ def evaluate_cells(tree, nodes, mesh, tolerance, per_area, ratios, reliefs):
     nodes
         Cells (n,) that do not overlap.
     mesh
-        Ground planes.
+        Terrain planes.
     tolerance
         Distance from the plane above which a point is an exception, m.
     per_area

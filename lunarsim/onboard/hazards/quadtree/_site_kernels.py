@@ -1,4 +1,4 @@
-"""Compiled selection of sites: ground planes, hazard cells, landing zones.
+"""Compiled selection of sites: terrain planes, hazard cells, landing zones.
 
 Positions are integers in half sides of the smallest cells ("half steps") from the south-west corner
 of the map. Cell centres of every size are then integers, and points on an edge are located exactly.
@@ -418,7 +418,7 @@ def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorou
     nodes, smallest
         Cells (n,), and the depth of the smallest cells that are sites.
     mesh
-        Ground planes.
+        Terrain planes.
     rasters
         Exception ratios and maximum distances of squares over the map; NaN counts as too few
         points.

@@ -174,8 +174,10 @@ class QuadtreeMapper(HazardMapper):
         """
         by = np.asarray(centre, dtype=np.float64)[:2] - self._target
         # The interest map is centred on the target and must move with it.
-        aside = self._interest is not None and np.abs(by).max() > self._interest.grid.posting
-        if not (self.blank or aside or is_aside(self.grid, centre)):
+        interest_moves = (
+            self._interest is not None and np.abs(by).max() > self._interest.grid.posting
+        )
+        if not (self.blank or interest_moves or is_aside(self.grid, centre)):
             return
         self._target = self._target + by
         if self._interest is not None:
@@ -189,9 +191,9 @@ class QuadtreeMapper(HazardMapper):
         if len(points):
             # Insert in two batches: the tree keeps the order of batches, but not within a batch.
             self.map.insert(points[: self._provisional_count])
-            sure = points[self._provisional_count :]
+            final_points = points[self._provisional_count :]
             self._provisional_count = self.map.count
-            self.map.insert(sure)
+            self.map.insert(final_points)
             self.noise = noise
         self.selection, self._selected_version = None, -1
         self._hazard_map = self._empty_map(grid)

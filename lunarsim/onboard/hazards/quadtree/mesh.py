@@ -1,4 +1,4 @@
-"""Triangular mesh of coarse cells: local ground plane at any point (Eqs. 1-3)."""
+"""Triangular mesh of coarse cells: local terrain plane at any point (Eqs. 1-3)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-class GroundMesh:
+class TerrainMesh:
     """Delaunay triangulation of the centres of the smallest cells within a size band.
 
     A cell is a node if each of its quarters has enough points. The mean elevation of a cell

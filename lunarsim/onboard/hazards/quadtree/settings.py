@@ -28,7 +28,7 @@ class SiteSettings:
     slope_limit
         lambda_theta: maximum slope, rad.
     roughness_limit
-        lambda_d: distance from the ground plane above which a point is an exception, m.
+        lambda_d: distance from the terrain plane above which a point is an exception, m.
     density
         lambda_rho: minimum number of points per square metre.
     exception_limit
@@ -71,7 +71,7 @@ class SiteSettings:
         100.0, ge=0, help="score weight of the roughness in m (alpha of Eq. 9)"
     )
     mesh_band: tuple[float, float] = quantity(
-        (6.4, 12.8), "m", gt=0, help="smallest and largest cells of the ground mesh"
+        (6.4, 12.8), "m", gt=0, help="smallest and largest cells of the terrain mesh"
     )
     margin: float = quantity(0.3, "m", ge=0, help="margin around observed hazards")
     hazard_band: tuple[float, float] = quantity(

@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import _hazard_kernels as h
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree._tree_kernels import band
-from lunarsim.onboard.hazards.quadtree.mesh import GroundMesh
+from lunarsim.onboard.hazards.quadtree.mesh import TerrainMesh
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 
@@ -71,7 +71,7 @@ class Selection:
     interest
         Interest of the mission (n,), in [0, 1].
     slope
-        Slope (n,), rad; NaN without a ground plane.
+        Slope (n,), rad; NaN without a terrain plane.
     ratio
         Maximum exception ratio in the zone and `margin` around it (n,); NaN if a cell of the zone
         has too few points.
@@ -81,7 +81,7 @@ class Selection:
         Roughness (n,), m; NaN where not evaluated.
     relief
         Maximum distance of a point in the zone and `margin` around it from the median plane of its
-        cell, or of an exception from the ground plane (n,), m; NaN as for `ratio`.
+        cell, or of an exception from the terrain plane (n,), m; NaN as for `ratio`.
     footprint_relief
         The same in the footprint of the lander (n,), m.
     points
@@ -156,7 +156,7 @@ class SiteSelector:
             _FOOTPRINT_ZONE_RATIO * self.settings.zone if footprint is None else footprint
         )
         s = self.settings
-        self.mesh = GroundMesh(quadtree, *s.mesh_band, s.density)
+        self.mesh = TerrainMesh(quadtree, *s.mesh_band, s.density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
         self._site = tuple(quadtree.depth_of(size) for size in s.site_band)
         squares = 1 << min(self._hazard[0] + h.SQUARE_LEVELS, quadtree.depths)
