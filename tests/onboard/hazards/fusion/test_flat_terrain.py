@@ -1,4 +1,4 @@
-"""Ground that was measured to be level: what bounds it, and where nothing is said."""
+"""Test the probability of measured flat terrain: its bounds, and where it is 0."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.heights import Heights
-from lunarsim.onboard.hazards.fusion.level_ground import none_missed_by
+from lunarsim.onboard.hazards.fusion.flat_terrain import no_missed_rock_probability
+from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
 from tests.map_evidence import LANDER, SIDE, evidence
 from tests.two_eyes import GRID, eyes, level_map, tracks
 
@@ -60,13 +60,15 @@ def test_an_eye_misses_none_only_where_all_about_a_site_was_looked_at():
     # Between two cells of the sites.
     looked[8, 9] = False
     told = eyes(1.0, of=fine, unseen=np.full(fine.shape, 0.1, np.float32))
-    told = replace(told, drawn=replace(told.drawn, observed=looked))
-    heights = Heights(1.0, np.empty(0), np.empty(0))
-    none = none_missed_by(told, tracks(), heights, GRID, LANDER.roughness_limit)
+    told = replace(told, hazard_map=replace(told.hazard_map, observed=looked))
+    heights = RockHeights(1.0, np.empty(0), np.empty(0))
+    none = no_missed_rock_probability(told, tracks(), heights, GRID, LANDER.roughness_limit)
     assert none[4, 4] == none[4, 5] == 0.0
     assert np.count_nonzero(none == 0.0) <= 6
     assert none[4, 7] == pytest.approx(0.9)
     untold, doubted = replace(told, unseen=None), replace(told, expected=40.0)
-    nowhere = replace(doubted.drawn, in_domain=np.zeros(fine.shape, bool))
-    for silent in (untold, replace(doubted, drawn=nowhere)):
-        assert not none_missed_by(silent, tracks(), heights, GRID, LANDER.roughness_limit).any()
+    nowhere = replace(doubted.hazard_map, in_domain=np.zeros(fine.shape, bool))
+    for silent in (untold, replace(doubted, hazard_map=nowhere)):
+        assert not no_missed_rock_probability(
+            silent, tracks(), heights, GRID, LANDER.roughness_limit
+        ).any()

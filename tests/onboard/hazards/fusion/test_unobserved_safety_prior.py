@@ -1,4 +1,4 @@
-"""Where no elevation was measured: the eye for rocks, times what the map says of what was."""
+"""Test the prior for terrain without a measured elevation."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
-from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import none_unseen
-from lunarsim.onboard.hazards.fusion.unmeasured import prior_beside
+from lunarsim.onboard.hazards.fusion.flat_terrain import no_undetected_rock_probability
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
+from lunarsim.onboard.hazards.fusion.rock_heights import (
+    estimate_rock_heights,
+    rock_free_probability,
+)
+from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from lunarsim.safety.calibration import calibrated_safety
 from tests.map_evidence import LANDER, SIDE, evidence, rocky
 from tests.reference import fusion as plain
@@ -28,31 +31,31 @@ from tests.two_eyes import (
     tracks,
 )
 
-# Beyond, no elevation was measured.
+# No elevation was measured beyond this column.
 MEASURED = np.ones(GRID.shape, bool)
 MEASURED[:, 6:] = False
 
 
 def beside(cells, expected=0.9, posting=GRID.posting):
-    """Return the reference's prior, by (p, none stands unseen) of what was measured."""
-    return plain.prior_beside(list(cells), posting, FOOTPRINT, expected)
+    """Return the prior of the reference from pairs (p, no undetected rock) of measured cells."""
+    return plain.unobserved_safety_prior(list(cells), posting, FOOTPRINT, expected)
 
 
 def thinned_by(own, rocks):
-    """Return what elevations are judged by, with what an eye for rocks leaves."""
-    return replace(own.judged, thinning=thinning_of(rocks, GRID, TERMS))
+    """Return the site evidence of elevations after thinning by a rock sensor."""
+    return replace(own.site_evidence, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
 
 
 def test_where_no_elevation_was_measured_the_other_eye_tells_and_never_surely():
     own = relief(seen=MEASURED)
-    both = fused_map(own, eyes(0.1), TERMS)
+    both = fuse_evidence(own, eyes(0.1), TERMS)
     assert both.observed.all()
     free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).hazards())
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert 0.8999 < prior < 0.9
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97)
     assert not both.in_domain[:, 6:].any()
-    nothing = fused_map(own, eyes(0.1, seen=False), TERMS)
+    nothing = fuse_evidence(own, eyes(0.1, seen=False), TERMS)
     assert np.array_equal(nothing.observed, MEASURED)
     assert not nothing.p_safe[~MEASURED].any()
 
@@ -63,7 +66,7 @@ def test_ground_that_was_not_measured_is_as_likely_fit_as_what_was(steep, what):
     share = np.full(GRID.shape, 0.4, np.float32)
     share[:steep] = 1.3
     own = relief(seen=MEASURED, **{what: share})
-    both = fused_map(own, eyes(0.1), TERMS)
+    both = fuse_evidence(own, eyes(0.1), TERMS)
     free = np.exp(-10.0 * thinned_by(own, eyes(0.1)).hazards())
     prior = beside(zip(both.p_safe[MEASURED].tolist(), free[MEASURED].tolist(), strict=True))
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
@@ -74,10 +77,10 @@ def test_level_ground_counts_for_what_was_not_measured_and_tracked_rocks_do_not(
     density = np.full(GRID.shape, 0.5)
     density[:4] = 30.0
     level = {"slope": 0.5, "rough": 0.2} | DOUBTED | {"density": density}
-    own = replace(relief(seen=MEASURED, **level), rises=SAMPLED)
+    own = replace(relief(seen=MEASURED, **level), residual_heights=SAMPLED)
     missed = np.full(GRID.shape, 0.2, np.float32)
     told = eyes(0.1, found, unseen=missed)
-    both = fused_map(own, told, TERMS)
+    both = fuse_evidence(own, told, TERMS)
     thinned = thinned_by(own, told)
     p, _ = calibrated_safety(thinned)
     flat = level_map(thinned, 0.9, 0.8)
@@ -96,14 +99,18 @@ def test_samples_that_leave_all_ground_in_doubt_do_not_make_it_safer_where_none_
     slope, planes = np.full(GRID.shape, 2.0), np.full(GRID.shape, -3.0)
     slope[:4], planes[:4] = 0.3, 2.0
     own = relief(seen=MEASURED, slope=slope, planes=planes, density=0.1, curve=rocky(20.0))
-    judged = replace(own.judged, spacing=far * LANDER.leg_radius)
+    judged = replace(own.site_evidence, spacing=far * LANDER.leg_radius)
     p, known = calibrated_safety(judged)
     # As many sites as a map has.
-    prior = prior_beside(np.tile(p[MEASURED], 400), np.zeros(400 * MEASURED.sum()), 0.5, TERMS)
+    prior = unobserved_safety_prior(
+        np.tile(p[MEASURED], 400), np.zeros(400 * MEASURED.sum()), 0.5, TERMS
+    )
     assert p[:4].max() > prior > p[4:].min()
-    own = replace(own, surface=replace(own.surface, p_safe=p, in_domain=known), judged=judged)
-    # The fewer were measured the more the mission's expectation counts.
-    assert 0.9 > fused_map(own, eyes(0.1), TERMS).p_safe[:, 6:].max() > prior
+    own = replace(
+        own, surface=replace(own.surface, p_safe=p, in_domain=known), site_evidence=judged
+    )
+    # The expectation of the mission counts more with fewer measured sites.
+    assert 0.9 > fuse_evidence(own, eyes(0.1), TERMS).p_safe[:, 6:].max() > prior
 
 
 @pytest.mark.parametrize("density", [0.1, 30.0])
@@ -114,7 +121,9 @@ def test_ground_beside_steep_ground_is_no_safer_for_steeper_ground(density, side
     seen[:, 6:] = False
     slopes = (0.5, 0.85, 0.999, 1.001, 1.5)
     p = [
-        fused_map(relief(seen=seen, slope=slope, density=density), eyes(0.1), TERMS).p_safe[:, 6:]
+        fuse_evidence(relief(seen=seen, slope=slope, density=density), eyes(0.1), TERMS).p_safe[
+            :, 6:
+        ]
         for slope in slopes
     ]
     assert all((worse <= better + 1e-6).all() for better, worse in pairwise(p))
@@ -125,8 +134,8 @@ def test_ground_that_was_not_measured_is_no_safer_than_its_like_that_was():
         judged = evidence(slope=slope, level=level, density=density)
         p, _ = calibrated_safety(judged)
         told = np.maximum(p, level_map(judged, 0.9)).ravel()
-        free = none_unseen(judged).ravel()
-        prior = prior_beside(np.tile(told, 400), np.tile(free, 400), GRID.posting, TERMS)
+        free = no_undetected_rock_probability(judged).ravel()
+        prior = unobserved_safety_prior(np.tile(told, 400), np.tile(free, 400), GRID.posting, TERMS)
         assert 0.97 * prior <= told.max(), (slope, level, density)
 
 
@@ -138,19 +147,19 @@ def test_ground_that_was_not_measured_is_never_likelier_than_expected(expected, 
     for n, most in ((0, 1.0), (1, 1.0), (7, 1.0), (200, 1.0), (7, 0.0), (200, 0.0)):
         p, free = rng.random(n).astype(np.float32), most * rng.random(n)
         free[rng.random(n) < 0.1] = np.nan
-        found = prior_beside(p, free, posting, terms)
+        found = unobserved_safety_prior(p, free, posting, terms)
         told = beside(zip(p.tolist(), free.tolist(), strict=True), expected, posting)
         assert found == pytest.approx(told, rel=1e-5)
         assert found <= expected
-        assert prior_beside(0.5 * p, free, posting, terms) <= found
-        assert prior_beside(p, 0.5 * free, posting, terms) <= found
-        nought = prior_beside(np.where(p > 0.5, 0.0, p), free, posting, terms)
-        assert prior_beside(np.where(p > 0.5, np.nan, p), free, posting, terms) == nought
+        assert unobserved_safety_prior(0.5 * p, free, posting, terms) <= found
+        assert unobserved_safety_prior(p, 0.5 * free, posting, terms) <= found
+        nought = unobserved_safety_prior(np.where(p > 0.5, 0.0, p), free, posting, terms)
+        assert unobserved_safety_prior(np.where(p > 0.5, np.nan, p), free, posting, terms) == nought
 
 
 def test_beside_a_map_that_tells_nothing_of_its_samples_ground_is_as_likely_as_that_says():
-    own = replace(relief(seen=MEASURED, slope=0.95), judged=None)
-    both = fused_map(own, eyes(0.1), TERMS)
+    own = replace(relief(seen=MEASURED, slope=0.95), site_evidence=None)
+    both = fuse_evidence(own, eyes(0.1), TERMS)
     prior = beside((float(p), 1.0) for p in own.surface.p_safe[MEASURED])
     assert both.p_safe[:, 6:] == pytest.approx(prior * 0.97, rel=1e-5)
 
@@ -159,10 +168,12 @@ def test_where_no_elevation_was_measured_rocks_are_as_high_as_where_they_were():
     seen = np.ones(GRID.shape, bool)
     seen[:, 5:] = False
     rock = tracks((3.5, 2.0, 0.6, 0.9))
-    told = replace(relief(seen=seen, density=1e-6), rises=np.full(GRID.shape, np.nan, np.float32))
-    both = fused_map(told, eyes(0.1, rock, p=0.97), TERMS)
-    heights = heights_of(rock, samples(told), LANDER)
-    clear = clear_of(rock, heights, GRID, LANDER)
-    free = fused_map(told, eyes(0.1, p=1.0), TERMS).p_safe
+    told = replace(
+        relief(seen=seen, density=1e-6), residual_heights=np.full(GRID.shape, np.nan, np.float32)
+    )
+    both = fuse_evidence(told, eyes(0.1, rock, p=0.97), TERMS)
+    heights = estimate_rock_heights(rock, samples(told), LANDER)
+    clear = rock_free_probability(rock, heights, GRID, LANDER)
+    free = fuse_evidence(told, eyes(0.1, p=1.0), TERMS).p_safe
     assert both.p_safe[:, 5:] == pytest.approx((free * np.minimum(0.97, clear))[:, 5:], rel=1e-5)
     assert (both.p_safe[:, 5:] < 0.5).any()

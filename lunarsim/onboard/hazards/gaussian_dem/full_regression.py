@@ -1,4 +1,4 @@
-"""Full Gaussian process regression: the reference that the local one approximates."""
+"""Full Gaussian process regression, the reference for the local approximation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 
-_MOST = 5000  # points; the cost grows with the cube of their number
+_MAX_POINTS = 5000  # points; the cost grows with the cube of their number
 
 Array = NDArray[np.float64]
 
@@ -17,16 +17,16 @@ Array = NDArray[np.float64]
 def full_regression(
     points: ArrayLike, xy: ArrayLike, *, sigma_f: float, length_scale: float, sigma_eps: float
 ) -> tuple[Array, Array]:
-    """Regress the elevation from all points at once (Eqs. 4 to 6 of the Gaussian DEM paper).
+    """Regress the elevation on all points (Eqs. 4 to 6 of the Gaussian DEM paper).
 
     Parameters
     ----------
     points
-        East, north, up (n, 3), m; 5,000 at most.
+        East, north, up (n, 3), m; at most 5,000.
     xy
-        Where to predict (m, 2), m.
+        Points of prediction (m, 2), m.
     sigma_f, length_scale, sigma_eps
-        Prior standard deviation, length scale of the kernel, noise of a sample, m.
+        Prior standard deviation, length scale of the kernel and noise of a sample, m.
 
     Returns
     -------
@@ -36,12 +36,14 @@ def full_regression(
     Raises
     ------
     ValueError
-        If there are too many points, or the kernel matrix is singular (coincident points without
+        If there are too many points, or if the kernel matrix is singular (coincident points without
         noise).
     """
     cloud = check_points(points)
-    if len(cloud) > _MOST:
-        raise ValueError(f"points: {len(cloud)} are too many for full regression, {_MOST} at most")
+    if len(cloud) > _MAX_POINTS:
+        raise ValueError(
+            f"points: must be at most {_MAX_POINTS} for full regression, got {len(cloud)}"
+        )
     prior = sigma_f * sigma_f
     gram = prior * np.exp(-cdist(cloud[:, :2], cloud[:, :2]) / length_scale)
     gram[np.diag_indices_from(gram)] += sigma_eps * sigma_eps
@@ -49,8 +51,8 @@ def full_regression(
         factor = cho_factor(gram, lower=True)
     except np.linalg.LinAlgError:
         raise ValueError(
-            f"sigma_eps = {sigma_eps}: must be positive where points coincide, the kernel matrix "
-            "is singular"
+            f"sigma_eps: must be positive if points coincide, got {sigma_eps}. "
+            "The kernel matrix is singular."
         ) from None
     base = float(cloud[:, 2].mean())
     cross = prior * np.exp(-cdist(np.atleast_2d(xy), cloud[:, :2]) / length_scale)

@@ -1,4 +1,4 @@
-"""Planes through the samples of a map, in squares of its cells."""
+"""Least-squares planes through the points of a map, in squares of its cells."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Squares:
-    """Squares of a few samples, in which the ground is taken for a plane.
+class LocalPlaneGrid:
+    """Squares of a few samples each, in which the terrain is approximated by a plane.
 
     Attributes
     ----------
     grid
-        The map.
+        Cells of the map.
     cells
-        Side in its cells.
+        Side of a square in cells of the map.
     """
 
     grid: Grid
     cells: int
 
     @classmethod
-    def of(cls, grid: Grid, edges: Array) -> Squares:
-        """Return squares of some two edges (m,), m."""
+    def of(cls, grid: Grid, edges: Array) -> LocalPlaneGrid:
+        """Return squares with a side of about two typical triangle edges; `edges` (m,), m."""
         if not len(edges):
             return cls(grid, 8)
         return cls(grid, int(np.clip(np.ceil(2.0 * np.median(edges) / grid.posting), 2, 64)))
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns of squares."""
         return -(-self.grid.rows // self.cells), -(-self.grid.cols // self.cells)
 
     def at(self, values: Array, points: Array) -> Array:
-        """Return the values of the squares in which points (n, 2 or more) lie (n, ...)."""
+        """Return the values of the squares that contain points (n, 2 or more) (n, ...)."""
         row, col = self.grid.cell(points[:, :2])
         rows, cols = self.shape
         at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
         return np.ascontiguousarray(values[at])
 
-    def planes(self, vertices: Array) -> Array:
-        """Return the planes through the vertices of 5 x 5 squares (rows, cols, 3).
+    def fit_planes(self, vertices: Array) -> Array:
+        """Fit a plane to the vertices in 5 x 5 squares about each square (rows, cols, 3).
 
-        Height at the middle of the squares' raster, m, and slope to the east and north.
+        Components: height at the centre of the raster of squares, m, slope to the east and slope to
+        the north.
         """
         west, _, south, _ = self.grid.extent
         sums = np.zeros((*self.shape, 9))
@@ -71,8 +72,8 @@ class Squares:
         level = (s[..., 3] - east * s[..., 1] - north * s[..., 2]) / n
         return np.stack((level, east, north), axis=-1)
 
-    def heights(self, planes: Array, points: Array) -> Array:
-        """Return the heights of the planes of their squares at points (n, 2 or more), m."""
+    def plane_heights(self, planes: Array, points: Array) -> Array:
+        """Return the heights of the planes at points (n, 2 or more), m."""
         west, _, south, _ = self.grid.extent
         side = self.cells * self.grid.posting
         rows, cols = self.shape
