@@ -34,6 +34,7 @@ from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import HazardMap, elevation_under
 from lunarsim.onboard.hazards.levelling import Levelling
 from lunarsim.onboard.hazards.mapper import HazardMapper, sensors_of
+from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
@@ -46,7 +47,6 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
     checked_decision,
 )
-from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
