@@ -195,7 +195,7 @@ def _eligible_ranked(hazard_map: HazardMap, scoreboard: Scoreboard | None) -> tu
     if scoreboard is None:
         return np.zeros((0, 3)), np.zeros(0)
     is_eligible = hazard_map.eligible_at(scoreboard.position[:, :2])
-    return scoreboard.position[is_eligible], scoreboard.score[is_safe]
+    return scoreboard.position[is_eligible], scoreboard.score[is_eligible]
 
 
 def _terrain_positions(hazard_map: HazardMap, cells: NDArray[np.int64], site: Array) -> Array:

@@ -77,7 +77,7 @@ class Candidates:
                 raise InputError(
                     f"candidates.{name}",
                     float(values[is_wrong][0]),
-                    f"must be between 0 and {most:g}",
+                    f"must be between 0 and {upper:g}",
                 )
 
     def __len__(self) -> int:
