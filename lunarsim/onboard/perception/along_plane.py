@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Model = TypeVar("Model", ShadowModel, ShapeMixture, ShadowModel | ShapeMixture)
 
 
-def along(model: Model, plane: GroundPlane, sun: Array) -> Model:
+def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
     """Return the model of the same rocks as they are seen in coordinates that level a plane.
 
     Parameters

@@ -13,7 +13,7 @@ from lunarsim.errors import InputError, check_types
 Array = NDArray[np.float64]
 
 # Point spread of a pixel, 1 sigma, pixels.
-_PIXEL = 12.0**-0.5
+_PIXEL_SIGMA = 12.0**-0.5
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,19 @@ class DetectionRates:
 
         A pixel spreads them too. Shadows are filled with light as pixels larger by that would.
         """
-        return max(float(np.hypot(blur, _PIXEL) / np.hypot(self.blur, _PIXEL)), 1.0)
+        return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
         """Return FN(q) (...)."""
-        return _line(self.missed, q)
+        return _clipped_line(self.missed, q)
 
     def false_positive(self, q: Any) -> Array:
         """Return FP(q) (...)."""
-        return _line(self.false, q)
+        return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:
         """Return the rate at which the place of a rock of q pixels is given as free (...)."""
-        return _line(self.cleared, q)
+        return _clipped_line(self.cleared, q)
 
     @property
     def least_q(self) -> float:
@@ -81,6 +81,6 @@ class DetectionRates:
         return max((1.0 - start) / slope, 0.0) if slope < 0.0 else 0.0
 
 
-def _line(line: tuple[float, float, float], q: Any) -> Array:
+def _clipped_line(line: tuple[float, float, float], q: Any) -> Array:
     start, slope, floor = line
     return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

@@ -15,7 +15,7 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception import _patch_kernels as kernels
-from lunarsim.onboard.perception.along_plane import along
+from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.segmentation import Segmentation, segment
 from lunarsim.onboard.perception.shadow_model import (
@@ -24,18 +24,22 @@ from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
     ShadowPatch,
 )
-from lunarsim.onboard.perception.shape_mixture import Reading, ShapeMixture
-from lunarsim.onboard.perception.sun_direction import look_stretch, throws_shadows, unit_vector
+from lunarsim.onboard.perception.shape_mixture import RadiusEstimate, ShapeMixture
+from lunarsim.onboard.perception.sun_direction import (
+    has_usable_shadows,
+    observation_scatter_factor,
+    unit_vector,
+)
 
 Array = NDArray[np.float64]
 
 
 # The threshold makes patches larger than they are: their usual area over the expected one, and the
 # share of that below which a patch is taken for several.
-_USUAL = 1.25
-_MERGED = 0.78
+_AREA_RATIO = 1.25
+_MERGED_AREA_RATIO = 0.78
 # A patch that the rock hides but for this length, in radii, tells too little.
-_LEAST_LENGTH = 0.3
+_MIN_LENGTH = 0.3
 
 
 @dataclass(frozen=True)
@@ -251,12 +255,12 @@ def detect_rocks(
     shade = segment(image, gamma=settings.gamma, window=settings.window)
     plane = ground if isinstance(ground, GroundPlane) else GroundPlane(float(ground))
     view, onto = plane.view(camera.view(pose)), plane.direction(direction)
-    labels, table = _patches(shade, camera, view, onto, settings)
-    if len(table) == 0 or not throws_shadows(onto) or not view.position[2] > 0.0:
-        seen = _nothing(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
+    labels, table = _label_patches(shade, camera, view, onto, settings)
+    if len(table) == 0 or not has_usable_shadows(onto) or not view.position[2] > 0.0:
+        seen = _no_detections(labels, np.arange(1, len(table) + 1, dtype=np.int32), shade)
     else:
-        known = _mixture_of(model, direction, plane)
-        seen = _measure(labels, table, view, onto, known, settings, shade)
+        mixture = _mixture_of(model, direction, plane)
+        seen = _measure_rocks(labels, table, view, onto, mixture, settings, shade)
     return seen if shade.left_out is None else seen.hiding(shade.left_out)
 
 
@@ -267,7 +271,7 @@ def _mixture_of(
     if not isinstance(model, ShapeMixture):
         elevation = float(np.clip(np.arcsin(sun[2]), LEAST_ELEVATION, MOST_ELEVATION))
         model = ShapeMixture.known(model or _half_spheres(elevation))
-    return along(model, plane, sun)
+    return model_on_plane(model, plane, sun)
 
 
 def _check_pose(pose: Pose) -> None:
@@ -282,7 +286,7 @@ def _half_spheres(elevation: float) -> ShadowModel:
     return ShadowModel(elevation)
 
 
-def _nothing(
+def _no_detections(
     labels: NDArray[np.int32], extended: NDArray[np.int32], shade: Segmentation
 ) -> Detections:
     none = np.empty(0)
@@ -290,18 +294,18 @@ def _nothing(
         np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), np.empty((0, 2)),
         none, none, none, none, none, none, none,
         np.empty(0, np.int32), labels, extended, shade.relative, shade.over_ground,
-        _unknown(len(extended)), np.empty((0, 1)),
+        _unknown_largest(len(extended)), np.empty((0, 1)),
     )  # fmt: skip
 
 
-def _unknown(count: int) -> NDArray[np.float32]:
+def _unknown_largest(count: int) -> NDArray[np.float32]:
     """Return `Detections.largest` of patches (count,) that do not tell of what they are."""
     largest = np.full(count + 1, np.inf, np.float32)
     largest[0] = 0.0
     return largest
 
 
-def _patches(
+def _label_patches(
     shade: Segmentation,
     camera: CameraModel,
     view: View,
@@ -316,8 +320,8 @@ def _patches(
     # An edge may run a pixel beside the threshold.
     edges = cv2.dilate(edges, np.ones((3, 3), np.uint8))
     x, y = camera.tangents
-    level = np.hypot(sun[0], sun[1])
-    east, north = (sun[0] / level, sun[1] / level) if level > 0.0 else (1.0, 0.0)
+    horizontal = np.hypot(sun[0], sun[1])
+    east, north = (sun[0] / horizontal, sun[1] / horizontal) if horizontal > 0.0 else (1.0, 0.0)
     table = kernels.measure_patches(
         labels,
         count - 1,
@@ -337,7 +341,7 @@ def _patches(
     return labels, table
 
 
-def _measure(
+def _measure_rocks(
     labels: NDArray[np.int32],
     table: Array,
     view: View,
@@ -348,36 +352,36 @@ def _measure(
 ) -> Detections:
     """Turn the table of patches into rocks: the view is that above ground at height 0."""
     k = kernels
-    noise = (
+    is_noise = (
         (table[:, k.PIXELS] < settings.least_pixels)
         | (table[:, k.SEEN] < settings.edge_share * table[:, k.EDGE])
         | (table[:, k.DEEP] < settings.deep_share * table[:, k.PIXELS])
     )
-    cut = table[:, k.BORDER] > 0.0
-    whole = ~noise & ~cut
-    number = np.flatnonzero(whole).astype(np.int32) + 1
-    t = table[whole]
-    azimuth, depression = _directions(t, view, sun)
+    is_cut = table[:, k.BORDER] > 0.0
+    is_complete = ~is_noise & ~is_cut
+    number = np.flatnonzero(is_complete).astype(np.int32) + 1
+    t = table[is_complete]
+    azimuth, depression = _viewing_angles(t, view, sun)
     along_px, across_px = t[:, k.SPAN_ALONG], t[:, k.SPAN_ACROSS]
     length, width = t[:, k.LENGTH], t[:, k.WIDTH]
     read = model.read(length, width, azimuth, depression, along_px, across_px, settings.pixel_sigma)
     unit = read.unit
-    share = _share(read, view, t)
-    rocks = _Radius.if_merged(read, share)
+    share = _area_fraction(read, view, t)
+    rocks = _RadiusCorrection.for_merged(read, share)
     fill = t[:, k.PIXELS] * along_px * across_px / np.maximum(length * width, 1e-9)
-    terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
+    is_terrain = (rocks.radius > settings.largest_radius) | (fill < settings.least_fill)
     frame = _sun_frame(sun)
-    look = _look(settings, rocks.radius, along_px, across_px, sun)
-    offset, spread = _place(t, rocks, unit, look)
+    look = _observation_sigma(settings, rocks.radius, along_px, across_px, sun)
+    offset, spread = _rock_centres(t, rocks, unit, look)
     offset = offset @ frame.T
     pixel, turned = _to_pixels(offset, view, frame)
-    covariance, white = _spread(turned, spread), _spread(turned, look)
-    keep = ~terrain & (unit.length >= _LEAST_LENGTH)
-    height = model.height * length / np.maximum(unit.length, _LEAST_LENGTH)
-    largest = _unknown(len(table))
-    alone = keep & (share >= _MERGED)
-    largest[number[alone]] = read.largest[alone]
-    extended = np.union1d(number[terrain], np.flatnonzero(cut) + 1).astype(np.int32)
+    covariance, white = _pixel_covariance(turned, spread), _pixel_covariance(turned, look)
+    keep = ~is_terrain & (unit.length >= _MIN_LENGTH)
+    height = model.height * length / np.maximum(unit.length, _MIN_LENGTH)
+    largest = _unknown_largest(len(table))
+    is_single = keep & (share >= _MERGED_AREA_RATIO)
+    largest[number[is_single]] = read.largest[is_single]
+    extended = np.union1d(number[is_terrain], np.flatnonzero(is_cut) + 1).astype(np.int32)
     return Detections(
         pixel[keep], covariance[keep], white[keep], (offset + view.position[:2])[keep],
         rocks.radius[keep], rocks.sigma[keep], height[keep], length[keep], width[keep],
@@ -386,7 +390,7 @@ def _measure(
     )  # fmt: skip
 
 
-def _look(
+def _observation_sigma(
     settings: DetectorSettings, radius: Array, along: Array, across: Array, sun: Array
 ) -> Array:
     """Return by how much centres differ from look to look along the Sun and across (n, 2), m.
@@ -396,7 +400,7 @@ def _look(
     than the shadow is longer: it runs into others too, and over ground that is not quite level.
     """
     wide = np.maximum(radius / np.sqrt(along * across), 0.25)
-    spans = np.column_stack((look_stretch(sun) * along, across))
+    spans = np.column_stack((observation_scatter_factor(sun) * along, across))
     return np.asarray(
         spans * np.hypot(settings.look_sigma, np.divide(settings.look_small, wide[:, None]))
     )
@@ -408,7 +412,9 @@ def _sun_frame(sun: Array) -> Array:
     return np.array([[s[0], -s[1]], [s[1], s[0]]])
 
 
-def _place(table: Array, rocks: _Radius, unit: ShadowPatch, look: Array) -> tuple[Array, Array]:
+def _rock_centres(
+    table: Array, rocks: _RadiusCorrection, unit: ShadowPatch, look: Array
+) -> tuple[Array, Array]:
     """Return centres (n, 2) along the Sun and across, m, and their standard deviations (n, 2).
 
     `look` (n, 2) is what they differ by from look to look, m.
@@ -422,40 +428,46 @@ def _place(table: Array, rocks: _Radius, unit: ShadowPatch, look: Array) -> tupl
     return centre, np.sqrt(look**2 + lever**2 + shape**2)
 
 
-def _share(read: Reading, view: View, table: Array) -> Array:
+def _area_fraction(read: RadiusEstimate, view: View, table: Array) -> Array:
     """Return what share of the pixels that they should have patches (n,) have."""
-    sight = np.column_stack((table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table))))
-    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    line_of_sight = np.column_stack(
+        (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))
+    )
+    line_of_sight /= np.linalg.norm(line_of_sight, axis=1, keepdims=True)
     # What ground falls away by along lines of sight, and how far away it is.
-    steep = np.maximum(-(sight @ view.axes[2]), 1e-3)
-    pixel = view.position[2] / steep / np.sqrt(view.fx * view.fy)
-    expected = read.radius**2 * read.unit.area * steep / pixel**2
-    return np.asarray(table[:, kernels.PIXELS] / np.maximum(expected, 1e-9) / _USUAL)
+    sin_depression = np.maximum(-(line_of_sight @ view.axes[2]), 1e-3)
+    pixel = view.position[2] / sin_depression / np.sqrt(view.fx * view.fy)
+    expected = read.radius**2 * read.unit.area * sin_depression / pixel**2
+    return np.asarray(table[:, kernels.PIXELS] / np.maximum(expected, 1e-9) / _AREA_RATIO)
 
 
 @dataclass(frozen=True)
-class _Radius:
+class _RadiusCorrection:
     radius: Array
     sigma: Array
 
     @classmethod
-    def if_merged(cls, read: Reading, share: Array) -> _Radius:
+    def for_merged(cls, read: RadiusEstimate, share: Array) -> _RadiusCorrection:
         """Return the radii, those of patches that hold several shadows set right.
 
         Such a patch has far less area than its length and width promise. Its area is the sum of
         the shadows', so the radius of a rock with that area bounds each of theirs.
         """
-        merged = share < _MERGED
+        merged = share < _MERGED_AREA_RATIO
         radius = np.where(merged, read.radius * np.sqrt(share), read.radius)
         return cls(radius, np.where(merged, np.maximum(read.sigma, 0.25 * radius), read.sigma))
 
 
-def _directions(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
+def _viewing_angles(table: Array, view: View, sun: Array) -> tuple[Array, Array]:
     """Return azimuth from the Sun's and depression of the lines of sight to patches (n,), rad."""
-    sight = np.column_stack((table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table))))
-    sight = sight @ view.axes.T
-    back = np.arctan2(-sight[:, 0], -sight[:, 1])
-    depression = np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))
+    line_of_sight = np.column_stack(
+        (table[:, kernels.TX], table[:, kernels.TY], np.ones(len(table)))
+    )
+    line_of_sight = line_of_sight @ view.axes.T
+    back = np.arctan2(-line_of_sight[:, 0], -line_of_sight[:, 1])
+    depression = np.arctan2(
+        -line_of_sight[:, 2], np.hypot(line_of_sight[:, 0], line_of_sight[:, 1])
+    )
     return back - np.arctan2(sun[0], sun[1]), depression
 
 
@@ -470,6 +482,6 @@ def _to_pixels(offset: Array, view: View, frame: Array) -> tuple[Array, Array]:
     return view.pinhole.project(points), turned
 
 
-def _spread(turned: Array, sigma: Array) -> Array:
+def _pixel_covariance(turned: Array, sigma: Array) -> Array:
     """Return covariances of pixels (n, 2, 2) by deviations along the Sun and across (n, 2), m."""
     return np.asarray((turned * (sigma**2)[:, None, :]) @ np.swapaxes(turned, 1, 2))

@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 # Brightness, over that of lit ground, by which the sides of an edge must differ, and as a multiple
 # of the noise, of which alone single pixels are edges.
-_LEAST_STEP, _LEAST_NOISES = 0.4, 15.0
+_MIN_STEP, _MIN_STEP_SIGMAS = 0.4, 15.0
 # A normal edge of width 1 is as steep as this.
-_STEEPEST = 1.0 / np.sqrt(2.0 * np.pi)
+_UNIT_EDGE_SLOPE = 1.0 / np.sqrt(2.0 * np.pi)
 # A difference over two pixels adds this to the square of a width, and a pixel's own size a quarter
 # of it.
-_DIFFERENCE = 4.0 / 12.0
+_DIFFERENCE_VARIANCE = 4.0 / 12.0
 # No difference over two pixels exceeds the range it is compared with: what is sharper shows no
 # sharper, pixels.
-LEAST_WIDTH = 2.0 * _STEEPEST
+MIN_WIDTH = 2.0 * _UNIT_EDGE_SLOPE
 # Share of the shadows that are taken to be as sharp as the optics let them be: others have round
 # rocks or half-shade at their edges.
-_SHARP = 0.2
+_SHARPEST_FRACTION = 0.2
 # As many shadows tell.
-_MOST = 150
+_MAX_SHADOWS = 150
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class EdgeWidths:
     @staticmethod
     def expected(blur_sigma: float) -> float:
         """Return the width of a step seen through a point spread (1 sigma, pixels)."""
-        return float(np.sqrt(blur_sigma**2 + _DIFFERENCE))
+        return float(np.sqrt(blur_sigma**2 + _DIFFERENCE_VARIANCE))
 
 
 def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
@@ -69,14 +69,14 @@ def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
     noise
         Of a pixel over the brightness of lit ground.
     """
-    least = max(_LEAST_STEP, _LEAST_NOISES * noise)
+    min_step = max(_MIN_STEP, _MIN_STEP_SIGMAS * noise)
     # Labels run down the picture: every so many of them lie evenly over all of it.
-    every = -(-len(seen) // _MOST) or 1
-    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, least)[1:]
+    every = -(-len(seen) // _MAX_SHADOWS) or 1
+    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, min_step)[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:
         return EdgeWidths(0, np.inf, np.inf)
     with np.errstate(divide="ignore"):
-        each = _STEEPEST / slopes
-    widths = np.quantile(each, _SHARP, axis=0, method="lower")
+        each = _UNIT_EDGE_SLOPE / slopes
+    widths = np.quantile(each, _SHARPEST_FRACTION, axis=0, method="lower")
     return EdgeWidths(len(each), float(widths[-1]), float(widths[:-1].max()))

@@ -22,26 +22,26 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
-from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
+from lunarsim.onboard.perception.edges import MIN_WIDTH, EdgeWidths, edge_widths
 from lunarsim.onboard.perception.sun_angle import SunAngle
 
 Array = NDArray[np.float64]
 
 # Every so many pixels and rows are looked at where a share of the picture is wanted.
-_EVERY = 4
+_PIXEL_STRIDE = 4
 # Sides of the picture are cut into so many bands, each of which must be as it should.
-_BANDS = 8
+_BAND_COUNT = 8
 # Share of the pixels, the quietest, that tell of noise.
-_QUIET = 0.25
+_NOISE_QUANTILE = 0.25
 # Counts that read noise may make of nothing; share of the pixels that must show more.
-_BLACK, _LEAST_SHOWN = 3, 0.02
+_MAX_BLACK_COUNTS, _MIN_LIT_FRACTION = 3, 0.02
 # Ground darker than this share of what is lit may be missing; of a line that is, more than the one
 # share is so dark, and of one beside a straight end less than the other.
-_DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
+_MISSING_BRIGHTNESS_RATIO, _MISSING_LINE_DARK, _NEIGHBOUR_LINE_DARK = 0.15, 0.98, 0.6
 # Share of the pixels in shadow that tell how dark it is.
-_DARKEST_SHADE = 0.01
+_SHADE_QUANTILE = 0.01
 # Frames before the last that one is compared with: a buffer may be read over and over.
-_KEPT = 3
+_COMPARED_FRAMES = 3
 
 
 class Fault(Enum):
@@ -66,11 +66,11 @@ class Fault(Enum):
 
 
 # Nothing is wrong with the picture; it only proves nothing.
-_PROVES_NOTHING = frozenset({Fault.NO_SHADOWS, Fault.SUN_UNPROVEN})
+_INCONCLUSIVE = frozenset({Fault.NO_SHADOWS, Fault.SUN_UNPROVEN})
 
 
 @dataclass(frozen=True)
-class Health:
+class ImageQuality:
     """What a picture is good for.
 
     Attributes
@@ -95,7 +95,7 @@ class Health:
     @property
     def alarm(self) -> bool:
         """Whether something is wrong with camera, picture or Sun: not that nothing was in view."""
-        return self.fault is not None and self.fault not in _PROVES_NOTHING
+        return self.fault is not None and self.fault not in _INCONCLUSIVE
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class HealthSettings:
 
 
 @dataclass
-class SunProof:
+class SunConfirmation:
     """Whether shadows have shown that the Sun is where it is taken to be.
 
     It stays there, so later pictures need not show it again, be they another camera's of the same
@@ -217,12 +217,14 @@ class PictureHealth:
         own.
     """
 
-    def __init__(self, settings: HealthSettings | None = None, sun: SunProof | None = None) -> None:
+    def __init__(
+        self, settings: HealthSettings | None = None, sun: SunConfirmation | None = None
+    ) -> None:
         self.settings = settings or HealthSettings()
-        self.sun = sun or SunProof()
-        self._last: deque[NDArray[Any]] = deque(maxlen=_KEPT)
+        self.sun = sun or SunConfirmation()
+        self._last: deque[NDArray[Any]] = deque(maxlen=_COMPARED_FRAMES)
 
-    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> Health:
+    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> ImageQuality:
         """Judge a picture by itself.
 
         Parameters
@@ -235,32 +237,34 @@ class PictureHealth:
         try:
             raw = np.asarray(counts)
         except ValueError:
-            return Health(Fault.FORM, {})
+            return ImageQuality(Fault.FORM, {})
         if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
-            return Health(Fault.FORM, {})
+            return ImageQuality(Fault.FORM, {})
         if not (is_place(pose.position) and is_rotation(pose.attitude)):
-            return Health(Fault.POSE, {})
+            return ImageQuality(Fault.POSE, {})
         figures: dict[str, float] = {}
-        return Health(self._by_itself(raw, _below_horizon(camera.view(pose)), figures), figures)
+        return ImageQuality(
+            self._check_counts(raw, _looks_down(camera.view(pose)), figures), figures
+        )
 
-    def _by_itself(
+    def _check_counts(
         self, raw: NDArray[Any], ground: NDArray[np.bool_], figures: dict[str, float]
     ) -> Fault | None:
         s = self.settings
-        few = raw[::_EVERY, ::_EVERY]
-        known = np.isfinite(few)
-        figures["gaps"] = 1.0 - float(known.mean())
+        sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
+        is_finite = np.isfinite(sampled)
+        figures["gaps"] = 1.0 - float(is_finite.mean())
         if figures["gaps"] > s.most_gaps:
             return Fault.NO_NUMBERS
-        same = self._share_seen_before(few, s.least_lit)
-        self._last.append(few.copy())
-        ground = ground & known
+        same = self._repeated_fraction(sampled, s.least_lit)
+        self._last.append(sampled.copy())
+        ground = ground & is_finite
         if not ground.any():
             return Fault.NO_SHADOWS
-        figures["lit"] = _brightness(few[ground])
+        figures["lit"] = _lit_brightness(sampled[ground])
         if not figures["lit"] >= s.least_lit:
             return Fault.FAINT
-        figures["saturated"] = float((few[ground] == few[ground].max()).mean())
+        figures["saturated"] = float((sampled[ground] == sampled[ground].max()).mean())
         if figures["saturated"] > s.most_saturated:
             return Fault.SATURATED
         figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
@@ -271,25 +275,26 @@ class PictureHealth:
         figures["noise"] = _noise(raw) / figures["lit"]
         return Fault.NOISE if not figures["noise"] <= s.most_noise else None
 
-    def _share_seen_before(self, few: NDArray[Any], lit: float) -> float:
+    def _repeated_fraction(self, sampled: NDArray[Any], lit: float) -> float:
         """Return the share of lit pixels as in one of the last, of the band that has most."""
-        most = 0.0
-        bright = few >= lit
+        highest = 0.0
+        bright = sampled >= lit
         for last in self._last:
-            if last.shape != few.shape:
+            if last.shape != sampled.shape:
                 continue
-            same = bright & (few == last)
+            same = bright & (sampled == last)
             for axis in (0, 1):
-                for part, whole in zip(
-                    np.array_split(same, _BANDS, axis), np.array_split(bright, _BANDS, axis),
+                for same_band, bright_band in zip(
+                    np.array_split(same, _BAND_COUNT, axis),
+                    np.array_split(bright, _BAND_COUNT, axis),
                     strict=True,
-                ):  # fmt: skip
-                    lit_here = np.count_nonzero(whole)
-                    if lit_here >= 0.2 * whole.size:
-                        most = max(most, np.count_nonzero(part) / lit_here)
-        return most
+                ):
+                    lit_here = np.count_nonzero(bright_band)
+                    if lit_here >= 0.2 * bright_band.size:
+                        highest = max(highest, np.count_nonzero(same_band) / lit_here)
+        return highest
 
-    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> Health:
+    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
         """Judge a picture, good by itself, by the shadows found in it.
 
         Parameters
@@ -302,26 +307,26 @@ class PictureHealth:
             As `before_detection` measured it.
         """
         s = self.settings
-        dark = float((seen.labels[::_EVERY, ::_EVERY] > 0).mean())
+        dark = float((seen.labels[::_PIXEL_STRIDE, ::_PIXEL_STRIDE] > 0).mean())
         figures = {"dark": dark, "shadows": float(len(seen))}
         if dark > s.most_dark:
-            return Health(Fault.DARK, figures)
+            return ImageQuality(Fault.DARK, figures)
         widths = edge_widths(seen, noise)
         figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
         figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
         if widths.number < s.least_shadows:
-            return Health(Fault.NO_SHADOWS, figures)
-        fault = self._blur(widths)
-        figures["shade"] = _shade(seen)
+            return ImageQuality(Fault.NO_SHADOWS, figures)
+        fault = self._check_sharpness(widths)
+        figures["shade"] = _shadow_brightness(seen)
         if fault is None and figures["shade"] > s.most_shade:
             fault = Fault.VEILED
-        return Health(fault or self._sun(turn), figures)
+        return ImageQuality(fault or self._check_sun(turn), figures)
 
-    def _blur(self, widths: EdgeWidths) -> Fault | None:
+    def _check_sharpness(self, widths: EdgeWidths) -> Fault | None:
         expected = EdgeWidths.expected(self.settings.blur_sigma)
         if not widths.sharpest <= self.settings.most_width * expected:
             return Fault.BLURRED
-        if not widths.least_sharp <= self.settings.most_smear * max(expected, LEAST_WIDTH):
+        if not widths.least_sharp <= self.settings.most_smear * max(expected, MIN_WIDTH):
             return Fault.SMEARED
         return None
 
@@ -342,55 +347,62 @@ class PictureHealth:
         single rocks.
         """
         s = self.settings
-        agree = turn.high_sun or turn.agreement >= s.least_agreement
-        elsewhere = s.high_turn if turn.high_sun else s.least_turn
-        denied = abs(turn.by_faces) < elsewhere
-        return self.tells(turn) and agree and abs(turn.angle) >= elsewhere and not denied
+        agrees = turn.high_sun or turn.agreement >= s.least_agreement
+        wrong_angle = s.high_turn if turn.high_sun else s.least_turn
+        contradicted_by_faces = abs(turn.by_faces) < wrong_angle
+        return (
+            self.tells(turn)
+            and agrees
+            and abs(turn.angle) >= wrong_angle
+            and not contradicted_by_faces
+        )
 
-    def _sun(self, turn: SunAngle) -> Fault | None:
+    def _check_sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings
         if self.contradicts(turn):
             self.sun.seen, self.sun.side = False, 0.0
             return Fault.SUN_ELSEWHERE
-        far = turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
-        if far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
+        is_far = (
+            turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
+        )
+        if is_far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
             # Craters and shadows that run into each other do so, or the Sun is elsewhere.
             self.sun.seen &= turn.side <= self.sun.side
             return Fault.SUN_UNPROVEN
-        agree = turn.high_sun or turn.agreement >= s.proof_agreement
-        known = (self.tells(turn) and agree) or (
+        agrees = turn.high_sun or turn.agreement >= s.proof_agreement
+        is_proven = (self.tells(turn) and agrees) or (
             turn.high_sun
             and turn.side >= s.least_side
             and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
         )
-        if known and abs(turn.angle) <= s.most_turn:
+        if is_proven and abs(turn.angle) <= s.most_turn:
             self.sun.seen, self.sun.side = True, max(self.sun.side, turn.side)
         return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 
-def _shade(seen: Detections) -> float:
+def _shadow_brightness(seen: Detections) -> float:
     """Return how bright the darkest of what lies in rocks' shadows is, over lit ground."""
     shaded = seen.relative[seen.rock > 0]
-    at = int(_DARKEST_SHADE * shaded.size)
+    at = int(_SHADE_QUANTILE * shaded.size)
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
 
 
-def _brightness(seen: NDArray[Any]) -> float:
+def _lit_brightness(seen: NDArray[Any]) -> float:
     """Return the brightness of lit ground among pixels (n,), counts.
 
     What is bright is half as bright at least as the brightest but a few, be most of the picture
     in the dark.
     """
-    shown = seen[seen > _BLACK]
-    if len(shown) < _LEAST_SHOWN * len(seen):
+    shown = seen[seen > _MAX_BLACK_COUNTS]
+    if len(shown) < _MIN_LIT_FRACTION * len(seen):
         return 0.0
     return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
 
 
-def _below_horizon(view: View) -> NDArray[np.bool_]:
+def _looks_down(view: View) -> NDArray[np.bool_]:
     """Return which pixels look down, every few of them."""
-    u = (np.arange(0, view.width, _EVERY) - view.cx) / view.fx
-    v = (np.arange(0, view.height, _EVERY) - view.cy) / view.fy
+    u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
+    v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
@@ -401,25 +413,27 @@ def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> 
     They repeat the one before, which no two lines of lit ground do, or all of them is dark up to a
     line next to it that is not, as no shadow is.
     """
-    most = 0.0
+    highest = 0.0
     for image, below in ((raw, ground), (raw.T, ground.T)):
-        lines = image[:, ::_EVERY]
-        dark = (lines < _DARKEST * lit).mean(1)
-        wholly = np.repeat(below.all(1), _EVERY)[: len(image)]
-        wholly = _without_sky(wholly, dark > _ALL)
-        if not wholly.any():
+        lines = image[:, ::_PIXEL_STRIDE]
+        dark = (lines < _MISSING_BRIGHTNESS_RATIO * lit).mean(1)
+        is_ground = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
+        is_ground = _exclude_sky(is_ground, dark > _MISSING_LINE_DARK)
+        if not is_ground.any():
             continue
         repeats = np.zeros(len(lines), np.bool_)
         repeats[1:] = (lines[1:] == lines[:-1]).all(1)
-        empty = dark > _ALL
-        ends = (empty[1:] & (dark[:-1] < _SOME)) | (empty[:-1] & (dark[1:] < _SOME))
-        straight = (ends & wholly[1:] & wholly[:-1]).any()
-        gone = empty | repeats if straight else repeats & ~empty
-        most = max(most, float(gone[wholly].mean()))
-    return most
+        empty = dark > _MISSING_LINE_DARK
+        ends = (empty[1:] & (dark[:-1] < _NEIGHBOUR_LINE_DARK)) | (
+            empty[:-1] & (dark[1:] < _NEIGHBOUR_LINE_DARK)
+        )
+        straight = (ends & is_ground[1:] & is_ground[:-1]).any()
+        is_missing = empty | repeats if straight else repeats & ~empty
+        highest = max(highest, float(is_missing[is_ground].mean()))
+    return highest
 
 
-def _without_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _exclude_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which lines (n,) show ground, less dark ones next to the sky: ground may end there."""
     out = ground.copy()
     for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
@@ -437,18 +451,20 @@ def _noise(raw: NDArray[Any]) -> float:
     slope; its lower quartile passes over edges, be they half of a crowded picture.
     """
     h, w = raw.shape
-    if min(h, w) < 3 * _BANDS:
+    if min(h, w) < 3 * _BAND_COUNT:
         return 0.0
 
     def at(di: int, dj: int) -> NDArray[np.float32]:
-        return raw[1 + di : h - 1 + di : _EVERY, 1 + dj : w - 1 + dj : _EVERY].astype(np.float32)
+        return raw[1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE].astype(
+            np.float32
+        )
 
     corners = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
     sides = at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1)
     response = np.abs(corners - 2.0 * sides + 4.0 * at(0, 0)) / 6.0
     parts = [
-        np.nanquantile(part, _QUIET)
-        for rows in np.array_split(response, _BANDS // 2)
-        for part in np.array_split(rows, _BANDS // 2, 1)
+        np.nanquantile(same_band, _NOISE_QUANTILE)
+        for rows in np.array_split(response, _BAND_COUNT // 2)
+        for same_band in np.array_split(rows, _BAND_COUNT // 2, 1)
     ]
-    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _QUIET))
+    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _NOISE_QUANTILE))

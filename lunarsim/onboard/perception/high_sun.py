@@ -21,12 +21,12 @@ from lunarsim.onboard.perception.lit_faces import BLACK, GREY, MOST_GREY, lit_fa
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import (
-    USUAL_NUMBER,
+    PRIOR_NUMBER,
     SunAngle,
-    above_slopes,
-    doubled,
+    doubled_axes,
+    local_relative_brightness,
     mean_angle,
-    seen_from,
+    viewing_angles,
 )
 
 Array = NDArray[np.float64]
@@ -34,33 +34,33 @@ Index = NDArray[np.int64]
 Complex = NDArray[np.complex128]
 
 # Patches of fewer pixels across are all grey, of more it is less the optics that make them so.
-_LEAST_Q, _MOST_Q = 4.0, 9.0
+_MIN_Q, _MAX_Q = 4.0, 9.0
 # Grey and bright pixels beside a patch, within so many of it.
-_RING = 3
+_RING_PX = 3
 # Least sums of black and of lit, and pixels from the middle of the one to that of the other.
-_LEAST_SUM, _LEAST_GAP = 0.3, 0.3
+_MIN_SUM, _MIN_GAP_PX = 0.3, 0.3
 # By how much, rad, axes and faces differ besides chance under the true shape of rocks: shapes under
 # which they differ by more count for less. No angle is known better than that of faces.
-_AXES_OFF, _FACES_OFF = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
+_AXIS_SIGMA_RAD, _FACE_SIGMA_RAD = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
 # Where a face that looks at the camera draws black and grey round, it may be by this share more.
-_DRAWN = 0.2
+_FACE_SHIFT_RATIO = 0.2
 # Angles are taken anew under the Sun that they tell of until they move by no more than this, rad.
-_ENOUGH, _TURNS = float(np.deg2rad(2.0)), 4
+_TOLERANCE_RAD, _MAX_ITERATIONS = float(np.deg2rad(2.0)), 4
 # Shapes that explain the picture worse than this share of chance has it say that none of them does.
-_UNEXPLAINED = float(np.exp(-4.5))
+_MIN_LIKELIHOOD = float(np.exp(-4.5))
 # Grey and bright faces disagree if they are so many standard deviations apart.
-_DISAGREE = 3.0
+_DISAGREEMENT_SIGMAS = 3.0
 
-_NOTHING = SunAngle(float("nan"), float("inf"), 0.0, 0)
+_NO_ANGLE = SunAngle(float("nan"), float("inf"), 0.0, 0)
 
 
-def turn_by_grey(
+def high_sun_angle(
     seen: Detections,
     view: View,
     points: Array,
     sun: Array,
     model: ShadowModel | ShapeMixture,
-    cut: float,
+    threshold: float,
 ) -> SunAngle:
     """Measure by what angle shadows fall beside where an assumed high Sun would throw them.
 
@@ -71,21 +71,21 @@ def turn_by_grey(
     cut
         Share by which a pixel that counts as bright is brighter than lit ground.
     """
-    at, gap = _gaps(seen, view, points, cut)
+    at, gap = _shadow_to_lit(seen, view, points, threshold)
     if len(at) == 0:
-        return _NOTHING
+        return _NO_ANGLE
     gap = gap / abs(gap)
     # Axes as vectors at twice their angle from the east.
-    towards = _level(sun)
-    axes = doubled(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
-    turned, found = 0.0, _NOTHING
-    for _ in range(_TURNS):
+    towards = _sun_azimuth(sun)
+    axes = doubled_axes(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
+    turned, found = 0.0, _NO_ANGLE
+    for _ in range(_MAX_ITERATIONS):
         # What faces look at the camera depends on where the Sun is: take it to be where they say.
-        found = _under(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
+        found = _angle_under_sun(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
         if not np.isfinite(found.angle):
-            return _NOTHING
+            return _NO_ANGLE
         turned += found.angle
-        if abs(found.angle) < _ENOUGH:
+        if abs(found.angle) < _TOLERANCE_RAD:
             break
     wrapped = float(np.angle(np.exp(1j * turned)))
     return SunAngle(wrapped, found.sigma, found.side, len(at))
@@ -95,18 +95,18 @@ def more_certain(one: SunAngle, other: SunAngle) -> SunAngle:
     """Return that of two measurements which is the more certain, or neither if they disagree."""
     if np.isfinite(one.sigma) and np.isfinite(other.sigma):
         apart = np.angle(np.exp(1j * (one.angle - other.angle)))
-        if abs(apart) > _DISAGREE * np.hypot(one.sigma, other.sigma):
-            return _NOTHING
-    return min(one, other, key=lambda told: told.sigma)
+        if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(one.sigma, other.sigma):
+            return _NO_ANGLE
+    return min(one, other, key=lambda angle: angle.sigma)
 
 
-def _level(sun: Array) -> complex:
+def _sun_azimuth(sun: Array) -> complex:
     """Return the Sun's azimuth as a vector, east real and north imaginary."""
     towards = complex(sun[0], sun[1])
     return towards / abs(towards)
 
 
-def _under(
+def _angle_under_sun(
     towards: complex,
     gap: Complex,
     axes: Complex,
@@ -115,43 +115,55 @@ def _under(
     model: ShadowModel | ShapeMixture,
 ) -> SunAngle:
     """Return by what angle faces (n,) and axes (n,) are off from where a Sun would have them."""
-    seen_at = seen_from(view, points, np.array([towards.real, towards.imag, 0.0]))
+    seen_at = viewing_angles(view, points, np.array([towards.real, towards.imag, 0.0]))
     models = model.models if isinstance(model, ShapeMixture) else (model,)
     shares = model.shape_shares if isinstance(model, ShapeMixture) else np.ones(1)
-    told = []
+    estimates = []
     for one, share in zip(models, shares, strict=True):
         direction, axis = lit_faces(one, *seen_at)
         faces = gap * np.conj(towards * direction)
         beside = abs(np.angle(-direction))
-        drawn = _DRAWN * float(np.average(beside, weights=abs(direction) + 1e-9))
-        told.append(_of_one_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn))
-    return _together(told, len(gap))
+        drawn = _FACE_SHIFT_RATIO * float(np.average(beside, weights=abs(direction) + 1e-9))
+        estimates.append(
+            _angle_for_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn)
+        )
+    return _combine(estimates, len(gap))
 
 
-def _gaps(seen: Detections, view: View, points: Array, cut: float) -> tuple[Index, Complex]:
+def _shadow_to_lit(
+    seen: Detections, view: View, points: Array, threshold: float
+) -> tuple[Index, Complex]:
     """Return which rocks (n,) show black and lit apart, and the way there on the ground (n,).
 
     East is real, north imaginary.
     """
-    ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
+    ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.black_and_lit(
-        seen.relative, above_slopes(seen), seen.rock, ring, len(seen), BLACK, GREY, MOST_GREY, cut
+        seen.relative,
+        local_relative_brightness(seen),
+        seen.rock,
+        ring,
+        len(seen),
+        BLACK,
+        GREY,
+        MOST_GREY,
+        threshold,
     )[1:]
     black, lit = sums[:, kernels.BLACK], sums[:, kernels.LIT]
-    shown = (black > _LEAST_SUM) & (lit > _LEAST_SUM)
-    shown &= (seen.q >= _LEAST_Q) & (seen.q <= _MOST_Q)
+    shown = (black > _MIN_SUM) & (lit > _MIN_SUM)
+    shown &= (seen.q >= _MIN_Q) & (seen.q <= _MAX_Q)
     at = np.flatnonzero(shown & np.isfinite(points).all(1))
     sums, black, lit = sums[at], black[at, None], lit[at, None]
     gap = sums[:, [kernels.BLACK_U, kernels.BLACK_V]] / black
     gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
-    apart = np.hypot(*gap.T) > _LEAST_GAP
+    apart = np.hypot(*gap.T) > _MIN_GAP_PX
     at, gap = at[apart], gap[apart]
     moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
     return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
 
 
 @dataclass(frozen=True)
-class _Told:
+class _ShapeAngle:
     """What a picture tells if its rocks are of one shape: see `SunAngle`; and how likely it is."""
 
     angle: float
@@ -160,7 +172,7 @@ class _Told:
     weight: float
 
 
-def _of_one_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _Told:
+def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _ShapeAngle:
     """Return what faces and axes (n,), from where they should be, tell of the Sun.
 
     `drawn` is how far faces may be off as a whole, 1 sigma, rad.
@@ -168,31 +180,35 @@ def _of_one_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> 
     angle, sigma = mean_angle(faces)
     sigma = float(np.hypot(sigma, drawn))
     if not np.isfinite(sigma):
-        return _Told(0.0, np.inf, 0.0, share)
+        return _ShapeAngle(0.0, np.inf, 0.0, share)
     along = np.real(faces * np.exp(-1j * angle))
     # Of directions that are any, half of the square lies along a line.
     square = float((abs(faces) ** 2).sum())
-    spread = np.sqrt(0.5 * square * (1.0 + USUAL_NUMBER / len(faces)))
-    turned, doubt = mean_angle(axes)
-    chance = 1.0
-    if np.isfinite(doubt):
+    spread = np.sqrt(0.5 * square * (1.0 + PRIOR_NUMBER / len(faces)))
+    turned, axis_sigma = mean_angle(axes)
+    likelihood = 1.0
+    if np.isfinite(axis_sigma):
         off = 0.5 * np.angle(np.exp(1j * (turned - 2.0 * angle)))
-        chance = float(np.exp(-0.5 * off**2 / (0.25 * doubt**2 + sigma**2 + _AXES_OFF**2)))
-    return _Told(angle, sigma, float(along.sum() / spread), share * chance)
+        likelihood = float(
+            np.exp(-0.5 * off**2 / (0.25 * axis_sigma**2 + sigma**2 + _AXIS_SIGMA_RAD**2))
+        )
+    return _ShapeAngle(angle, sigma, float(along.sum() / spread), share * likelihood)
 
 
-def _together(told: list[_Told], number: int) -> SunAngle:
+def _combine(estimates: list[_ShapeAngle], number: int) -> SunAngle:
     """Return what a picture tells of the Sun, the shape of its rocks unknown."""
-    weight = np.array([one.weight for one in told])
-    known = np.array([np.isfinite(one.sigma) for one in told])
-    if weight.sum() < _UNEXPLAINED or weight[known].sum() < 0.5 * weight.sum():
-        return _NOTHING
+    weight = np.array([one.weight for one in estimates])
+    known = np.array([np.isfinite(one.sigma) for one in estimates])
+    if weight.sum() < _MIN_LIKELIHOOD or weight[known].sum() < 0.5 * weight.sum():
+        return _NO_ANGLE
     weight = np.where(known, weight, 0.0) / weight[known].sum()
-    vector = np.exp(1j * np.array([one.angle for one in told]))
+    vector = np.exp(1j * np.array([one.angle for one in estimates]))
     mean = weight @ vector
     # What shapes differ by is not known either.
     shapes = weight @ np.angle(vector * np.conj(mean)) ** 2
-    chance = weight @ np.array([one.sigma if np.isfinite(one.sigma) else 0.0 for one in told]) ** 2
-    sigma = float(np.sqrt(chance + shapes + _FACES_OFF**2))
-    side = float(weight @ np.array([one.side for one in told]))
+    scatter = (
+        weight @ np.array([one.sigma if np.isfinite(one.sigma) else 0.0 for one in estimates]) ** 2
+    )
+    sigma = float(np.sqrt(scatter + shapes + _FACE_SIGMA_RAD**2))
+    side = float(weight @ np.array([one.side for one in estimates]))
     return SunAngle(float(np.angle(mean)), sigma, side, number)

@@ -39,15 +39,15 @@ DARK = 0.56
 # up to so much.
 BLACK, GREY, MOST_GREY = 0.35, 0.15, 0.5
 # Bright is what is brighter than the ground by more than this.
-_BRIGHT = 1.05
+_BRIGHT_RATIO = 1.05
 # Directions of the camera that are tabulated, rad; rocks of each shape, samples across a radius.
 _DEPRESSIONS = np.radians([15.0, 30.0, 45.0, 60.0, 75.0, 90.0])
 _AZIMUTHS = np.radians(np.arange(-180.0, 181.0, 30.0))
-_DRAWN, _DETAIL = 12, 8
+_ROCKS_PER_SHAPE, _SAMPLES_PER_RADIUS = 12, 8
 # Black and grey of less area than this, in squares of a radius, do not show.
-_LEAST = 0.02
+_MIN_AREA = 0.02
 # What optics and pixels blur, in radii, where a radius is some three pixels.
-_BLUR = 0.22
+_BLUR_RADII = 0.22
 
 
 def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Complex, Complex]:
@@ -82,46 +82,50 @@ def lit_faces(model: ShadowModel, azimuth: Any, depression: Any) -> tuple[Comple
 @lru_cache(maxsize=32)
 def _table(elevation: float, shapes: RockModel) -> Complex:
     """Return direction and axis (azimuths, depressions, 2) of a population."""
-    field = shapes.draw(np.full(_DRAWN, 2.0), np.random.default_rng(1966))
+    field = shapes.draw(np.full(_ROCKS_PER_SHAPE, 2.0), np.random.default_rng(1966))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
     out = np.zeros((_AZIMUTHS.size, _DEPRESSIONS.size, 2), np.complex128)
     for i, azimuth in enumerate(_AZIMUTHS[:-1]):
         for j, depression in enumerate(_DEPRESSIONS):
             camera = direction_from_angles(azimuth, depression)
-            out[i, j] = np.mean([_seen(one, sun, camera) for one in scenes], axis=0)
+            out[i, j] = np.mean([_directions_of_rock(one, sun, camera) for one in scenes], axis=0)
     out[-1] = out[0]
     return out
 
 
-def _seen(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[complex, complex]:
+def _directions_of_rock(
+    scene: RockOnLevelGround, sun: Array, camera: Array
+) -> tuple[complex, complex]:
     """Return direction and axis of one rock of radius 1; 0 where they do not show.
 
     The Sun is in the north, so left of it is the west.
     """
-    place, brightness = _look(scene, sun, camera)
+    place, brightness = _render(scene, sun, camera)
     dark = brightness < DARK
-    if dark.sum() < _LEAST * _DETAIL**2:
+    if dark.sum() < _MIN_AREA * _SAMPLES_PER_RADIUS**2:
         return 0.0, 0.0
     away = place[dark] - place[dark].mean()
     axis = (away**2).sum() / (abs(away) ** 2).sum()
     black = np.clip(BLACK - brightness, 0.0, None)
     grey = np.where(dark, np.clip(brightness - GREY, 0.0, MOST_GREY), 0.0)
-    lit = grey + np.clip(brightness - _BRIGHT, 0.0, 1.0)
-    if min(lit.sum(), black.sum()) < _LEAST * _DETAIL**2:
+    lit = grey + np.clip(brightness - _BRIGHT_RATIO, 0.0, 1.0)
+    if min(lit.sum(), black.sum()) < _MIN_AREA * _SAMPLES_PER_RADIUS**2:
         return 0.0, axis
     gap = (black @ place) / black.sum() - (lit @ place) / lit.sum()
     return gap / max(abs(gap), 1e-9), axis
 
 
-def _look(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
+def _render(scene: RockOnLevelGround, sun: Array, camera: Array) -> tuple[Complex, Array]:
     """Return places on the ground (n,) and their brightness over that of lit ground, blurred."""
     reach = shadow_reach(float(np.arcsin(sun[2])))
-    shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _DETAIL)
+    shape, ground, point, normal = ground_about(scene, camera, reach, 1.0 / _SAMPLES_PER_RADIUS)
     brightness = np.clip(normal @ sun, 0.0, None) / sun[2]
     at = np.flatnonzero(brightness > 0.0)
     shaded = np.isfinite(scene.cast(point[at], np.broadcast_to(sun, (at.size, 3)))[0])
     brightness[at[shaded]] = 0.0
     image = brightness.reshape(shape)
-    blurred = cv2.GaussianBlur(image, (0, 0), _BLUR * _DETAIL, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.GaussianBlur(
+        image, (0, 0), _BLUR_RADII * _SAMPLES_PER_RADIUS, borderType=cv2.BORDER_REPLICATE
+    )
     return ground[:, 1] - 1j * ground[:, 0], blurred.ravel()

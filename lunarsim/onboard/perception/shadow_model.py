@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception._table_kernels import interpolated
-from lunarsim.onboard.perception.kept_tables import kept_table
+from lunarsim.onboard.perception.table_cache import cached_table
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.level_ground import RockOnLevelGround
 
@@ -31,17 +31,17 @@ Array = NDArray[np.float64]
 # Directions that are tabulated: of the camera above the ground, and away from the Sun's azimuth.
 _DEPRESSIONS = np.radians([8.0, 15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
 _AZIMUTHS = np.radians(np.arange(0.0, 181.0, 15.0))
-_SHAPES = 5
+_ROCKS_PER_SHAPE = 5
 # Samples across a radius.
-_DETAIL = 12
+_SAMPLES_PER_RADIUS = 12
 # Standard deviations of radius and centre (an axis), in radii, that many looks do not average out.
 # `scenarios/shadows/looks.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16 and 0.18 to 0.22 for
 # irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
-_UNKNOWN = (0.12, 0.28)
+_PERSISTENT_SIGMAS = (0.12, 0.28)
 # A rock of radius 1 with less that is dark shows nothing; so many are drawn to find how many do.
-_BARE_AREA, _BARE_DRAWN = 0.15, 64
+_MIN_DARK_AREA, _SHADOWLESS_SAMPLES = 0.15, 64
 # Tables are made for Suns whose tangents differ by this factor.
-_STEP = 1.1
+_TANGENT_STEP = 1.1
 LEAST_ELEVATION = np.deg2rad(2.0)
 MOST_ELEVATION = np.deg2rad(80.0)
 
@@ -131,7 +131,9 @@ class ShadowModel:
         self.height = float(np.mean(drawn.base + drawn.height))
         round_or_square = self.shapes.shape in {"hemisphere", "cube"}
         faceted = {"irregular": 1.0, "mixed": 0.5}.get(self.shapes.shape, 0.0)
-        self.bare = faceted * bare_share(round(elevation, 3)) if faceted else 0.0
+        self.shadowless_fraction = (
+            faceted * faceted_shadowless_fraction(round(elevation, 3)) if faceted else 0.0
+        )
         self.elongation = 1.0 if round_or_square else float(self.shapes.axis_ratio[0] ** -0.5)
         self.longer_axis = (1.0, 0.0) if round_or_square else _longer_axis(*self.shapes.axis_ratio)
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
@@ -141,10 +143,10 @@ class ShadowModel:
 
         See `near_elevation`.
         """
-        near = near_elevation(elevation, self.elevation)
-        return self if near == self.elevation else _model_under(near, self.shapes)
+        nearest = near_elevation(elevation, self.elevation)
+        return self if nearest == self.elevation else _model_under(nearest, self.shapes)
 
-    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+    def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
         """Return the probability that the longer half axes of rocks are at least so long (n,).
 
         Parameters
@@ -169,14 +171,18 @@ class ShadowModel:
         depression
             Of the line of sight below the horizon (...), rad.
         """
-        turn = np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
-        down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
-        turn, down = np.broadcast_arrays(turn, down)
-        columns = interpolated(
-            self._table, _AZIMUTHS, _DEPRESSIONS, abs(turn).ravel(), down.ravel()
+        relative_azimuth = (
+            np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
         )
-        along, side, length, width, skew, *rest = (c.reshape(turn.shape) for c in columns)
-        side, skew = (np.where(turn < 0.0, -v, v) for v in (side, skew))
+        down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
+        relative_azimuth, down = np.broadcast_arrays(relative_azimuth, down)
+        columns = interpolated(
+            self._table, _AZIMUTHS, _DEPRESSIONS, abs(relative_azimuth).ravel(), down.ravel()
+        )
+        along, side, length, width, skew, *rest = (
+            c.reshape(relative_azimuth.shape) for c in columns
+        )
+        side, skew = (np.where(relative_azimuth < 0.0, -v, v) for v in (side, skew))
         return ShadowPatch(along, side, length, width, skew, *rest)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
@@ -217,13 +223,13 @@ def near_elevation(elevation: float, start: float) -> float:
     than 2 nor more than 80 degrees, be the Sun below ground that slopes away from it.
     """
     elevation = float(np.clip(elevation, LEAST_ELEVATION, MOST_ELEVATION))
-    steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_STEP))
-    near = float(np.arctan(np.tan(start) * _STEP**steps)) if steps else start
-    return float(np.clip(near, LEAST_ELEVATION, MOST_ELEVATION))
+    steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_TANGENT_STEP))
+    nearest = float(np.arctan(np.tan(start) * _TANGENT_STEP**steps)) if steps else start
+    return float(np.clip(nearest, LEAST_ELEVATION, MOST_ELEVATION))
 
 
 @lru_cache(maxsize=16)
-def bare_share(
+def faceted_shadowless_fraction(
     elevation: float, height_ratio: tuple[float, float] = RockModel.height_ratio
 ) -> float:
     """Return the share of faceted rocks that show nothing dark under a Sun so high (rad).
@@ -234,14 +240,14 @@ def bare_share(
     under any Sun.
     """
     shapes = RockModel("irregular", height_ratio=height_ratio, burial=(0.0, 0.0))
-    field = shapes.draw(np.full(_BARE_DRAWN, 2.0), np.random.default_rng(1969))
+    field = shapes.draw(np.full(_SHADOWLESS_SAMPLES, 2.0), np.random.default_rng(1969))
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
     reach = shadow_reach(elevation)
     dark = [
         _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
     ]
-    return float(np.mean(np.array(dark) < _BARE_AREA))
+    return float(np.mean(np.array(dark) < _MIN_DARK_AREA))
 
 
 def shadow_reach(elevation: float) -> float:
@@ -253,14 +259,14 @@ def shadow_reach(elevation: float) -> float:
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
     """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
     key = f"{elevation!r} {shapes!r}"
-    return kept_table("shadows", key, lambda: _tabulated(elevation, shapes))
+    return cached_table("shadows", key, lambda: _compute_table(elevation, shapes))
 
 
-def _tabulated(elevation: float, shapes: RockModel) -> Array:
+def _compute_table(elevation: float, shapes: RockModel) -> Array:
     """Make the table of `_tabulate`."""
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
-    field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)
+    field = shapes.draw(np.full(1 if one else _ROCKS_PER_SHAPE, 2.0), rng)
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
@@ -317,7 +323,7 @@ def _dark_patch(
 
     The Sun is in the north, so `along` is y and `across`, to its left, is -x.
     """
-    step = 1.0 / _DETAIL
+    step = 1.0 / _SAMPLES_PER_RADIUS
     _, ground, point, normal = ground_about(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
@@ -337,7 +343,7 @@ def _dark_patch(
 def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
     """Return `ShadowModel`'s outline, radius_sigma and centre_sigma of a population."""
     if shapes.shape == "hemisphere":
-        return (1.0, 0.0), *_UNKNOWN
+        return (1.0, 0.0), *_PERSISTENT_SIGMAS
     field = shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     radius = np.linspace(0.02, 2.4, 240)
@@ -346,4 +352,4 @@ def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
     for k in range(len(field)):
         inside = RockOnLevelGround(field, k).covers(points)
         reach[k] = radius[:, None].repeat(angle.size, 1).max(0, where=inside, initial=0.0)
-    return (float(reach.mean()), float(reach.std())), *_UNKNOWN
+    return (float(reach.mean()), float(reach.std())), *_PERSISTENT_SIGMAS

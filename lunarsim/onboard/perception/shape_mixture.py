@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
     ShadowPatch,
-    bare_share,
+    faceted_shadowless_fraction,
     near_elevation,
 )
 from lunarsim.rocks.field import RockModel
@@ -46,25 +46,25 @@ HALF_SPHERE = RockModel("hemisphere", burial=(0.0, 0.0))
 # Spreads of the ground's slope, tangents.
 SLOPES = np.array([0.0, 0.06, 0.15])
 # The start counts as much as so many patches.
-_START = 30.0
+_PRIOR_WEIGHT = 30.0
 # What earlier pictures said, read under shares that were less well known, counts by this factor
 # less with each picture.
-_KEPT = 0.8
+_MEMORY = 0.8
 # No share falls below this: what has not been seen yet may come.
-_LEAST_SHARE = 0.01
+_MIN_SHARE = 0.01
 # Patches of fewer pixels across say nothing of shapes.
-_LEAST_Q = 4.0
-_LEAST_LENGTH = 0.05
+_MIN_Q = 4.0
+_MIN_LENGTH = 0.05
 # What of a patch is averaged over shapes.
-_MEANS = ("along", "side", "length", "width", "skew", "area")
+_AVERAGED = ("along", "side", "length", "width", "skew", "area")
 # A shape of less weight, over all slopes together, is left out of the largest rock that a patch may
 # be the shadow of, which is so many standard deviations larger than it seems.
-_IMPROBABLE = 0.03
-_LARGEST = 2.0
+_MIN_WEIGHT = 0.03
+_LARGEST_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
-class Reading:
+class RadiusEstimate:
     """Patches read under all hypotheses.
 
     Attributes
@@ -105,32 +105,32 @@ class ShapeMixture:
     The rest as in `ShadowModel`, for the population as it is known.
     """
 
-    def __init__(self, elevation: float, told: str | None = None) -> None:
-        if told is not None:
-            RockModel(told)  # type: ignore[arg-type]  # refuses a shape that there is not
+    def __init__(self, elevation: float, expected_shape: str | None = None) -> None:
+        if expected_shape is not None:
+            RockModel(expected_shape)  # type: ignore[arg-type]  # refuses a shape that there is not
         self.elevation = elevation
-        shapes = (*SHAPES, HALF_SPHERE) if told == HALF_SPHERE.shape else SHAPES
+        shapes = (*SHAPES, HALF_SPHERE) if expected_shape == HALF_SPHERE.shape else SHAPES
         self.models = tuple(ShadowModel(elevation, shape) for shape in shapes)
         self.slopes = SLOPES
         cubes = np.array([shape.shape == "cube" for shape in shapes])
         # Low ones are taken to be as high as rocks are in the mean: most of them are round.
         heights = [max(shape.height_ratio, RockModel.height_ratio) for shape in shapes]
-        bare = [bare_share(round(elevation, 3), height) for height in heights]
-        self._bare = np.where(cubes, 0.0, bare)
+        bare = [faceted_shadowless_fraction(round(elevation, 3), height) for height in heights]
+        self._shadowless = np.where(cubes, 0.0, bare)
         share = np.ones(len(shapes))
-        if told is not None:
-            share[cubes == (told == "cube")] = 2.0
+        if expected_shape is not None:
+            share[cubes == (expected_shape == "cube")] = 2.0
         start = np.repeat(share / share.sum(), len(SLOPES)) / len(SLOPES)
-        self._start = _START * start
-        self._count = np.zeros_like(self._start)
+        self._prior = _PRIOR_WEIGHT * start
+        self._observed_weight = np.zeros_like(self._prior)
 
     @classmethod
     def known(cls, model: ShadowModel) -> ShapeMixture:
         """Return the mixture of one shape on level ground."""
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
-        one.slopes, one._start, one._count = np.zeros(1), np.ones(1), np.zeros(1)
-        one._bare = np.array([model.bare])
+        one.slopes, one._prior, one._observed_weight = np.zeros(1), np.ones(1), np.zeros(1)
+        one._shadowless = np.array([model.shadowless_fraction])
         return one
 
     def under(self, elevation: float) -> ShapeMixture:
@@ -149,8 +149,8 @@ class ShapeMixture:
     @property
     def shares(self) -> Array:
         """Of the hypotheses in the population (shapes * slopes,), slopes varying fastest."""
-        count = self._start + self._count
-        share = np.maximum(count / count.sum(), _LEAST_SHARE)
+        count = self._prior + self._observed_weight
+        share = np.maximum(count / count.sum(), _MIN_SHARE)
         return np.asarray(share / share.sum())
 
     @property
@@ -169,7 +169,7 @@ class ShapeMixture:
 
         They do not tell of themselves, so all but cubes are taken to be faceted.
         """
-        return float(self.shape_shares @ self._bare)
+        return float(self.shape_shares @ self._shadowless)
 
     def _mean(self, name: str) -> float:
         return float(self.shape_shares @ np.array([getattr(m, name) for m in self.models]))
@@ -196,12 +196,12 @@ class ShapeMixture:
         middle = float(self.shape_shares @ mean)
         return middle, float(np.sqrt(self.shape_shares @ (sigma**2 + (mean - middle) ** 2)))
 
-    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+    def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
         """Return the probability that rocks are so long, over the shapes' shares (n,).
 
         See `ShadowModel.as_long_as`.
         """
-        of_shape = [m.as_long_as(half_axis, radius, sigma) for m in self.models]
+        of_shape = [m.probability_longer_than(half_axis, radius, sigma) for m in self.models]
         return np.asarray(self.shape_shares @ np.stack(of_shape))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
@@ -210,7 +210,7 @@ class ShapeMixture:
         See `ShadowModel.patch`.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
-        return _mixed(units, self.shape_shares)
+        return _mean_patch(units, self.shape_shares)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q (...), see `ShadowModel.visible_pixels`."""
@@ -227,7 +227,7 @@ class ShapeMixture:
         along_px: Array,
         across_px: Array,
         pixel: float,
-    ) -> Reading:
+    ) -> RadiusEstimate:
         """Return what radii patches stand for.
 
         Parameters
@@ -250,7 +250,7 @@ class ShapeMixture:
         for unit in units:
             ends = pixel * np.sqrt(2.0)
             for slope in self.slopes:
-                r, v, fit = _agreed(
+                r, v, fit = _radius_of_patch(
                     length, width, unit, ends * along_px, ends * across_px, slope * lean
                 )
                 radii.append(r)
@@ -263,8 +263,10 @@ class ShapeMixture:
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
         of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
-        largest = self._largest(r + _LARGEST * np.sqrt(v), weight, of_shape)
-        return Reading(radius, np.sqrt(variance), largest, _mixed(units, of_shape), weight)
+        largest = self._largest(r + _LARGEST_SIGMAS * np.sqrt(v), weight, of_shape)
+        return RadiusEstimate(
+            radius, np.sqrt(variance), largest, _mean_patch(units, of_shape), weight
+        )
 
     def _largest(self, radius: Array, weight: Array, of_shape: Array) -> Array:
         """Return the longest half axis under any hypothesis that is not improbable (n,), m.
@@ -275,16 +277,16 @@ class ShapeMixture:
         slopes = len(self.slopes)
         longest = np.repeat([m.elongation for m in self.models], slopes)
         # Of a possible shape those slopes count that are not improbable themselves.
-        possible = np.repeat(of_shape > _IMPROBABLE, slopes, axis=-1)
-        possible &= weight > _IMPROBABLE / slopes
+        possible = np.repeat(of_shape > _MIN_WEIGHT, slopes, axis=-1)
+        possible &= weight > _MIN_WEIGHT / slopes
         return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
 
     def learn(self, weight: Array, q: Array) -> None:
         """Take in what patches (n, hypotheses) of q pixels (n,) say of the population."""
-        self._count = _KEPT * self._count + weight[q >= _LEAST_Q].sum(0)
+        self._observed_weight = _MEMORY * self._observed_weight + weight[q >= _MIN_Q].sum(0)
 
 
-def _agreed(
+def _radius_of_patch(
     length: Array, width: Array, unit: ShadowPatch, along: Array, across: Array, stretch: Array
 ) -> tuple[Array, Array, Array]:
     """Return radius, its variance and the logarithm of the likelihood of patches (n,).
@@ -293,7 +295,7 @@ def _agreed(
     `along` and `across`, m), the spread of shapes and the share by which slopes stretch the length;
     they are averaged by their variances, and are the likelier the better they agree.
     """
-    l0, w0 = np.maximum(unit.length, _LEAST_LENGTH), np.maximum(unit.width, _LEAST_LENGTH)
+    l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0
     var_length = (along**2 + (by_length * unit.length_sigma) ** 2) / l0**2
     var_length += (by_length * stretch) ** 2
@@ -306,10 +308,10 @@ def _agreed(
     return radius, var_length * var_width / total, fit
 
 
-def _mixed(units: list[ShadowPatch], share: Array) -> ShadowPatch:
+def _mean_patch(units: list[ShadowPatch], share: Array) -> ShadowPatch:
     """Return the mean patch over shapes, their shares (shapes,) or (n, shapes)."""
     stack = {f.name: np.stack([getattr(u, f.name) for u in units], -1) for f in fields(ShadowPatch)}
-    mean = {k: (share * stack[k]).sum(-1) for k in _MEANS}
+    mean = {k: (share * stack[k]).sum(-1) for k in _AVERAGED}
     sigma = {
         f"{k}_sigma": np.sqrt(
             (share * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)

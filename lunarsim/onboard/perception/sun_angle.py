@@ -16,10 +16,10 @@ Complex = NDArray[np.complex128]
 
 # Directions of single shadows scatter by what is found as if so many more had been seen to scatter
 # by so much, rad: few may agree by chance.
-_USUAL_SCATTER, USUAL_NUMBER = float(np.deg2rad(25.0)), 4
+_PRIOR_SCATTER_RAD, PRIOR_NUMBER = float(np.deg2rad(25.0)), 4
 # A face is brighter than what is lit within so many pixels, of which none counts as brighter than
 # this.
-_FACE_ABOUT, _FACE_MOST = 7, 1.2
+_FACE_WINDOW_PX, _MAX_FACE_BRIGHTNESS = 7, 1.2
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class SunAngle:
         Where it is short, most of what is dark and bright side by side is no rock with its shadow:
         craters, or slopes.
         """
-        spread = np.sqrt(0.5 * (self.number + USUAL_NUMBER))
+        spread = np.sqrt(0.5 * (self.number + PRIOR_NUMBER))
         return float(self.side * spread / self.number) if self.number else 0.0
 
 
@@ -73,14 +73,14 @@ def mean_angle(vectors: Complex) -> tuple[float, float]:
     mean = vectors.mean()
     length = abs(mean)
     across = np.imag(vectors * np.conj(mean) / max(length, 1e-12))
-    usual = USUAL_NUMBER * float((abs(vectors) ** 2).mean()) * np.sin(_USUAL_SCATTER) ** 2
-    spread = np.sqrt(((across**2).sum() + usual) / (n + USUAL_NUMBER))
+    usual = PRIOR_NUMBER * float((abs(vectors) ** 2).mean()) * np.sin(_PRIOR_SCATTER_RAD) ** 2
+    spread = np.sqrt(((across**2).sum() + usual) / (n + PRIOR_NUMBER))
     if not length > 2.0 * spread / np.sqrt(n):
         return float("nan"), float("inf")
     return float(np.angle(mean)), float(spread / np.sqrt(n) / length)
 
 
-def doubled(length: Array, width: Array, skew: Array) -> Complex:
+def doubled_axes(length: Array, width: Array, skew: Array) -> Complex:
     """Return the axes of patches (n,) as vectors at twice their angle from the Sun's azimuth.
 
     Their length is 0 for round patches, 1 for lines.
@@ -89,19 +89,21 @@ def doubled(length: Array, width: Array, skew: Array) -> Complex:
     return np.asarray((along - across + 2j * skew) / np.maximum(along + across, 1e-12))
 
 
-def above_slopes(seen: Detections) -> NDArray[np.float32]:
+def local_relative_brightness(seen: Detections) -> NDArray[np.float32]:
     """Return brightness over that of what is lit within a few pixels (height, width).
 
     A slope is no brighter than its surroundings; the face of a rock is.
     """
     lit = (seen.labels == 0).astype(np.float32)
-    side, few = (_FACE_ABOUT, _FACE_ABOUT), np.float32(0.02)
-    total = cv2.blur(cv2.multiply(cv2.min(seen.relative, _FACE_MOST), lit), side)
+    side, few = (_FACE_WINDOW_PX, _FACE_WINDOW_PX), np.float32(0.02)
+    total = cv2.blur(cv2.multiply(cv2.min(seen.relative, _MAX_FACE_BRIGHTNESS), lit), side)
     return np.asarray(cv2.divide(seen.relative, (total + few) / (cv2.blur(lit, side) + few)))
 
 
-def seen_from(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
+def viewing_angles(view: View, points: Array, sun: Array) -> tuple[Array, Array]:
     """Return azimuth of the camera from the Sun's and depression of the sight of points (n, 3)."""
-    sight = points - view.position
-    azimuth = np.arctan2(-sight[:, 0], -sight[:, 1]) - np.arctan2(sun[0], sun[1])
-    return azimuth, np.arctan2(-sight[:, 2], np.hypot(sight[:, 0], sight[:, 1]))
+    line_of_sight = points - view.position
+    azimuth = np.arctan2(-line_of_sight[:, 0], -line_of_sight[:, 1]) - np.arctan2(sun[0], sun[1])
+    return azimuth, np.arctan2(
+        -line_of_sight[:, 2], np.hypot(line_of_sight[:, 0], line_of_sight[:, 1])
+    )

@@ -11,9 +11,9 @@ from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVA
 Array = NDArray[np.float64]
 
 # Elevation of the Sun at which what looks differ by was found, rad.
-_LOOK_SUN = float(np.deg2rad(20.0))
+_REFERENCE_ELEVATION_RAD = float(np.deg2rad(20.0))
 # They differ by this power of how much longer shadows are under a lower one: by 1 pixel at 8 deg.
-_LOOK_POWER = 1.5
+_SCATTER_POWER = 1.5
 
 
 def unit_vector(sun: ArrayLike) -> Array:
@@ -30,18 +30,18 @@ def unit_vector(sun: ArrayLike) -> Array:
     return direction
 
 
-def throws_shadows(sun: Array) -> bool:
+def has_usable_shadows(sun: Array) -> bool:
     """Tell whether the Sun (3,) stands where rocks are seen by their shadows: 2 to 80 deg high."""
     elevation = float(np.arcsin(np.clip(sun[2], -1.0, 1.0)))
     return bool(LEAST_ELEVATION <= elevation <= MOST_ELEVATION)
 
 
-def shadow_stretch(sun: Array) -> float:
+def shadow_length_ratio(sun: Array) -> float:
     """Return how much longer shadows are under a low Sun (3,) than under 20 deg; 1 for others."""
-    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
-    return max(float(longer), 1.0)
+    ratio = np.tan(_REFERENCE_ELEVATION_RAD) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
+    return max(float(ratio), 1.0)
 
 
-def look_stretch(sun: Array) -> float:
+def observation_scatter_factor(sun: Array) -> float:
     """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
-    return float(shadow_stretch(sun) ** _LOOK_POWER)
+    return float(shadow_length_ratio(sun) ** _SCATTER_POWER)

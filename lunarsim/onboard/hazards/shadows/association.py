@@ -18,7 +18,7 @@ Index = NDArray[np.int64]
 # Chi-squared of pixel and radius, 3 degrees of freedom, at 99.9 %.
 GATE = 16.27
 # By as much must a rival's squared distance be greater for a pair to be sure.
-_RIVAL = 6.0
+_MIN_RIVAL_MARGIN = 6.0
 
 
 def associate(
@@ -67,15 +67,15 @@ def associate(
     distance += (radius[i] - tracked_radius[j]) ** 2 / (radius_variance[i] + tracked_variance[j])
     inside = distance < gate
     i, j, distance = i[inside], j[inside], distance[inside]
-    close = np.zeros(d, bool)
-    close[i] = True
-    detection, rock = _cheapest_pairs(i, j, distance, d, t, gate)
+    is_gated = np.zeros(d, bool)
+    is_gated[i] = True
+    detection, rock = _optimal_pairs(i, j, distance, d, t, gate)
     own = np.full(d, -1)
     own[detection] = rock
     mate = np.full(t, -1)
     mate[rock] = detection
-    sure = _has_no_rival(i, j, distance, own, mate)
-    return detection, rock, sure[detection], close
+    is_unambiguous = _is_unambiguous(i, j, distance, own, mate)
+    return detection, rock, is_unambiguous[detection], is_gated
 
 
 def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
@@ -85,15 +85,15 @@ def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Inde
     return i, np.fromiter(chain.from_iterable(near), np.int64, i.size)
 
 
-def _cheapest_pairs(
-    i: Index, j: Index, distance: Array, d: int, t: int, alone: float
+def _optimal_pairs(
+    i: Index, j: Index, distance: Array, d: int, t: int, unpaired_cost: float
 ) -> tuple[Index, Index]:
     """Return which of the pairs (i, j) of d and t make the least sum; one alone costs `alone`."""
     # One column a detection for "none of the rocks"; weights must not be 0, an absent entry.
     each = np.arange(d)
     cost = csr_array(
         (
-            np.concatenate((distance, np.full(d, alone))) + 1.0,
+            np.concatenate((distance, np.full(d, unpaired_cost))) + 1.0,
             (np.concatenate((i, each)), np.concatenate((j, t + each))),
         ),
         shape=(d, t + d),
@@ -103,7 +103,7 @@ def _cheapest_pairs(
     return np.asarray(rows[paired], np.int64), np.asarray(column[paired], np.int64)
 
 
-def _has_no_rival(
+def _is_unambiguous(
     i: Index, j: Index, distance: Array, own: Index, mate: Index
 ) -> NDArray[np.bool_]:
     """Tell which detections (d,) are by far nearer to their rock than any rival of the pair.
@@ -119,4 +119,4 @@ def _has_no_rival(
     np.minimum.at(rival, i[~is_pair], distance[~is_pair])
     matched = ~is_pair & (mate[j] >= 0)
     np.minimum.at(rival, mate[j[matched]], distance[matched])
-    return np.asarray(rival > cost + _RIVAL)
+    return np.asarray(rival > cost + _MIN_RIVAL_MARGIN)

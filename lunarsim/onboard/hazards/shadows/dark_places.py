@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def in_the_dark(
+def is_dark_at_patch(
     rocks: RockFilter,
     index: Index,
     unit: ShadowPatch,

@@ -26,10 +26,10 @@ from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _density_kernels as density
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
-from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
-from lunarsim.onboard.hazards.shadows.sliding import Slide
-from lunarsim.onboard.perception.along_plane import along
+from lunarsim.onboard.hazards.shadows.map_motion import MapMotion
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
+from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -40,29 +40,29 @@ Array = NDArray[np.float64]
 Heights = Callable[[Array], Array]
 
 # Places at which the shadow of a rock and the height of the ground are worked out, m apart.
-_COARSE = 4.0
+_NODE_SPACING_M = 4.0
 # Points of a shadow's core: the middle, and these shares of its length and width off it.
-_ALONG, _ACROSS = 0.25, 0.2
+_CORE_LENGTH_FRACTION, _CORE_WIDTH_FRACTION = 0.25, 0.2
 # Radius of the disc of a rock over its longer half axis, by which it is a hazard: of a round rock,
 # and of long ones.
-_SHARES = (1.0, 0.7)
+_RADIUS_RATIOS = (1.0, 0.7)
 # As many of the five must be dark for a rock to be possible.
-_DARK = 4
+_MIN_DARK_POINTS = 4
 # A look counts if it is sharper than those before by this factor.
-_SHARPER = 1.03
+_MIN_SHARPNESS_GAIN = 1.03
 # The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
-_REACH, _FAR = 2.0, 1e3
+_HEIGHT_SIGMAS, _MAX_HEIGHT_ERROR_M = 2.0, 1e3
 # Rocks of a size cannot be crowded into less than this many of their own areas.
-_CROWD = 2.0
+_MIN_AREA_PER_ROCK = 2.0
 # A place is seen if the least rock there would be missed no more often than this.
-_MISSED = 0.25
+_MAX_MISS_RATE = 0.25
 # Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
-_BARE = 0.02
+_MAX_SHADOWLESS_FRACTION = 0.02
 # Rocks on a square metre, for none of a size.
-_NONE = 1e-30
+_MIN_DENSITY = 1e-30
 # Greatest ratio of the sizes that one test stands for, and tests at most: of the last one's sizes,
 # nearly three times the least and more, there are few.
-_STEP, _TESTS = 1.4, 4
+_SIZE_CLASS_RATIO, _MAX_SIZE_CLASSES = 1.4, 4
 
 
 class ClearEvidence:
@@ -101,16 +101,16 @@ class ClearEvidence:
         rates: DetectionRates,
     ) -> None:
         self.grid = grid
-        self.slide = Slide(np.array(grid.centre))
+        self.motion = MapMotion(np.array(grid.centre))
         self.model = model
         # The shadow of a low rock lies within that of any higher one.
-        self._low = ShadowModel(model.elevation, LOW)
+        self._low_rocks = ShadowModel(model.elevation, LOW)
         self.rates = rates
         self._radius = 0.5 * diameters
-        self._number = np.maximum(number, _NONE)
+        self._number = np.maximum(number, _MIN_DENSITY)
         # One test for sizes within a factor.
-        step = np.log(diameters / diameters[0]) / np.log(_STEP)
-        first = np.minimum((step + 1e-9).astype(int), _TESTS - 1)
+        step = np.log(diameters / diameters[0]) / np.log(_SIZE_CLASS_RATIO)
+        first = np.minimum((step + 1e-9).astype(int), _MAX_SIZE_CLASSES - 1)
         self._class = np.unique(first, return_inverse=True)[1]
         classes = int(self._class.max()) + 1
         self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
@@ -122,7 +122,7 @@ class ClearEvidence:
         """Take back all that was seen."""
         self.lit[:] = 0.0
         self.dark[:] = 0.0
-        self.slide.forget()
+        self.motion.forget()
 
     def recentre(self, off: Array) -> Array:
         """Lay the places about a point that is off (2,), m, to whole places; what was seen stays.
@@ -152,7 +152,7 @@ class ClearEvidence:
         seen: Detections,
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
-        place_sigma: Heights | None = None,
+        position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
         blur: float = 0.0,
@@ -187,38 +187,45 @@ class ClearEvidence:
         if len(seen) == 0:
             return
         every, xy = self._nodes()
-        height = _asked(heights, xy)
+        height = _evaluate(heights, xy)
         place = np.dstack((xy, height))
         focal = float(np.sqrt(view.fx * view.fy))
-        azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
-        model, low = along(self.model, plane, sun), along(self._low, plane, sun)
+        azimuth, depression, pixel = viewing_geometry(place, view.position, focal, sun, plane)
+        model, low_rocks = (
+            model_on_plane(self.model, plane, sun),
+            model_on_plane(self._low_rocks, plane, sun),
+        )
         sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * self.rates.wider(blur))
         view, place = plane.view(view), plane.points(place)
-        shown = (view.position[2] > place[..., 2]) & self._placed(xy, place_sigma)
-        sharpness = np.where(shown, sharpness, 0.0)
-        largest = seen.largest if explained is None else _marked(seen, explained)
-        reach = np.zeros(height.shape) if height_sigma is None else _asked(height_sigma, xy)
-        core = _cores(model, low, azimuth, depression, sun)
-        coarse = np.dstack((sharpness, place, np.minimum(_REACH * reach, _FAR), *core))
+        is_visible = (view.position[2] > place[..., 2]) & self._is_position_known(
+            xy, position_sigma
+        )
+        sharpness = np.where(is_visible, sharpness, 0.0)
+        largest = seen.largest if explained is None else _mark_explained(seen, explained)
+        reach = np.zeros(height.shape) if height_sigma is None else _evaluate(height_sigma, xy)
+        core = _cores(model, low_rocks, azimuth, depression, sun)
+        coarse = np.dstack(
+            (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
+        )
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
-            largest, _DARK, _SHARPER, len(_SHARES),
+            largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
         )  # fmt: skip
 
-    def _placed(self, xy: Array, place_sigma: Heights | None) -> NDArray[np.bool_]:
+    def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> NDArray[np.bool_]:
         """Return where points (rows, cols, 2) are known as well as the least rock is large."""
-        if place_sigma is None:
+        if position_sigma is None:
             return np.ones(xy.shape[:2], np.bool_)
-        return np.asarray(_asked(place_sigma, xy) <= self._radius[0])
+        return np.asarray(_evaluate(position_sigma, xy) <= self._radius[0])
 
     def _nodes(self) -> tuple[int, Array]:
         """Return of how many places one is a node, and where nodes lie now (rows, cols, 2), m."""
         g = self.grid
-        every = max(1, round(_COARSE / g.posting))
+        every = max(1, round(_NODE_SPACING_M / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        return every, self.slide.now(np.stack(np.meshgrid(x, y), -1))
+        return every, self.motion.now(np.stack(np.meshgrid(x, y), -1))
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
         """Return where the sharpest look does not rule out a rock (rows, cols)."""
@@ -234,12 +241,12 @@ class ClearEvidence:
         # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
         # that is tracked may hide another, no more probably than any ground.
         crowded, looked = density.count_crowded(self.lit[test], possible, explained)
-        least = _CROWD * float((number * np.pi * radius**2).sum())
+        least = _MIN_AREA_PER_ROCK * float((number * np.pi * radius**2).sum())
         hidden = float(number.sum())
         out = np.empty(self.grid.shape, np.float32)
         density.fill(
             out, self.lit[test], possible, explained, radius, number, self.rates.cleared,
-            self.model.bare, hidden, hidden / max(crowded / max(looked, 1), least),
+            self.model.shadowless_fraction, hidden, hidden / max(crowded / max(looked, 1), least),
         )  # fmt: skip
         return out
 
@@ -267,16 +274,18 @@ class ClearEvidence:
             number = np.float32(self._number[self._class == s].sum())
             out[s][looked] = self._density(s)[looked] / number
             crowded = self._possible(s) & ~self.explained[s]
-            out[s][crowded] = np.maximum(out[s] * self._untracked(s), np.float32(1.0))[crowded]
+            out[s][crowded] = np.maximum(out[s] * self._miss_fraction(s), np.float32(1.0))[crowded]
         return out
 
-    def _untracked(self, test: int) -> NDArray[np.float32]:
+    def _miss_fraction(self, test: int) -> NDArray[np.float32]:
         """Return the share of rocks that the sharpest look at dark ground misses (rows, cols)."""
         mine = self._class == test
         dark = self.dark[test]
         table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
         missed = self.rates.false_negative(self._radius[mine][:, None] * table)
-        share = np.maximum(self._number[mine] @ missed / self._number[mine].sum(), self.model.bare)
+        share = np.maximum(
+            self._number[mine] @ missed / self._number[mine].sum(), self.model.shadowless_fraction
+        )
         return np.asarray(np.interp(dark, table, share), np.float32)
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
@@ -328,20 +337,20 @@ class ClearEvidence:
 
     def seen(self) -> NDArray[np.bool_]:
         """Return whether a rock of the least size would have shown (rows, cols)."""
-        if self.model.bare > _BARE:
+        if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
-        return np.asarray((missed < _MISSED) & ~self._possible(0))
+        return np.asarray((missed < _MAX_MISS_RATE) & ~self._possible(0))
 
 
-def _asked(given: Heights, xy: Array) -> Array:
+def _evaluate(given: Heights, xy: Array) -> Array:
     """Return what a function gives for points (rows, cols, 2)."""
     return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
 def _cores(
     model: ShadowModel | ShapeMixture,
-    low: ShadowModel,
+    low_rocks: ShadowModel,
     azimuth: Array,
     depression: Array,
     sun: Array,
@@ -352,20 +361,26 @@ def _cores(
     Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
     ground as steep as slopes are here, which is dark on any that is less so.
     """
-    unit = low.patch(azimuth, depression)
+    unit = low_rocks.patch(azimuth, depression)
     s = sun[:2] / np.hypot(sun[0], sun[1])
     height = np.tan(model.elevation)
     length = unit.length * height / (height + model.slope)
     middle = unit.along + 0.5 * (unit.length - length)
     points = []
-    cross = ((0.0, 0.0), (_ALONG, 0.0), (-_ALONG, 0.0), (0.0, _ACROSS), (0.0, -_ACROSS))
-    for share, (a, b) in product(_SHARES, cross):
+    cross = (
+        (0.0, 0.0),
+        (_CORE_LENGTH_FRACTION, 0.0),
+        (-_CORE_LENGTH_FRACTION, 0.0),
+        (0.0, _CORE_WIDTH_FRACTION),
+        (0.0, -_CORE_WIDTH_FRACTION),
+    )
+    for share, (a, b) in product(_RADIUS_RATIOS, cross):
         along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
         points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
     return points
 
 
-def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return `Detections.largest`, negative for the patches of rocks that are tracked."""
     # What holds several shadows is not explained by one rock.
     label = seen.label[explained]

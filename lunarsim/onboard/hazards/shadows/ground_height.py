@@ -18,26 +18,26 @@ from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS
 Array = NDArray[np.float64]
 
 # Each rock is compared with so many others near by.
-_PAIRS = 3
+_NEIGHBOUR_PAIRS = 3
 # What is known of relief beforehand counts as much as ways between rocks of so many metres.
-_BEFORE = 10.0
+_PRIOR_WEIGHT_M = 10.0
 
 
-def relief_growth(rocks: RockFilter) -> float:
+def height_variance_growth(rocks: RockFilter) -> float:
     """Return by how much the variance of heights grows with a metre between them, m^2/m.
 
     The mean over neighbours of the squared difference of their heights, each taken with what it
     errs by: rocks of which no picture has told the height yet say what was known before. Of no more
     than one rock that is all.
     """
-    before = rocks.expected_growth
+    prior = rocks.expected_growth
     if rocks.count < 2:
-        return before
-    others = np.arange(2, min(_PAIRS, rocks.count - 1) + 2)
-    way, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
+        return prior
+    others = np.arange(2, min(_NEIGHBOUR_PAIRS, rocks.count - 1) + 2)
+    distance, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
     height = rocks.xyz[:, 2]
     rise = np.square(height[:, None] - height[near]) + rocks.rise_variance(near)
-    return float((before * _BEFORE + rise.sum()) / (_BEFORE + way.sum()))
+    return float((prior * _PRIOR_WEIGHT_M + rise.sum()) / (_PRIOR_WEIGHT_M + distance.sum()))
 
 
 def height_sigma(rocks: RockFilter, xy: Array) -> Array:
@@ -54,6 +54,6 @@ def height_sigma(rocks: RockFilter, xy: Array) -> Array:
     if rocks.count == 0:
         return np.full(len(xy), np.inf)
     nearest = np.arange(1, min(NEIGHBOURS, rocks.count) + 1)
-    way, near = cKDTree(rocks.xy).query(xy, k=nearest)
+    distance, near = cKDTree(rocks.xy).query(xy, k=nearest)
     own = rocks.relative_covariance()[:, 2, 2]
-    return np.asarray(np.sqrt((own[near] + relief_growth(rocks) * way).min(axis=1)))
+    return np.asarray(np.sqrt((own[near] + height_variance_growth(rocks) * distance).min(axis=1)))

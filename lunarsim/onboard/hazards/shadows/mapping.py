@@ -21,7 +21,7 @@ from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.estimate import Navigation
 from lunarsim.onboard.navigation.kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.perception.health import HealthSettings, PictureHealth, SunProof
+from lunarsim.onboard.perception.health import HealthSettings, PictureHealth, SunConfirmation
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
@@ -149,7 +149,7 @@ class ShadowMapping:
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
         probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        proof = SunProof()
+        proof = SunConfirmation()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
             look_interval=self.look_interval,
@@ -164,7 +164,7 @@ class ShadowMapping:
         return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
-def _health_of(briefing: Briefing, camera: str, sun: SunProof) -> PictureHealth:
+def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> PictureHealth:
     """Return what judges the pictures of a camera, by its own point spread."""
     known = briefing.instruments.get(camera)
     blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR

@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # How many rocks about a place tell how well it is known.
-_ABOUT = 8
+_NEIGHBOUR_COUNT = 8
 
 
-def place_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
+def position_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
     """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
 
     Infinite if no rock is tracked: from picture to picture the lander's own place and attitude then
@@ -39,11 +39,11 @@ def place_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
     """
     if rocks.count == 0:
         return np.full(len(xy), np.inf)
-    own = np.sqrt(0.5 * np.trace(rocks.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
-    near = cKDTree(rocks.xy).query(xy, k=np.arange(1, min(_ABOUT, rocks.count) + 1))[1]
-    sigma = np.asarray(np.median(own[near], axis=1))
-    vague = sigma > enough
-    sigma[vague] = np.minimum(sigma[vague], _mean_sigma(rocks, near[vague]))
+    rock_sigma = np.sqrt(0.5 * np.trace(rocks.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
+    near = cKDTree(rocks.xy).query(xy, k=np.arange(1, min(_NEIGHBOUR_COUNT, rocks.count) + 1))[1]
+    sigma = np.asarray(np.median(rock_sigma[near], axis=1))
+    is_uncertain = sigma > enough
+    sigma[is_uncertain] = np.minimum(sigma[is_uncertain], _mean_sigma(rocks, near[is_uncertain]))
     return sigma
 
 

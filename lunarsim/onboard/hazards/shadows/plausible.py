@@ -6,7 +6,7 @@ from scipy.special import pdtr
 
 # Fewer than this share of those that should have been found, and fewer than chance explains, are
 # too few.
-_FEW, _RARE = 0.25, 1e-6
+_MIN_FOUND_FRACTION, _MAX_CHANCE = 0.25, 1e-6
 
 
 def too_few(found: int, expected: float) -> bool:
@@ -19,4 +19,4 @@ def too_few(found: int, expected: float) -> bool:
     found, expected
         Numbers of rocks.
     """
-    return bool(found < _FEW * expected and pdtr(found, expected) < _RARE)
+    return bool(found < _MIN_FOUND_FRACTION * expected and pdtr(found, expected) < _MAX_CHANCE)

@@ -24,18 +24,18 @@ from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.onboard.perception.sun_direction import throws_shadows, unit_vector
+from lunarsim.onboard.perception.sun_direction import has_usable_shadows, unit_vector
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 
 # What has been seen is remembered for squares of this side, and so far beyond the map, m, since it
 # slides with the rocks.
-_BLOCK, _MARGIN = 0.25, 2.0
-_SIZES = 24
-_DISTANCES = 65
+_BLOCK_SIZE_M, _MARGIN_M = 0.25, 2.0
+_SIZE_CLASSES = 24
+_PROFILE_POINTS = 65
 # A rock's reach ends where its probability is below this.
-_TAIL = 3.9
+_TAIL_SIGMAS = 3.9
 
 
 @dataclass(frozen=True)
@@ -103,15 +103,17 @@ class ProbabilityMap:
         self.rates = rates or DetectionRates()
         self.ground = float(ground)
         self.form: Form = checked_form(form)
-        every = max(1, round(_BLOCK / grid.posting))
-        beyond = round(_MARGIN / (every * grid.posting))
-        first = (0.5 * (every - 1) - beyond * every) * grid.posting
+        every = max(1, round(_BLOCK_SIZE_M / grid.posting))
+        margin_blocks = round(_MARGIN_M / (every * grid.posting))
+        first = (0.5 * (every - 1) - margin_blocks * every) * grid.posting
         blocks = Grid(
             grid.x0 + first, grid.y0 + first, every * grid.posting,
-            -(-grid.rows // every) + 2 * beyond, -(-grid.cols // every) + 2 * beyond,
+            -(-grid.rows // every) + 2 * margin_blocks, -(-grid.cols // every) + 2 * margin_blocks,
         )  # fmt: skip
-        self._every, self._beyond = every, beyond
-        edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
+        self._every, self._margin_blocks = every, margin_blocks
+        edges = np.geomspace(
+            self.prior.least_diameter, self.prior.largest_diameter, _SIZE_CLASSES + 1
+        )
         sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
         self.evidence = ClearEvidence(
@@ -138,7 +140,7 @@ class ProbabilityMap:
         seen: Detections,
         heights: Heights | None = None,
         explained: NDArray[np.bool_] | None = None,
-        place_sigma: Heights | None = None,
+        position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
         blur: float = 0.0,
@@ -157,10 +159,12 @@ class ProbabilityMap:
         InputError
             If the Sun's direction is no unit vector.
         """
-        if not throws_shadows(unit_vector(sun)):
+        if not has_usable_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level, explained, place_sigma, plane, height_sigma, blur)
+        self.evidence.see(
+            view, sun, seen, level, explained, position_sigma, plane, height_sigma, blur
+        )
 
     def residual(self, footprint: float) -> Array:
         """Return the probability that a rock that is not tracked reaches in (rows, cols).
@@ -187,21 +191,21 @@ class ProbabilityMap:
         xy, by
             Where tracked rocks stand now and by how far they were moved (n, 2), m.
         """
-        self.evidence.slide.follow(xy, by)
+        self.evidence.motion.follow(xy, by)
 
     def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
         """Return the map's cells (rows, cols) from blocks of noted places.
 
         `outside` is what cells are that lie on none.
         """
-        if self.evidence.slide.still:
-            inner = slice(self._beyond, -self._beyond or None)
+        if self.evidence.motion.still:
+            inner = slice(self._margin_blocks, -self._margin_blocks or None)
             fine = np.repeat(np.repeat(blocks[inner, inner], self._every, 0), self._every, 1)
             return fine[: self.grid.rows, : self.grid.cols]
         # Column and row of the block under the first cell, the next one and the one above.
         own, cell = self.evidence.grid, self.grid.posting
         start = np.array([self.grid.x0, self.grid.y0])
-        at = self.evidence.slide.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
+        at = self.evidence.motion.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
         zero, right, up = (at - [own.x0, own.y0]) / own.posting
         matrix = np.column_stack((right - zero, up - zero, zero))
         layer = blocks.astype(np.uint8) if blocks.dtype == np.bool_ else blocks
@@ -238,7 +242,7 @@ class ProbabilityMap:
             What `residual` is for this footprint (rows, cols); left out: it is worked out.
         """
         clear = 1.0 - (self.residual(footprint) if residual is None else residual)
-        self._paint(clear, footprint, rocks_of(tracker))
+        self._paint(clear, footprint, rock_tracks(tracker))
         return (1.0 - clear).astype(np.float32)
 
     def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
@@ -267,7 +271,9 @@ class ProbabilityMap:
         slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
         # A rock counts by the probability that it is long enough to matter.
-        large = model.as_long_as(0.5 * self.prior.least_diameter, radius, np.sqrt(variance))
+        large = model.probability_longer_than(
+            0.5 * self.prior.least_diameter, radius, np.sqrt(variance)
+        )
         at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
             return
@@ -275,8 +281,8 @@ class ProbabilityMap:
         r, sigma = radius[at], sigma[at]
         spread = np.sqrt(outline**2 * variance[at] + (r * rough) ** 2)
         mean = outline * r + footprint
-        reach = mean + 1.5 * sigma + _TAIL * np.hypot(sigma, spread)
-        distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
+        reach = mean + 1.5 * sigma + _TAIL_SIGMAS * np.hypot(sigma, spread)
+        distance = np.linspace(0.0, 1.0, _PROFILE_POINTS) * reach[:, None]
         profile = cover_probability(distance, sigma, mean, spread, self.form)
         kernels.paint(
             clear, self.grid.x0, self.grid.y0, self.grid.posting, rocks.xy[at], reach, profile,
@@ -305,17 +311,17 @@ class ProbabilityMap:
 
     def expected_rocks(self) -> float:
         """Return how many rocks that are hazards should have been found on the map."""
-        return self.evidence.expected_found(self._beyond)
+        return self.evidence.expected_found(self._margin_blocks)
 
 
-def rocks_of(tracker: RockTracker) -> RockTracks:
+def rock_tracks(tracker: RockTracker) -> RockTracks:
     """Return the rocks that are tracked, and after them what may be one."""
-    f, vague = tracker.filter, tracker.tentative
+    f, tentative = tracker.filter, tracker.tentative
     own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
     return RockTracks(
-        np.concatenate((f.xy, vague.xy)),
-        np.concatenate((own, vague.sigma)),
-        np.concatenate((f.radius, vague.radius)),
-        np.concatenate((f.radius_variance, vague.radius_variance)),
-        np.concatenate((tracker.existence, vague.existence)),
+        np.concatenate((f.xy, tentative.xy)),
+        np.concatenate((own, tentative.sigma)),
+        np.concatenate((f.radius, tentative.radius)),
+        np.concatenate((f.radius_variance, tentative.radius_variance)),
+        np.concatenate((tracker.existence, tentative.existence)),
     )

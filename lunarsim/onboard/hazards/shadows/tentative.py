@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Tentative:
+class TentativeRocks:
     """Detections of the last image that belong to no rock and are too vague to begin one.
 
     Attributes
@@ -33,7 +33,7 @@ class Tentative:
     existence: Array
 
     @classmethod
-    def none(cls) -> Tentative:
+    def none(cls) -> TentativeRocks:
         """Return no detections."""
         empty = np.empty(0)
         return cls(np.empty((0, 2)), empty, empty, empty, empty)

@@ -22,7 +22,7 @@ _PACKAGE = Path(__file__).parents[2]
 _CODE = ("onboard/perception/shadow_model.py", "frames.py", "rocks/*.py")
 
 
-def kept_table(name: str, key: str, make: Callable[[], Array]) -> Array:
+def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
     """Return a table as it was kept, or make it and keep it; to the bit the same.
 
     Where the user's cache can't be read or written it is made each time.

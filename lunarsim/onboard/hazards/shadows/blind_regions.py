@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import pdtr
 
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.hazards.shadows.aspect import aspect
-from lunarsim.onboard.perception.along_plane import along
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
+from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -30,17 +30,17 @@ Array = NDArray[np.float64]
 # The picture is cut into so many rows and columns.
 ROWS, COLS = 12, 16
 # Sides of the windows of these in which shadows are counted.
-_HEIGHTS, _WIDTHS = (3, 4, 6, 9, 12), (4, 6, 8, 11, 16)
+_WINDOW_ROWS, _WINDOW_COLS = (3, 4, 6, 9, 12), (4, 6, 8, 11, 16)
 # A window is blind if chance leaves so few in it less often than this, were they this share of what
 # the rest of the picture has: rocks come in clusters.
-_RARE, _CLUSTERED = 1e-3, 0.5
+_MAX_CHANCE, _CLUSTERING_FACTOR = 1e-3, 0.5
 # Root of the dark pixels of the least shadow that is found.
-_LEAST_Q = 2.0
+_MIN_Q = 2.0
 # Saturated patches count that are wider than this, pixels; and ground about them as far.
-_GLARE = 5
+_GLARE_PX = 5
 
 
-def middles(width: int, height: int) -> Array:
+def cell_centres(width: int, height: int) -> Array:
     """Return the pixels in the middle of the cells of a picture, row after row (cells, 2)."""
     u = (np.arange(COLS) + 0.5) * width / COLS - 0.5
     v = (np.arange(ROWS) + 0.5) * height / ROWS - 0.5
@@ -50,7 +50,7 @@ def middles(width: int, height: int) -> Array:
 def ground_of_cells(
     camera: CameraModel,
     points: Array,
-    eye: Array,
+    camera_position: Array,
     sun: Array,
     plane: GroundPlane,
     model: ShadowModel | ShapeMixture,
@@ -71,10 +71,10 @@ def ground_of_cells(
         What shadows rocks have.
     """
     focal = float(np.sqrt(camera.fx * camera.fy))
-    azimuth, depression, pixel = aspect(points, eye, focal, sun, plane)
-    sharpness = along(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
+    azimuth, depression, pixel = viewing_geometry(points, camera_position, focal, sun, plane)
+    sharpness = model_on_plane(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
     # A pixel off the boresight sees less of the sky, by the cube of the cosine.
-    off = middles(camera.width, camera.height) - [camera.cx, camera.cy]
+    off = cell_centres(camera.width, camera.height) - [camera.cx, camera.cy]
     solid = (1.0 + ((off / [camera.fx, camera.fy]) ** 2).sum(1)) ** -1.5
     pixels = camera.width * camera.height / len(points)
     return sharpness, pixels * solid * pixel**2 / np.sin(depression)
@@ -97,7 +97,7 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
         Share of the ground under rocks (Golombek).
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
-    least = 2.0 * _LEAST_Q / np.where(shown, sharpness, 1.0)
+    least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
     ground = np.where(shown, area, 0.0)
     return np.stack((ground * golombek_number(least, cover), ground))
 
@@ -116,13 +116,13 @@ def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
     out = np.zeros(found.shape, np.bool_)
     count = _corner_sums(found[None].astype(np.float64))[0]
     share = _corner_sums(expected)
-    for high, wide in product(_HEIGHTS, _WIDTHS):
+    for high, wide in product(_WINDOW_ROWS, _WINDOW_COLS):
         inside = _in_windows(count, high, wide)
         due = _in_windows(share, high, wide)
         rest = count[-1, -1] - inside
         left = np.maximum(share[:, -1:, -1:] - due, 1e-300)
         number = (rest * due / left).min(0)
-        empty = (due.min(0) > 0.0) & (pdtr(inside, _CLUSTERED * number) < _RARE)
+        empty = (due.min(0) > 0.0) & (pdtr(inside, _CLUSTERING_FACTOR * number) < _MAX_CHANCE)
         for i, j in zip(*np.nonzero(empty), strict=True):
             out[i : i + high, j : j + wide] = True
     return out
@@ -144,12 +144,12 @@ def _in_windows(sums: Array, high: int, wide: int) -> Array:
 def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which pixels (height, width) lie in or beside large patches of the greatest count."""
     most = (counts >= np.nanmax(counts)).astype(np.uint8)
-    inner = cv2.erode(most, np.ones((_GLARE, _GLARE), np.uint8))
-    side = 3 * _GLARE
+    inner = cv2.erode(most, np.ones((_GLARE_PX, _GLARE_PX), np.uint8))
+    side = 3 * _GLARE_PX
     return np.asarray(cv2.dilate(inner, np.ones((side, side), np.uint8)) > 0)
 
 
-def blind_parts(
+def blind_regions(
     counts: NDArray[Any], seen: Detections, sharpness: Array, area: Array, cover: float
 ) -> NDArray[np.bool_]:
     """Return in which pixels (height, width) nothing would show.

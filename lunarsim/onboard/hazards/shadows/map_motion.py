@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 # So many rocks at such a distance (m) speak for a turn or a stretch of the ground as loudly as
 # nothing does against it: few rocks move it as a whole.
-_FEW, _FAR = 10.0, 20.0
+_PRIOR_ROCK_COUNT, _PRIOR_DISTANCE_M = 10.0, 20.0
 # Rocks that move otherwise than the rest by so many median deviations are left out.
-_OTHERWISE = 4.0
+_OUTLIER_DEVIATIONS = 4.0
 # Median deviation that no motion of a rock falls below, m.
-_LEAST_DEVIATION = 0.005
+_MIN_DEVIATION_M = 0.005
 
 
-class Slide:
+class MapMotion:
     """The motion of noted places: one affine map of the plane.
 
     Parameters
@@ -31,7 +31,7 @@ class Slide:
     """
 
     def __init__(self, middle: Array) -> None:
-        self._middle = np.asarray(middle, dtype=np.float64)
+        self._centre = np.asarray(middle, dtype=np.float64)
         self._shift = np.zeros(2)
         self._turn = np.eye(2)
 
@@ -60,22 +60,22 @@ class Slide:
         if len(xy) == 0:
             return
         off = np.hypot(*(by - np.median(by, axis=0)).T)
-        alike = off <= _OTHERWISE * max(float(np.median(off)), _LEAST_DEVIATION)
-        before, by = (xy - by)[alike], by[alike]
+        is_inlier = off <= _OUTLIER_DEVIATIONS * max(float(np.median(off)), _MIN_DEVIATION_M)
+        before, by = (xy - by)[is_inlier], by[is_inlier]
         centre, shift = before.mean(0), by.mean(0)
         arm = before - centre
-        square = arm.T @ arm + _FEW * _FAR**2 * np.eye(2)
+        square = arm.T @ arm + _PRIOR_ROCK_COUNT * _PRIOR_DISTANCE_M**2 * np.eye(2)
         turn = np.linalg.solve(square, arm.T @ (by - shift)).T
         # Where a place lay before, it is moved by shift + turn @ (place - centre).
-        self._shift = self._shift + shift + turn @ (self._middle + self._shift - centre)
+        self._shift = self._shift + shift + turn @ (self._centre + self._shift - centre)
         self._turn = self._turn + turn @ self._turn
 
     def now(self, noted: Array) -> Array:
         """Return where noted places (..., 2) lie now, m."""
-        away = np.asarray(noted, dtype=np.float64) - self._middle
-        return np.asarray(self._middle + self._shift + away @ self._turn.T)
+        away = np.asarray(noted, dtype=np.float64) - self._centre
+        return np.asarray(self._centre + self._shift + away @ self._turn.T)
 
     def noted(self, now: Array) -> Array:
         """Return where places (..., 2) that now lie there were noted, m."""
-        away = np.asarray(now, dtype=np.float64) - self._middle - self._shift
-        return np.asarray(self._middle + away @ np.linalg.inv(self._turn).T)
+        away = np.asarray(now, dtype=np.float64) - self._centre - self._shift
+        return np.asarray(self._centre + away @ np.linalg.inv(self._turn).T)
