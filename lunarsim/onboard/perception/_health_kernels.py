@@ -1,4 +1,4 @@
-"""Compiled looks at a picture's shadows: how steep their edges are, where their lit sides lie."""
+"""Compiled measurements of shadow edges and lit faces in an image."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Edges are compared with the range of brightness so many pixels about them.
+# Distance within which the brightness range about an edge is taken, pixels.
 REACH = 3
-# Along a direction they are compared with the range along it, or this share of that all about, if
-# it is more.
+# Minimum range along a direction, as a fraction of the range all about.
 ABOUT = 0.5
-# Directions in which the slope of an edge is taken: right, right and down, down, left and down; and
-# that in which it is steepest.
+# Directions of slopes: right, right and down, down, left and down; and that of the steepest slope.
 SLOPES = 5
 # Sums over the bright pixels beside a patch (weight, column, row) and over its own (number, column,
 # row).
@@ -26,7 +24,7 @@ _DIAGONAL = math.sqrt(0.5)
 
 @kernel(inline=True)
 def _range_about(image, i, j):
-    """Return the range of an image about a pixel."""
+    """Return the brightness range about a pixel."""
     low = high = image[i, j]
     for di in range(-REACH, REACH + 1):
         for dj in range(-REACH, REACH + 1):
@@ -38,7 +36,7 @@ def _range_about(image, i, j):
 
 @kernel(inline=True)
 def _range_along(image, i, j, down, right):
-    """Return the range of an image along a line through a pixel."""
+    """Return the brightness range along a line through a pixel."""
     low = high = image[i, j]
     for n in range(-REACH, REACH + 1):
         value = image[i + n * down, j + n * right]
@@ -49,14 +47,14 @@ def _range_along(image, i, j, down, right):
 
 @kernel(inline=True)
 def _raise_along(out, k, direction, slope, size, least):
-    """Raise the steepest slope of patch k along a direction by one, over the range along it."""
+    """Update the maximum slope of patch k along a direction, relative to the range."""
     if size >= least:
         out[k, direction] = max(out[k, direction], slope / size)
 
 
 @kernel(inline=True)
 def _raise_slopes(out, k, image, i, j, least):
-    """Raise the steepest slopes of patch k by those at a pixel."""
+    """Update the maximum slopes of patch k with those at a pixel."""
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
     steep = math.sqrt(gu * gu + gv * gv)
@@ -67,7 +65,7 @@ def _raise_slopes(out, k, image, i, j, least):
     if not size >= least:
         return
     out[k, 4] = max(out[k, 4], steep / size)
-    # Beside a rock's lit face the range all about is that of another edge.
+    # Beside a lit face, the range all about belongs to another edge.
     half = ABOUT * size
     along = max(_range_along(image, i, j, 0, 1), half)
     _raise_along(out, k, 0, abs(gu), along, least)

@@ -1,4 +1,4 @@
-"""Compiled reading of tables over two directions."""
+"""Compiled interpolation of tables over two directions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def _interval(grid, value):
-    """Return the interval of a rising grid in which a value lies; the last for its end."""
+    """Return the interval of an ascending grid that contains a value."""
     low, high = 0, grid.size - 1
     while high - low > 1:
         middle = (low + high) // 2
