@@ -1,4 +1,4 @@
-"""Compiled part of the evidence: how many rocks may stand where, as looks have it."""
+"""Compiled density of rocks that may exist given the observations."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
-# A lit look takes back what a dark one said if it is sharper by the first factor; one that shows so
-# many pixels of a rock of the size, if by the last. Sharpness is that of a mean rock: low ones may
-# show less to the later look than to the dark one.
+# A lit observation overrules a dark one if it is sharper by the first factor, or, if it shows a
+# rock of the size with the given number of pixels, by the last factor. Sharpness is that of a mean
+# rock; low ones may appear smaller in the later observation than in the dark one.
 _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15)
 
 
@@ -29,7 +29,7 @@ def mark_possible(possible, lit, dark, radius):
 
 @kernel()
 def count_crowded(lit, possible, explained):
-    """Return at how many places a rock may be that is not tracked, and how many were looked at."""
+    """Return the numbers of cells with a possible untracked rock and observed."""
     crowded = looked = 0
     for i in range(lit.shape[0]):
         for j in range(lit.shape[1]):
@@ -40,7 +40,7 @@ def count_crowded(lit, possible, explained):
 
 @kernel()
 def _missed(sharpness, radius, number, line, least):
-    """Return how many rocks a square metre a look at lit ground misses."""
+    """Return the density of rocks missed by an observation of lit ground, 1/m^2."""
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):

@@ -1,4 +1,4 @@
-"""Compiled part of the evidence for clear ground: whether a shadow would fall on lit ground."""
+"""Compiled evidence for clear terrain: whether a shadow would fall on lit ground."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _FEW_STEPS = 4
 
 @kernel()
 def _along_sensor(coarse, position, axes):
-    """Return nodes of the coarse grid as the camera has them (rows, cols, columns)."""
+    """Return the coarse nodes in sensor axes (rows, cols, columns)."""
     rows, cols, width = coarse.shape
     points = (width - POINTS) // 2
     out = np.empty((rows, cols, CORE + 3 * points))
@@ -57,7 +57,7 @@ def _along_sensor(coarse, position, axes):
 
 @kernel()
 def _row_of_nodes(nodes, i, every):
-    """Return what lies between the rows of nodes on row i of the places (cols, columns)."""
+    """Return the nodes interpolated to row i of the positions (cols, columns)."""
     first = min(i // every, nodes.shape[0] - 2)
     share = i / every - first
     out = np.empty(nodes.shape[1:])
@@ -70,7 +70,7 @@ def _row_of_nodes(nodes, i, every):
 
 @kernel(allocates=False)
 def _between(out, nodes, first, share):
-    """Write what lies at a share of the way from one node of a row to the next."""
+    """Write the values interpolated between two nodes of a row."""
     for k in range(len(out)):
         out[k] = nodes[first, k] + share * (nodes[first + 1, k] - nodes[first, k])
 
@@ -158,11 +158,7 @@ def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shado
 
 @kernel()
 def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide, high):
-    """Tell whether the middle of a shadow's core may be in view from the square at node (i, j).
-
-    Between the nodes it lies in the hull of those at the four, and so does its picture: not if all
-    of them are behind the camera, or in front of it and beyond the same edge.
-    """
+    """Return whether the centre of a shadow's core may be in view from a node square."""
     behind = left = right = above = below = 0
     for a in range(i, i + 2):
         for b in range(j, j + 2):
@@ -185,7 +181,7 @@ def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide,
 
 @kernel(parallel=True)
 def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
-    """Tell of each square of the coarse grid and size whether it need be looked at."""
+    """Return which node squares and sizes need evaluation."""
     rows, cols = coarse.shape[0] - 1, coarse.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)
     for i in prange(rows):
@@ -199,7 +195,7 @@ def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
 
 @kernel(parallel=True)
 def _shadow_of(labels, largest):
-    """Return of each pixel, row after row, what `largest` says of its patch."""
+    """Return the value of `largest` for each pixel, row by row."""
     high, wide = labels.shape
     out = np.empty(high * wide, largest.dtype)
     for row in prange(high):
@@ -213,7 +209,7 @@ def _look_along(
     i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
     blocks, least, gain, cores,
 ):  # fmt: skip
-    """Note row i of the places, see `look`."""
+    """Record row i of the positions, see `look`."""
     sizes, _, cols = lit.shape
     high, wide = np.int32(shape[0]), np.int32(shape[1])
     row = _row_of_nodes(nodes, i, every)

@@ -15,15 +15,15 @@ from lunarsim._jit import kernel, prange
 # Columns of a node as the camera has it: sharpness, reach, the place off the camera, east, north,
 # up, the same along the sensor's axes, and along these the core's points, x of all, then y, then z.
 SHARP, FAR, E, N, H, X, Y, Z, CORE = range(9)
-# Ground that may show farther aside than so many radii of a rock is not searched for it.
+# Maximum lateral shift of the terrain in the image, in radii of a rock, that is searched.
 MOST_STEPS = 16
-# Sides of a tile, places, and of a block of pixels, whose largest rock is worked out once.
+# Sides of a tile, positions, and of a block of pixels with a common largest rock.
 _TILE, _BLOCK = 8, 4
-# Boxes of so many pixels are asked pixel by pixel.
+# Boxes of up to this many pixels are tested pixel by pixel.
 _FEW = 48
-# What rounding may move a point of the picture by, pixels.
+# Bound of the rounding error of image points, pixels.
 ROUNDING = 0.01
-# Rows that lie side by side are worked on so many parts from each other.
+# Number of parts over which neighbouring rows are distributed.
 _SPREAD = 16
 
 
@@ -68,14 +68,14 @@ def tiles_of(every):
 
 @kernel(exact=True)
 def tile_at(place, node, every):
-    """Return the tile, along one side of all squares, of a place behind a node."""
+    """Return the tile, along one side of all squares, that contains a position."""
     tiles = tiles_of(every)
     return node * tiles + min((place - node * every) * tiles // every, tiles - 1)
 
 
 @kernel(allocates=False)
 def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
-    """Write the least and greatest of all columns in a tile of the square at node (i, j)."""
+    """Write minimum and maximum of all columns in a tile of the square at node (i, j)."""
     tiles = tiles_of(every)
     low[:], high[:] = np.inf, -np.inf
     for a in range(2):
@@ -95,7 +95,7 @@ def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
 
 @kernel(exact=True)
 def _extent(low, high, first, points):
-    """Return between which coordinates all points of a tile's cores lie, along one axis."""
+    """Return the range of all points of a tile's cores along one axis."""
     least, most, none = np.inf, -np.inf, 0.0
     for k in range(first, first + points):
         least, most = min(least, low[k]), max(most, high[k])
@@ -119,7 +119,7 @@ def extents(low, high):
 
 @kernel(exact=True)
 def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
-    """Return between which coordinates all points lie, raised between two heights."""
+    """Return the range of all points along an axis for a range of heights."""
     one, other = least * up, most * up
     first = low[at] + radius * extent_low + min(one, other)
     return first, high[at] + radius * extent_high + max(one, other)
@@ -127,7 +127,7 @@ def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
 
 @kernel(exact=True)
 def _pixels(low, high, near, far, focal, centre):
-    """Return between which pixels what lies between two coordinates and depths is seen."""
+    """Return the pixel range for a range of coordinates and depths."""
     least = focal * (low / near if low < 0.0 else low / far) + centre - ROUNDING
     most = focal * (high / near if high > 0.0 else high / far) + centre + ROUNDING
     return least, most

@@ -1,9 +1,9 @@
-"""Parts of a picture in which nothing would show: what they show lit tells of no clear ground.
+"""Find regions of an image in which shadows would not be visible.
 
-A picture is judged as a whole, by the best that it shows. A part of it may show nothing all the
-same: saturated, behind dust or dirt, out of focus, read out wrongly. There shadows are missing that
-the rest of the picture has. Ground on which rocks are few looks so too, and is not seen either
-where the picture has many: nothing tells the two apart but the next picture from lower down.
+The quality check uses the best parts of an image. A region may still be useless: saturated, behind
+dust or dirt, out of focus, or read out wrongly. Such a region lacks the shadows that the rest of
+the image has. Terrain with few rocks looks the same and is also excluded if the rest of the image
+has many. Only an image from a lower altitude can separate the two.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from lunarsim.rocks.laws import golombek_number
 
 Array = NDArray[np.float64]
 
-# The picture is cut into so many rows and columns.
+# Rows and columns of cells into which the image is divided.
 ROWS, COLS = 12, 16
-# Sides of the windows of these in which shadows are counted.
+# Sides of the windows, in cells, in which shadows are counted.
 _WINDOW_ROWS, _WINDOW_COLS = (3, 4, 6, 9, 12), (4, 6, 8, 11, 16)
-# A window is blind if chance leaves so few in it less often than this, were they this share of what
-# the rest of the picture has: rocks come in clusters.
+# A window is blind if the probability of so few shadows is below the first value, given the second
+# fraction of the density elsewhere, because rocks are clustered.
 _MAX_CHANCE, _CLUSTERING_FACTOR = 1e-3, 0.5
-# Root of the dark pixels of the least shadow that is found.
+# Minimum q of a detected shadow.
 _MIN_Q = 2.0
-# Saturated patches count that are wider than this, pixels; and ground about them as far.
+# Minimum width of saturated patches, and width of the region excluded around them, pixels.
 _GLARE_PX = 5
 
 
 def cell_centres(width: int, height: int) -> Array:
-    """Return the pixels in the middle of the cells of a picture, row after row (cells, 2)."""
+    """Return the pixels at the centres of image cells, row by row (cells, 2)."""
     u = (np.arange(COLS) + 0.5) * width / COLS - 0.5
     v = (np.arange(ROWS) + 0.5) * height / ROWS - 0.5
     return np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
@@ -55,25 +55,25 @@ def ground_of_cells(
     plane: GroundPlane,
     model: ShadowModel | ShapeMixture,
 ) -> tuple[Array, Array]:
-    """Return how sharply cells show rocks, and their ground, as `expected_shares` has it (cells,).
+    """Return sharpness and terrain area of cells (cells,), for `expected_shares`.
 
     Parameters
     ----------
     camera
-        Whose picture it is.
+        Camera model.
     points
-        Ground in the `middles` of the cells (cells, 3), m; NaN for none.
-    eye
-        Place of the camera (3,), m.
+        Terrain points at the `cell_centres` (cells, 3), m; NaN for none.
+    camera_position
+        Position of the camera (3,), m.
     sun, plane
-        Direction towards the Sun (3,), ENU, and the ground along which shadows fall.
+        Direction towards the Sun (3,), ENU, and the plane on which shadows fall.
     model
-        What shadows rocks have.
+        Shadow model.
     """
     focal = float(np.sqrt(camera.fx * camera.fy))
     azimuth, depression, pixel = viewing_geometry(points, camera_position, focal, sun, plane)
     sharpness = model_on_plane(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
-    # A pixel off the boresight sees less of the sky, by the cube of the cosine.
+    # The solid angle of a pixel decreases with the cube of the cosine off the boresight.
     off = cell_centres(camera.width, camera.height) - [camera.cx, camera.cy]
     solid = (1.0 + ((off / [camera.fx, camera.fy]) ** 2).sum(1)) ** -1.5
     pixels = camera.width * camera.height / len(points)
@@ -81,20 +81,19 @@ def ground_of_cells(
 
 
 def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
-    """Return what number of shadows cells should have, but for a factor (2, cells).
+    """Return the expected number of shadows in cells, up to a factor (2, cells).
 
-    Once as the law of sizes has it for the least rock that shows there, once as if all rocks
-    showed everywhere: the law ends somewhere.
+    The first row follows the size law for the smallest visible rock, the second assumes that all
+    rocks are visible everywhere, because the law does not hold for arbitrarily small rocks.
 
     Parameters
     ----------
     sharpness
-        Root of the dark pixels of a rock of radius 1 m there (cells,); 0 or NaN where there is no
-        ground.
+        Square root of the dark pixels of a rock of radius 1 m (cells,); 0 or NaN without terrain.
     area
-        Of the ground in the cells (cells,), m^2.
+        Terrain area in the cells (cells,), m^2.
     cover
-        Share of the ground under rocks (Golombek).
+        Fraction of the terrain covered by rocks (Golombek).
     """
     shown = np.isfinite(area) & (sharpness > 0.0)
     least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
@@ -103,15 +102,15 @@ def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
 
 
 def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
-    """Return the cells that lie in a window with far fewer shadows than the rest has.
+    """Return the cells in a window with far fewer shadows than the rest of the image.
 
     Parameters
     ----------
     found
-        Shadows in each cell (ROWS, COLS).
+        Number of shadows in each cell (ROWS, COLS).
     expected
-        By one law or another, but for a factor (laws, ROWS, COLS): a window must be too empty by
-        each.
+        Expected number by each law, up to a factor (laws, ROWS, COLS); a window must have too few
+        by all laws.
     """
     out = np.zeros(found.shape, np.bool_)
     count = _corner_sums(found[None].astype(np.float64))[0]
@@ -129,20 +128,20 @@ def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
 
 
 def _corner_sums(values: Array) -> Array:
-    """Return sums over all that is above and left of corners (n, rows + 1, cols + 1)."""
+    """Return cumulative sums above and to the left of corners (n, rows + 1, cols + 1)."""
     out = np.zeros((len(values), values.shape[1] + 1, values.shape[2] + 1))
     out[:, 1:, 1:] = values.cumsum(1).cumsum(2)
     return out
 
 
 def _in_windows(sums: Array, high: int, wide: int) -> Array:
-    """Return the sums over windows by where they begin (..., rows, cols)."""
+    """Return the sums over windows by their first cell (..., rows, cols)."""
     low, top = sums[..., high:, :], sums[..., :-high, :]
     return np.asarray(low[..., wide:] - low[..., :-wide] - top[..., wide:] + top[..., :-wide])
 
 
 def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which pixels (height, width) lie in or beside large patches of the greatest count."""
+    """Return which pixels (height, width) lie in or near large saturated patches."""
     most = (counts >= np.nanmax(counts)).astype(np.uint8)
     inner = cv2.erode(most, np.ones((_GLARE_PX, _GLARE_PX), np.uint8))
     side = 3 * _GLARE_PX
@@ -152,16 +151,16 @@ def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
 def blind_regions(
     counts: NDArray[Any], seen: Detections, sharpness: Array, area: Array, cover: float
 ) -> NDArray[np.bool_]:
-    """Return in which pixels (height, width) nothing would show.
+    """Return the pixels (height, width) in which shadows would not be visible.
 
     Parameters
     ----------
     counts
-        The picture (height, width).
+        Image (height, width).
     seen
-        What was found in it.
+        Detections in the image.
     sharpness, area, cover
-        See `expected_shares`; of the cells about `middles`.
+        See `expected_shares`; for the cells about `cell_centres`.
     """
     height, width = counts.shape
     found = np.histogram2d(

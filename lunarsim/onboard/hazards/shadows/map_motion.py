@@ -1,8 +1,8 @@
-"""How what was noted of places slides through the local frame, as rocks do.
+"""Motion of stored map positions in the local frame, following the rocks.
 
-Rocks are placed from the lander, so what corrects its place and attitude later moves the rocks with
-it: by a metre and more on a descent that knows them to a decimetre from the lander. What a picture
-showed of the ground between them belongs to the ground, so it must move as they do.
+Rocks are positioned relative to the lander, so later corrections of position and attitude move the
+rocks: by 1 m or more on a descent that knows them to 0.1 m relative to the lander. Evidence about
+the terrain between the rocks must move with them.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# So many rocks at such a distance (m) speak for a turn or a stretch of the ground as loudly as
-# nothing does against it: few rocks move it as a whole.
+# Prior against rotation and stretch, equivalent to this many rocks at this distance (m): few rocks
+# only shift the map.
 _PRIOR_ROCK_COUNT, _PRIOR_DISTANCE_M = 10.0, 20.0
-# Rocks that move otherwise than the rest by so many median deviations are left out.
+# Rocks whose motion deviates by more than this many median deviations are ignored.
 _OUTLIER_DEVIATIONS = 4.0
-# Median deviation that no motion of a rock falls below, m.
+# Minimum of the median deviation, m.
 _MIN_DEVIATION_M = 0.005
 
 
 class MapMotion:
-    """The motion of noted places: one affine map of the plane.
+    """Motion of stored positions as an affine map of the plane.
 
     Parameters
     ----------
     middle
-        East and north of the middle of the places (2,), m.
+        Centre of the positions, east and north (2,), m.
     """
 
     def __init__(self, middle: Array) -> None:
@@ -36,24 +36,24 @@ class MapMotion:
         self._turn = np.eye(2)
 
     def forget(self) -> None:
-        """Let places lie where they were noted."""
+        """Reset the motion."""
         self._shift = np.zeros(2)
         self._turn = np.eye(2)
 
     @property
     def still(self) -> bool:
-        """Whether places lie where they were noted."""
+        """Whether positions have not moved."""
         return not self._shift.any() and np.array_equal(self._turn, np.eye(2))
 
     def follow(self, xy: Array, by: Array) -> None:
-        """Move places as rocks were moved.
+        """Move positions with the rocks.
 
         Parameters
         ----------
         xy
-            Where the rocks stand now (n, 2), m.
+            Current positions of the rocks (n, 2), m.
         by
-            By how far they were moved (n, 2), m; NaN for rocks that tell nothing.
+            Motion of the rocks (n, 2), m; NaN if unknown.
         """
         known = np.isfinite(by).all(1) & np.isfinite(xy).all(1)
         xy, by = xy[known], by[known]
@@ -66,16 +66,16 @@ class MapMotion:
         arm = before - centre
         square = arm.T @ arm + _PRIOR_ROCK_COUNT * _PRIOR_DISTANCE_M**2 * np.eye(2)
         turn = np.linalg.solve(square, arm.T @ (by - shift)).T
-        # Where a place lay before, it is moved by shift + turn @ (place - centre).
+        # The motion of an old position is shift + turn @ (position - centre).
         self._shift = self._shift + shift + turn @ (self._centre + self._shift - centre)
         self._turn = self._turn + turn @ self._turn
 
     def now(self, noted: Array) -> Array:
-        """Return where noted places (..., 2) lie now, m."""
+        """Return the current positions of stored positions (..., 2), m."""
         away = np.asarray(noted, dtype=np.float64) - self._centre
         return np.asarray(self._centre + self._shift + away @ self._turn.T)
 
     def noted(self, now: Array) -> Array:
-        """Return where places (..., 2) that now lie there were noted, m."""
+        """Return the stored positions of current positions (..., 2), m."""
         away = np.asarray(now, dtype=np.float64) - self._centre - self._shift
         return np.asarray(self._centre + away @ np.linalg.inv(self._turn).T)

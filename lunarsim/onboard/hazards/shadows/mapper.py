@@ -1,4 +1,4 @@
-"""The shadow mapper: pictures in, `HazardMap` out."""
+"""Shadow mapper: computes a `HazardMap` from camera images."""
 
 from __future__ import annotations
 
@@ -55,21 +55,21 @@ from lunarsim.onboard.perception.sun_direction import unit_vector
 
 Array = NDArray[np.float64]
 
-# Rocks are tracked so far beyond the map, m.
+# Margin around the map within which rocks are tracked, m.
 _TRACKING_MARGIN_M = 3.0
-# Shadows are compared with the Sun so often, s; even where it is right they point elsewhere by so
-# much, rad.
+# Minimum interval between two updates of the Sun monitor, s, and systematic error of the shadow
+# direction, rad.
 _SUN_CHECK_INTERVAL_S = 0.5
 _SHADOW_DIRECTION_SIGMA_RAD = float(np.deg2rad(5.0))
-# A map on which nothing is less safe than this calls all of it safe.
+# If no observed cell has p_safe below this value, the map shows no hazard.
 _MIN_P_SAFE_WITHOUT_HAZARD = 0.5
-# The model of shadows may be made for a Sun so much higher or lower, rad.
+# Maximum difference of Sun elevation between the shadow model and the Sun direction, rad.
 _MAX_SUN_ELEVATION_ERROR_RAD = float(np.deg2rad(1.0))
 
 
 @dataclass
 class _CameraState:
-    """Who judges the pictures of a camera, why the last did not count, and when one was a look."""
+    """Quality check of a camera, its last fault, and last recorded image."""
 
     health: PictureHealth
     fault: Fault | None = None
@@ -77,41 +77,40 @@ class _CameraState:
 
 
 class ShadowMapper(HazardMapper):
-    """Sees rocks by their shadows, tracks them, and maps the probability of hazard.
+    """Detects rocks by their shadows, tracks them, and maps the probability of hazard.
 
     Parameters
     ----------
     tracker
-        The rocks; its filter is part of the lander's navigation.
+        Rock tracker; its filter is part of the navigation filter.
     probability
-        The map.
+        Probability map.
     sun
-        Direction towards the Sun as the lander believes it (3,), ENU of the site frame.
+        Assumed direction towards the Sun (3,), ENU of the site frame.
     footprint
-        Radius of the disc into which no rock may reach under the lander, m.
+        Radius of the disc under the lander that must be free of rocks, m.
     detector
-        What counts as a shadow.
+        Criteria for shadows.
     interval
-        Least time between two evaluations of the map, s.
+        Minimum time between two evaluations of the map, s.
     look_interval
-        Least time between two pictures of a camera of which it is noted what ground they show lit,
-        s: what others show is nearly the same.
+        Minimum time between two images of a camera whose lit terrain is recorded, s. Images in
+        between show nearly the same.
     health
-        Judges the pictures of each camera, by the sensor's name; or one that judges all; left out:
-        one with default settings.
+        Quality checks by sensor name, or one for all cameras; default: default settings.
     relief
-        Mapper of elevations on whose ground rocks stand: looks and rocks lie at its heights, and
-        shadows along its plane. None: they stand on level ground.
+        Elevation mapper whose terrain is used: rocks stand at its heights and shadows fall on its
+        plane. None: horizontal ground.
 
     Attributes
     ----------
     refused
-        Pictures that did not count, by why.
+        Number of rejected images by fault.
 
     Raises
     ------
     InputError
-        If the Sun's direction is no unit vector, or not at the elevation of the tracker's model.
+        If the Sun direction is not a unit vector, or its elevation differs from that of the model.
     """
 
     def __init__(
@@ -143,26 +142,26 @@ class ShadowMapper(HazardMapper):
         self.refused: Counter[Fault] = Counter()
         self.seen: Detections | None = None
         self._map = HazardMap.unobserved(self.grid)
-        # Of rocks that are not tracked; None: something was noted since it was worked out.
+        # Probability of untracked rocks; None if it must be computed again.
         self._residual: Array | None = None
         self._displayed: tuple[HazardMap, np.float32, HazardMap] | None = None
         self._map_time = -np.inf
         self._time = -np.inf
         self._sun_check_time = -np.inf
         self._renewals = 0
-        # What was last told of the whole map, an event's name; empty: nothing.
+        # Name of the last event about the complete map; empty for none.
         self._reported_event = ""
 
     @property
     def health(self) -> PictureHealth:
-        """That of the camera whose picture was the last."""
+        """Quality check of the camera of the last image."""
         return self._cameras[self._camera].health
 
     def take(self, sensor: str, measurement: Picture, estimate: Estimate) -> None:
-        """Take in one picture of a named camera, see `update`.
+        """Process one image of a named camera, see `update`.
 
-        Several cameras stamp their pictures each by itself: one that was taken before the last of
-        another's is left out, and reported as "out-of-order".
+        With several cameras, an image taken before the last one of another camera is dropped and
+        reported as the event "out-of-order".
         """
         if sensor in self._cameras:
             self._camera = sensor
@@ -173,22 +172,21 @@ class ShadowMapper(HazardMapper):
         self.update(measurement, estimate)
 
     def update(self, measurement: Picture, estimate: Estimate) -> None:
-        """Take in one picture, seen from the estimated pose, if it counts.
+        """Process one image taken at the estimated pose, if it passes the quality check.
 
-        One that does not, see `PictureHealth`, changes nothing but `refused`, and is reported:
-        "picture-refused" when pictures begin to fail for a reason, "picture-accepted" when they
-        count again.
+        A rejected image, see `PictureHealth`, changes only `refused`. The event "picture-refused"
+        is recorded when images start to fail for a reason, "picture-accepted" when they pass again.
 
         Raises
         ------
         InputError
-            If time runs backwards.
+            If the image is older than the last one.
         """
         image, rocks = measurement, self.tracker.filter
         if not image.time >= self._time:
             raise InputError(
                 "picture.time", image.time,
-                f"at least {self._time} s: time does not run backwards",
+                f"must not be before the last image at {self._time} s",
             )  # fmt: skip
         self._time = image.time
         self.refresh(image.time)
@@ -203,7 +201,7 @@ class ShadowMapper(HazardMapper):
             was_confirmed = self.health.sun.seen
             health = self._check_shadows(seen, image, estimate, sun, health)
             if was_confirmed and not self.health.sun.seen:
-                # What was looked at under another Sun may be anything.
+                # Terrain evaluated with a wrong Sun direction cannot be trusted.
                 self.probability.forget()
                 self._residual = None
         if health.good and not self._process_image(seen, image, sun):
@@ -211,9 +209,9 @@ class ShadowMapper(HazardMapper):
         self._report(image.time, health)
 
     def refresh(self, time: float) -> None:
-        """Lay rocks on ground that was measured since last asked, be there a picture or none.
+        """Move rocks to the measured terrain if it has changed since the last call.
 
-        Ground that cannot be the one under them is reported: "measured-ground-refused".
+        Terrain that does not fit the rocks is reported: "measured-ground-refused".
         """
         if not self._terrain.has_changed():
             return
@@ -224,10 +222,10 @@ class ShadowMapper(HazardMapper):
             rocks.events.append(NavigationEvent(time, "measured-ground-refused", details))
 
     def _process_image(self, seen: Detections, image: Picture, sun: Array) -> bool:
-        """Take in what a picture shows; return whether it shows the rocks that are there.
+        """Process an accepted image; return whether it shows the tracked rocks.
 
-        If not, it is another's or an older one, or rocks and lander are not where they are taken to
-        be: the rocks are told, and clear ground is none.
+        If not, it belongs to another place or time, or rocks and lander are not where they are
+        estimated. The tracker is updated, but no terrain is recorded as clear.
         """
         self.seen, self._residual = seen, None
         if isinstance(self.tracker.model, ShapeMixture):
@@ -250,9 +248,9 @@ class ShadowMapper(HazardMapper):
     def _record_visible_terrain(
         self, seen: Detections, image: Picture, sun: Array, plane: GroundPlane
     ) -> None:
-        """Note what ground a picture shows lit."""
+        """Record the terrain that an image shows lit."""
         self._cameras[self._camera].recorded_at = image.time
-        # From where the lander stands by what the rocks told: they moved with it.
+        # The pose is the one corrected by the rocks, which moved with it.
         rocks = self.tracker.filter
         self.probability.see(
             image.camera.view(rocks.inertial), sun, seen, rocks.ground_at,
@@ -263,7 +261,7 @@ class ShadowMapper(HazardMapper):
     def _blind_pixels(
         self, seen: Detections, image: Picture, sun: Array, plane: GroundPlane
     ) -> NDArray[np.bool_]:
-        """Return in which pixels (height, width) of a picture nothing would show."""
+        """Return the pixels (height, width) in which rocks would not be visible."""
         camera, rocks = image.camera, self.tracker.filter
         points = rocks.ground_points(camera, cell_centres(camera.width, camera.height))
         sharpness, area = ground_of_cells(
@@ -273,13 +271,13 @@ class ShadowMapper(HazardMapper):
         return blind_regions(counts, seen, sharpness, area, self.probability.prior.cover)
 
     def _place_sigma(self, xy: Array) -> Array:
-        """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m."""
+        """Return the error of positions (n, 2) from the lander, 1 sigma per axis (n,), m."""
         return position_sigma(self.tracker.filter, xy, self.tracker.settings.least_radius)
 
     def _height_sigma(self, xy: Array) -> Array:
-        """Return what the ground's height errs by at points (n, 2), 1 sigma (n,), m.
+        """Return the error of the terrain height at points (n, 2), 1 sigma (n,), m.
 
-        How well the rocks tell it matters where nobody else has measured it.
+        Where the terrain is measured it is 0, elsewhere it follows from the tracked rocks.
         """
         sigma = np.zeros(len(xy))
         unknown = np.isnan(self._terrain.heights(xy))
@@ -288,7 +286,7 @@ class ShadowMapper(HazardMapper):
         return sigma
 
     def _forget_lost_rocks(self) -> None:
-        """Take back what was seen if rocks that were mapped there are no longer tracked."""
+        """Discard recorded terrain after the tracker has dropped all rocks."""
         if self.tracker.renewals > self._renewals:
             self._renewals = self.tracker.renewals
             self.probability.forget()
@@ -297,7 +295,7 @@ class ShadowMapper(HazardMapper):
     def _check_shadows(
         self, seen: Detections, image: Picture, pose: Pose, sun: Array, previous: ImageQuality
     ) -> ImageQuality:
-        """Judge a picture by its shadows, and the Sun by where they fall."""
+        """Check an image by its shadows, and the Sun direction by their directions."""
         rocks = self.tracker.filter
         noise = previous.figures["noise"]
         turn = self._shadow_direction_error(seen, image.camera, pose, sun, noise)
@@ -312,7 +310,7 @@ class ShadowMapper(HazardMapper):
     def _shadow_direction_error(
         self, seen: Detections, camera: CameraModel, pose: Pose, sun: Array, noise: float
     ) -> SunAngle:
-        """Measure by what angle shadows fall beside where the Sun should throw them."""
+        """Measure the angle between shadows and their expected direction."""
         view, model, plane = camera.view(pose), self.tracker.model, self._terrain.plane()
         if plane is None:
             points = self.tracker.filter.ground_points(camera, seen.pixel)
@@ -328,12 +326,12 @@ class ShadowMapper(HazardMapper):
         )
 
     def _ground(self, camera: CameraModel) -> float | GroundPlane:
-        """Return the ground on which rocks are read: as it was measured, or a level plane."""
+        """Return the ground for detection: the measured plane or a horizontal one."""
         plane = self._terrain.plane()
         return self._height_in_view(camera) if plane is None else plane
 
     def _report(self, time: float, health: ImageQuality) -> None:
-        """Count pictures that do not count, and say when that begins and ends."""
+        """Count rejected images, and record an event when the fault changes."""
         state = self._cameras[self._camera]
         fault, previous, state.fault = health.fault, state.fault, health.fault
         if fault is not None:
@@ -351,7 +349,7 @@ class ShadowMapper(HazardMapper):
         self.tracker.filter.events.append(NavigationEvent(time, name, details))
 
     def _height_in_view(self, camera: CameraModel) -> float:
-        """Return the height of the ground in the middle of the image, m."""
+        """Return the terrain height at the centre of the image, m."""
         rocks = self.tracker.filter
         middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
         height = float(rocks.ground_points(camera, middle)[0, 2])
@@ -360,7 +358,7 @@ class ShadowMapper(HazardMapper):
     def hazard_map(self) -> HazardMap:
         """Return the map, at most `interval` seconds old.
 
-        Where shadows do not fall away from the Sun nothing is known of any rock.
+        While shadows contradict the Sun direction, the map is unobserved.
         """
         if self.tracker.filter.pictures.watches["shadows"].lost:
             return self._with_flat_elevation(HazardMap.unobserved(self.grid))
@@ -373,9 +371,9 @@ class ShadowMapper(HazardMapper):
         return self._with_flat_elevation(self._map)
 
     def evidence(self) -> RockEvidence | None:
-        """Return what pictures say of rocks; None where they say nothing.
+        """Return the evidence about rocks from images; None without any.
 
-        Of a map that cannot be believed, see `_plausible`, rocks count and clear ground does not.
+        If the map is implausible, see `_with_plausibility`, rocks count and clear terrain does not.
         """
         drawn = self.hazard_map()
         if self.blank or self.tracker.filter.pictures.watches["shadows"].lost:
@@ -392,10 +390,10 @@ class ShadowMapper(HazardMapper):
         )  # fmt: skip
 
     def _with_plausibility(self, drawn: HazardMap) -> HazardMap:
-        """Return a map that says whether it can be believed, and report where all of it is safe.
+        """Return the map with `in_domain`, and report maps with few or no hazards.
 
-        Where far fewer rocks were found than ground like this should have, either it has fewer or
-        they do not show: `in_domain` is then false everywhere.
+        If far fewer rocks were found than the prior predicts, either the terrain has fewer, or they
+        are not detected. `in_domain` is then false everywhere.
         """
         prior = self.probability.prior
         expected = self.probability.expected_rocks()
@@ -412,13 +410,13 @@ class ShadowMapper(HazardMapper):
         return replace(drawn, in_domain=np.zeros_like(drawn.observed)) if is_too_few else drawn
 
     def ground_height(self, xy: Array) -> float:
-        """Return the local height of the ground at a point (2,), measured or by the rocks, m."""
+        """Return the terrain height at a point (2,), measured or from the rocks, m."""
         return float(self.tracker.filter.ground_at(xy)[0])
 
     def recentre(self, centre: Array) -> None:
-        """Lay the map about another point (3,), local frame, m.
+        """Centre the map at another point (3,), local frame, m.
 
-        Rocks that lie off it are tracked as before; no more of them are begun.
+        Rocks outside remain tracked, but no more of them are added.
         """
         if not (self.blank or is_aside(self.grid, centre)):
             return
@@ -429,7 +427,7 @@ class ShadowMapper(HazardMapper):
         self._map, self._map_time = HazardMap.unobserved(self.grid), -np.inf
 
     def _with_flat_elevation(self, drawn: HazardMap) -> HazardMap:
-        """Return a map with level ground where its middle now lies in the local frame."""
+        """Return the map with the current terrain height at its centre as elevation."""
         middle = np.array([np.mean(self.grid.x), np.mean(self.grid.y)])
         height = np.float32(self.ground_height(middle))
         if (
@@ -443,11 +441,11 @@ class ShadowMapper(HazardMapper):
 
     @property
     def blank(self) -> bool:
-        """Whether no picture has counted yet."""
+        """Whether no image has been accepted yet."""
         return self.seen is None
 
     def tables(self) -> dict[str, dict[str, Array]]:
-        """Return the rocks tracked: centres, radii (m) and existence."""
+        """Return the tracked rocks: centres, radii (m) and existence."""
         f = self.tracker.filter
         return {
             "rocks": {
@@ -458,7 +456,7 @@ class ShadowMapper(HazardMapper):
 
 
 def tracked_region(grid: Grid) -> Region:
-    """Return the west, east, south and north limits of where rocks are tracked for a map, m."""
+    """Return west, east, south and north limits of the tracked area of a map, m."""
     west, east, south, north = grid.extent
     return (
         west - _TRACKING_MARGIN_M,
@@ -469,9 +467,9 @@ def tracked_region(grid: Grid) -> Region:
 
 
 def _check_sun(sun: ArrayLike, elevation: float) -> None:
-    """Refuse a Sun that is not where the model of shadows has it."""
+    """Raise an error if the Sun elevation differs from that of the shadow model."""
     direction = unit_vector(sun)
     if not abs(float(np.arcsin(direction[2])) - elevation) < _MAX_SUN_ELEVATION_ERROR_RAD:
         raise InputError(
-            "sun", sun, f"a direction {np.rad2deg(elevation):.1f} deg high, as the model of shadows"
+            "sun", sun, f"must be {np.rad2deg(elevation):.1f} deg high, as in the shadow model"
         )

@@ -1,4 +1,4 @@
-"""Ground that another mapper of the lander has measured: its plane, and its heights."""
+"""Plane and heights of the terrain measured by another mapper."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
 
-# A rock stands on the mean height of the ground within so much of it to either side, m: its own top
-# and what a single return errs by count little.
+# Half width of the square over which heights are averaged, m, so that the rock itself and errors of
+# single returns have little effect.
 _HALF_WIDTH_M = 1.0
 
 
 class MeasuredTerrain:
-    """What a mapper of elevations has measured, as it stands.
+    """Current terrain of an elevation mapper.
 
     Parameters
     ----------
     mapper
-        Whose ground it is; None: nobody measures any.
+        Elevation mapper; None: no measured terrain.
     """
 
     def __init__(self, mapper: HazardMapper | None) -> None:
@@ -35,20 +35,20 @@ class MeasuredTerrain:
         self._changed = False
 
     def has_changed(self) -> bool:
-        """Tell whether it was drawn anew since last asked: after a scan, or laid or turned anew."""
+        """Return whether the surface has changed since the last call."""
         self._current_surface()
         has_changed, self._changed = self._changed, False
         return has_changed
 
     def plane(self) -> GroundPlane | None:
-        """Return the plane of it; None where too little was measured, see `relief_plane`."""
+        """Return the plane of the terrain; None if unknown, see `fit_terrain_plane`."""
         self._current_surface()
         return self._plane
 
     def heights(self, xy: Array) -> Array:
-        """Return its heights (n,) at points (n, 2), local frame, m; NaN where none was measured.
+        """Return heights (n,) at points (n, 2), local frame, m; NaN where not measured.
 
-        Each is the mean over a square of 2 m about the point's cell, of what is known there.
+        Each is the mean of the known heights in a square of 2 m about the cell of the point.
         """
         out = np.full(len(xy), np.nan)
         surface = self._current_surface()
@@ -60,7 +60,7 @@ class MeasuredTerrain:
         return out
 
     def _current_surface(self) -> Surface | None:
-        """Return the mapper's surface, and work out once what is asked of it."""
+        """Return the mapper's surface; update the derived values if it is new."""
         if self._mapper is None:
             return None
         surface = self._mapper.surface()
@@ -75,9 +75,9 @@ class MeasuredTerrain:
 
 
 def _smoothed_elevation(surface: Surface) -> Array | None:
-    """Return the mean of known elevations about each cell that has one (rows, cols), m.
+    """Return the mean known elevation about each known cell (rows, cols), m.
 
-    NaN elsewhere; None if none is known.
+    NaN elsewhere; None if no elevation is known.
     """
     if surface.elevation is None:
         return None

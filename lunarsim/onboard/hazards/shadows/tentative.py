@@ -1,4 +1,4 @@
-"""What one image showed that is not tracked, and may be a rock if the next shows it too."""
+"""Detections of one image that may be rocks if the next image confirms them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TentativeRocks:
-    """Detections of the last image that belong to no rock and are too vague to begin one.
+    """Untracked detections of the last image that are too inaccurate to start a track.
 
     Attributes
     ----------
     xy
         Centres (n, 2), m.
     sigma
-        Of the centres, the root of the mean variance of the two axes (n,), m.
+        Position error, root of the mean variance of both axes (n,), m.
     radius, radius_variance
-        m (n,), m^2.
+        Radius (n,), m, and its variance, m^2.
     existence
         Probability that each is a rock (n,).
     """

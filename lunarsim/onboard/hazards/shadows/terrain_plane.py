@@ -1,4 +1,4 @@
-"""Ground that another mapper of the lander has measured, as the plane on which rocks stand."""
+"""Fit a plane to the terrain measured by another mapper."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
 
-# So much of a map must have been seen, and no ground is steeper than this, tangent.
+# Minimum observed fraction of the map, and maximum slope of terrain, tangent.
 _MIN_OBSERVED_FRACTION, _MAX_SLOPE = 0.25, 0.3
-# About so many cells along a side are looked at.
+# Approximate number of cells along a side that are used.
 _CELLS_PER_SIDE = 40
-# Squares along a side of the map of which each is left out once. By what that changes, a slope must
-# be so many standard deviations, or known so well, tangent: that of a crater's wall, of which half
-# was seen, is not the map's.
+# Jackknife squares along a side of the map. Relative to their scatter, a slope must be significant
+# by this many standard deviations, or accurate to this tangent. The slope of a crater wall of which
+# half is observed is not that of the map.
 _SQUARES_PER_SIDE, _MIN_SIGNIFICANCE, _MAX_SLOPE_SIGMA = 6, 2.5, 0.02
 
 
 def fit_terrain_plane(surface: Surface) -> GroundPlane | None:
-    """Return the plane through the elevations of a map by least squares.
+    """Return the least-squares plane through the elevations of a map.
 
-    None where too little of it was seen, it seems steeper than ground that is landed on, or what is
-    seen does not agree on how it slopes: the delete-a-group jackknife over squares of the map.
+    None if too little is observed, the slope exceeds that of landing terrain, or the slope is
+    inconsistent by the delete-a-group jackknife over squares of the map.
     """
     if surface.elevation is None:
         return None
@@ -48,15 +48,15 @@ def fit_terrain_plane(surface: Surface) -> GroundPlane | None:
 
 
 def _square_index(is_observed: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return in which square of the map each cell (n,) lies that was seen (rows, cols)."""
+    """Return the square of each observed cell (n,) of the map (rows, cols)."""
     row, col = (np.arange(n) * _SQUARES_PER_SIDE // n for n in is_observed.shape)
     return np.asarray((_SQUARES_PER_SIDE * row[:, None] + col)[is_observed])
 
 
 def _fit(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Array, float]:
-    """Return by how much heights (n,) rise with each of three terms (n, 3), by least squares.
+    """Return the least-squares coefficients of heights (n,) in three terms (n, 3).
 
-    And what the first two together change by from square to square (n,), 1 sigma of the whole.
+    The second result is the jackknife error of the slope over squares (n,), 1 sigma.
     """
     every = _SQUARES_PER_SIDE**2
     left, right = np.zeros((every, 3, 3)), np.zeros((every, 3))
@@ -64,7 +64,7 @@ def _fit(terms: Array, height: Array, square: NDArray[np.int64]) -> tuple[Array,
     np.add.at(right, square, terms * height[:, None])
     held = np.unique(square)
     rest, their = left.sum(0) - left[held], right.sum(0) - right[held]
-    # Of a few cells none may be left to tell.
+    # With few squares the reduced matrix may be singular.
     without = (np.linalg.pinv(rest, hermitian=True) @ their[..., None])[:, :2, 0]
     off = without - without.mean(0)
     sigma = np.sqrt((len(held) - 1) / len(held) * (off**2).sum())

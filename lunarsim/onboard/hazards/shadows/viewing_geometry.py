@@ -1,4 +1,4 @@
-"""How rocks on a plane are seen: by which tables of shadows on level ground they are read."""
+"""Viewing geometry of rocks on a plane, for shadow tables of horizontal ground."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from lunarsim.onboard.perception.ground_plane import GroundPlane
 
 Array = NDArray[np.float64]
 
-# Cameras are above the ground by this at least, m.
+# Minimum height of the camera above the ground, m.
 _MIN_HEIGHT_M = 1e-3
 
 
 def viewing_geometry(
     xyz: Array, camera_position: Array, focal: float, sun: Array, plane: GroundPlane
 ) -> tuple[Array, Array, Array]:
-    """Return azimuth of the camera from the Sun's, depression (rad) and pixel (m) of rocks (...).
+    """Return azimuth from the Sun, depression (rad) and pixel size (m) of rocks (...).
 
-    On a slope these are what level ground would have that shows the same.
+    On a slope these are the values at which horizontal ground shows the same.
 
     Parameters
     ----------
     xyz
-        Where rocks stand (..., 3), m.
-    eye, focal
-        Place of the camera (3,), m, and its focal length, pixels.
+        Positions of the rocks (..., 3), m.
+    camera_position, focal
+        Position of the camera (3,), m, and focal length, pixels.
     sun
-        Direction towards it (3,), ENU.
+        Direction towards the Sun (3,), ENU.
     plane
-        Of the ground.
+        Plane of the terrain.
     """
     to_camera = camera_position - xyz
     to_camera[..., 2] = np.maximum(to_camera[..., 2], _MIN_HEIGHT_M)

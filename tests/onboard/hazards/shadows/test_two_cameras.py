@@ -129,7 +129,7 @@ def test_a_picture_older_than_another_cameras_last_is_left_out(frames):
     # Of one camera it is a mistake of the caller's, as ever.
     alone = mapper_of("wide")
     look(alone, "wide", *frames_at(frames, "wide", 0), 1.0)
-    with pytest.raises(InputError, match="time does not run backwards"):
+    with pytest.raises(InputError, match="must not be before the last image"):
         look(alone, "wide", *frames_at(frames, "wide", 1), 0.5)
 
 
