@@ -16,7 +16,7 @@ from lunarsim.onboard.policies.reach import Reach
 Array = NDArray[np.float64]
 
 # The nearest site above each of these values of p_safe is also a candidate.
-_SAFETY_LEVELS = (0.99, 0.95, 0.8, 0.5)
+_LEVELS = (0.99, 0.95, 0.8, 0.5)
 # Fraction of p_safe that 100 m of distance cost, so that the nearer of equally safe sites wins. It
 # is relative, because p_safe differs only in the third decimal where the map is uncertain
 # everywhere.
@@ -140,7 +140,7 @@ def candidate_sites(
 def _is_safest_unreachable(aim: FloatMap, feasible: NDArray[np.bool_]) -> bool:
     """Return whether an unreachable site is safer than all reachable ones."""
     best = float(np.max(aim[feasible], initial=0.0))
-    return best < _SAFETY_LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
+    return best < _LEVELS[0] and best < float(np.max(aim[~feasible], initial=0.0))
 
 
 def _replace_unreachable(
@@ -178,7 +178,7 @@ def _proposed_cells(
     """Return the safest cells and the nearest at each level (n, 2), and their sources."""
     cells = best_cells(aim, distance, posting, count, separation)
     source = [f"{mapper}: safest"] * len(cells)
-    for level in _SAFETY_LEVELS:
+    for level in _LEVELS:
         is_safe = aim >= level
         if is_safe.any():
             nearest = np.unravel_index(

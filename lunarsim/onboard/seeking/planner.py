@@ -157,7 +157,7 @@ class SeekingPlanner:
             Plan being flown; it is kept unless another is better.
         """
         low, high = self._bounds(problem, expected)
-        plans = self.sample_plans(problem, expected, 2 * self.candidates // 3)
+        plans = self.drawn(problem, expected, 2 * self.candidates // 3)
         if last is not None:
             plans = np.vstack((_plan_row(last), plans))
         value, known, propellant = self._values(problem, plans, max_propellant)
@@ -204,7 +204,7 @@ class SeekingPlanner:
         low[0] = max(low[0], 1.0)
         return low, np.maximum(high, low)
 
-    def sample_plans(self, problem: PlanningProblem, expected: float, count: int) -> Array:
+    def drawn(self, problem: PlanningProblem, expected: float, count: int) -> Array:
         """Return evenly spread plans (count, 4): time-to-go and acceleration at the end.
 
         Parameters

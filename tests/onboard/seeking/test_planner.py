@@ -65,7 +65,7 @@ def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     looks, end_tilt = Looks(highest=300.0, lowest=60.0), 0.4
     eye = replace(eye, **change)
     one = planner(eye, looks, end_tilt=end_tilt)
-    plans = one.sample_plans(problem, 47.0, 60)
+    plans = one.drawn(problem, 47.0, 60)
     lander, limits = problem.lander, problem.limits
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     assert margin > 0.0
@@ -103,7 +103,7 @@ def test_paths_turn_with_the_way_there(asked):
         problem, estimate=replace(here, position=turn @ here.position),
         end=replace(problem.end, position=turn @ problem.end.position),
     )  # fmt: skip
-    before, after = one.sample_plans(problem, 47.0, 50), one.sample_plans(turned, 47.0, 50)
+    before, after = one.drawn(problem, 47.0, 50), one.drawn(turned, 47.0, 50)
     np.testing.assert_allclose(after[:, 0], before[:, 0])
     np.testing.assert_allclose(after[:, 1:], before[:, 1:] @ turn.T, atol=1e-9)
 
@@ -111,7 +111,7 @@ def test_paths_turn_with_the_way_there(asked):
 def test_the_second_search_finds_what_is_better_than_the_best_of_the_first(asked):
     _, problem, eye = asked
     one = planner(eye)
-    first = worth(one, problem, one.sample_plans(problem, 47.0, 400)).max()
+    first = worth(one, problem, one.drawn(problem, 47.0, 400)).max()
     plan = one.best(problem, 47.0, MOST, None)
     assert plan.known - PRICE * plan.propellant > first + 1e-3
 
@@ -131,10 +131,10 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
 def test_looks_that_are_past_count_no_more(asked):
     _, problem, eye = asked
     one = planner(eye, Looks(at=(300.0, 120.0)))
-    plans = one.sample_plans(problem, 47.0, 400)
+    plans = one.drawn(problem, 47.0, 400)
     known = {}
     for passed in (np.inf, 200.0, 100.0):
-        scored = one.score(replace(problem, passed=passed), plans)
+        scored = one.score(replace(problem, lowest_altitude=passed), plans)
         known[passed] = scored[np.isfinite(scored[:, 1]), 0].max()
     nothing = planner(eye, Looks(at=(1e5,))).score(problem, plans)
     assert known[np.inf] >= known[200.0] > known[100.0] + 0.05

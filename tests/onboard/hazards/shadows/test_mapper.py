@@ -380,7 +380,7 @@ def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monk
         found.extend((sharpness, area, cover))
         return np.zeros(counts.shape, bool)
 
-    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_parts", told)
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_regions", told)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.07, 0.5))
     mapper = ShadowMapper(tracker_at(place), mapping, SUN, 1.0)
     see(mapper, camera.model, counts, 0.0)
