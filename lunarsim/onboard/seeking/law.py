@@ -28,7 +28,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.seeking.eyes import build_coverage_models, footprint_radius
 from lunarsim.onboard.seeking.ground import terrain_nodes
 from lunarsim.onboard.seeking.information import ExpectedRocks
-from lunarsim.onboard.seeking.planner import Plan, PlanningProblem, SeekingPlanner
+from lunarsim.onboard.seeking.planner import PathPlan, PlanningProblem, SeekingPlanner
 from lunarsim.onboard.tasking.contract import Looks
 from lunarsim.parts.quantity import quantity
 
@@ -129,7 +129,7 @@ class SeekingGuidance:
         self.belief: Callable[[], HazardMap | None] | None = None
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
-        self.plan: Plan | None = None
+        self.plan: PathPlan | None = None
         self.limits: PathLimits = briefing.software.approach.limits
         sensors = build_coverage_models(briefing, settings.least_diameter)
         if not sensors:
@@ -225,7 +225,7 @@ class SeekingGuidance:
         return replace(estimate, position=position, velocity=velocity)
 
     def _replan(
-        self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, previous: Plan | None
+        self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, previous: PathPlan | None
     ) -> None:
         """Search for the best path from where commands take effect."""
         if self._is_past_decisions:

@@ -39,7 +39,7 @@ _REFINEMENT_WIDTH = 0.12
 
 
 @dataclass(frozen=True)
-class Plan:
+class PathPlan:
     """Planned path and its expected result.
 
     Attributes
@@ -139,8 +139,12 @@ class SeekingPlanner:
         self._fine, self._coarse = _samples(_LIMIT_SAMPLES), _samples(_OBSERVATION_SAMPLES)
 
     def best(
-        self, problem: PlanningProblem, expected: float, max_propellant: float, last: Plan | None
-    ) -> Plan | None:
+        self,
+        problem: PlanningProblem,
+        expected: float,
+        max_propellant: float,
+        last: PathPlan | None,
+    ) -> PathPlan | None:
         """Return the best path within the limits; None if there is none.
 
         If no path stays below `max_propellant`, the path with the least propellant is returned.
@@ -180,7 +184,9 @@ class SeekingPlanner:
             np.append(propellant, refined_propellant),
         )
         k = int(np.argmax(value))
-        return Plan(float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(propellant[k]))
+        return PathPlan(
+            float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(propellant[k])
+        )
 
     def _bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
         """Return lower and upper bounds of the path parameters (4,), along and across."""
@@ -312,7 +318,7 @@ def _samples(count: int) -> Array:
     return np.column_stack((left, left**APOLLO.low, left**APOLLO.high))
 
 
-def _plan_row(plan: Plan) -> Array:
+def _plan_row(plan: PathPlan) -> Array:
     return np.array([[plan.time_to_go, *plan.acceleration]])
 
 

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.seeking.eyes import build_coverage_models, footprint_radius
 from lunarsim.onboard.seeking.law import InformationSeekingLaw
-from lunarsim.onboard.seeking.planner import Plan, SeekingPlanner, vehicle_params
+from lunarsim.onboard.seeking.planner import PathPlan, SeekingPlanner, vehicle_params
 from lunarsim.onboard.tasking.contract import Looks
 from tests.onboard.seeking.conftest import at_start
 from tests.reference import seeking as plain
@@ -125,7 +125,7 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
     value = [p.known - PRICE * p.propellant for p in (alone, flown, kept)]
     assert value[0] < value[1] - 1e-3
     assert value[2] >= value[1] - 1e-12
-    assert isinstance(kept, Plan)
+    assert isinstance(kept, PathPlan)
 
 
 def test_looks_that_are_past_count_no_more(asked):
