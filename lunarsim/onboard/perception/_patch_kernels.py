@@ -100,22 +100,22 @@ def _sums_to_means(out):
 
 @kernel()
 def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, sun_e, sun_n):
-    """Measure the patches of a label image on a level plane.
+    """Measure the patches of a label image on a horizontal plane.
 
     Parameters
     ----------
     labels
         Patch of each pixel (height, width), 0 for none.
     count
-        Greatest label.
+        Number of patches.
     edges
-        Where the image has an edge (height, width), uint8.
+        Edges of the image (height, width), uint8.
     deep
-        Where it is darker than half way to lit ground (height, width), uint8.
+        Pixels darker than half way to lit terrain (height, width), uint8.
     x, y
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
-        Of the camera, as `View` has them.
+        Camera parameters as in `View`.
     ground
         Elevation of the plane, m.
     sun_e, sun_n
@@ -124,7 +124,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
     Returns
     -------
     out
-        (count + 1, 14), by the columns above; sizes of pixels still times the focal length.
+        (count + 1, 14), by the columns above; sizes of pixels are multiplied by the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape

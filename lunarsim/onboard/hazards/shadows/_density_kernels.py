@@ -14,10 +14,10 @@ _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15
 
 @kernel(parallel=True)
 def mark_possible(possible, lit, dark, radius):
-    """Write where the sharpest looks do not rule out a rock of a radius, m (rows, cols).
+    """Write where the sharpest observations do not exclude a rock (rows, cols).
 
-    `lit` and `dark` are the sharpness, pixels for a metre of radius, of the sharpest look at lit
-    and at dark ground (rows, cols); 0: none.
+    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark ground, q in
+    pixels per metre of radius (rows, cols); 0: none.
     """
     rows, cols = lit.shape
     plain = _PLAIN / np.float32(radius)
@@ -51,24 +51,24 @@ def _missed(sharpness, radius, number, line, least):
 
 @kernel(parallel=True)
 def fill(density, lit, possible, explained, radius, number, line, least, hidden, crowded):
-    """Write how many rocks a square metre may be there and are not tracked (rows, cols).
+    """Write the density of possible untracked rocks (rows, cols), 1/m^2.
 
     Parameters
     ----------
     density
-        (rows, cols).
+        Result (rows, cols).
     lit
-        Sharpness of the sharpest look at lit ground, pixels for a metre of radius (rows, cols).
+        Sharpness of the sharpest observation on lit ground, q in pixels per metre of radius.
     possible, explained
         Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
     radius, number
-        Of the rocks (n,), m, and how many are expected on a square metre (n,).
+        Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
-        Rate at which they are missed where ground is lit: at no pixel, its slope, the least.
+        Miss rate on lit ground: value at q = 0, slope, minimum.
     least
-        The least rate besides.
+        Further lower bound of the miss rate.
     hidden, crowded
-        What the density is in dark that is explained, and in other dark.
+        Density where dark ground is explained, and on other dark ground.
     """
     rows, cols = lit.shape
     for i in prange(rows):

@@ -98,7 +98,7 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
             scale = last / r
             for i in range(i0, i1 + 1):
                 dy = y0 + i * posting - xy[j, 1]
-                # What of the row lies within reach.
+                # Part of the row within reach.
                 half = math.sqrt(max(r * r - dy * dy, 0.0))
                 c0 = max(math.ceil((xy[j, 0] - half - x0) / posting), 0)
                 c1 = min(math.floor((xy[j, 0] + half - x0) / posting), cols - 1)
