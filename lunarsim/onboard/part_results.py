@@ -34,8 +34,9 @@ def wrong_result(
         Time of the call, s; None if unknown.
     """
     shown = value.tolist() if isinstance(value, np.ndarray) else value
-    if len(repr(shown)) > 80:
-        shown = reprlib.repr(shown)
+    short = reprlib.repr(shown)
+    if "..." in short:
+        shown = short
     kind = type(part)
     name = "external" if part is None else f"{kind.__module__}:{kind.__qualname__}"
     when = "" if time is None else f" (at {time:.1f} s)"
