@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.perception.kept_tables import kept_table
+from lunarsim.onboard.perception.table_cache import cached_table
 
 
 @pytest.fixture
@@ -25,10 +25,10 @@ class Maker:
 
 def test_a_table_is_made_once_and_read_to_the_bit(folder):
     make = Maker()
-    first, second = kept_table("shadows", "20 deg", make), kept_table("shadows", "20 deg", make)
+    first, second = cached_table("shadows", "20 deg", make), cached_table("shadows", "20 deg", make)
     assert make.made == 1
     np.testing.assert_array_equal(first, second)
-    kept_table("shadows", "21 deg", make)
+    cached_table("shadows", "21 deg", make)
     assert make.made == 2
     assert len(list(folder.iterdir())) == 2
 
@@ -36,11 +36,11 @@ def test_a_table_is_made_once_and_read_to_the_bit(folder):
 @pytest.mark.parametrize("damage", [b"", b"no archive", "half"])
 def test_a_damaged_file_is_made_anew(folder, damage):
     make = Maker()
-    table = kept_table("shadows", "20 deg", make)
+    table = cached_table("shadows", "20 deg", make)
     (file,) = folder.iterdir()
     whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2] if damage == "half" else damage)
-    np.testing.assert_array_equal(kept_table("shadows", "20 deg", make), table)
+    np.testing.assert_array_equal(cached_table("shadows", "20 deg", make), table)
     assert make.made == 2
     assert file.read_bytes() == whole
 
@@ -49,6 +49,6 @@ def test_without_a_cache_tables_are_made_each_time(tmp_path, monkeypatch):
     (tmp_path / "lunarsim").write_text("a file where a folder should be")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     make = Maker()
-    table = kept_table("shadows", "20 deg", make)
-    np.testing.assert_array_equal(kept_table("shadows", "20 deg", make), table)
+    table = cached_table("shadows", "20 deg", make)
+    np.testing.assert_array_equal(cached_table("shadows", "20 deg", make), table)
     assert make.made == 2

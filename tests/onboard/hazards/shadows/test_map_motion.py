@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.sliding import Slide
+from lunarsim.onboard.hazards.shadows.map_motion import MapMotion
 from tests.shadow_scene import MODEL, tracker_at
 
 GRID = Grid.centred((3.0, -2.0), 30.0, 0.25)
@@ -20,7 +20,7 @@ def rocks_over(side, count, rng):
 def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
     rng = np.random.default_rng(4)
     places = rocks_over(15.0, 50, rng)
-    slide = Slide(np.array(GRID.centre))
+    slide = MapMotion(np.array(GRID.centre))
     true = places
     for turn, stretch, shift in ((0.2, 1.01, (0.4, -0.3)), (-0.15, 0.98, (-0.1, 0.9))):
         matrix = stretch * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -38,7 +38,7 @@ def test_many_rocks_tell_a_shift_a_turn_and_a_stretch():
 
 
 def test_few_rocks_move_the_ground_as_a_whole_and_none_do_not():
-    slide = Slide(np.zeros(2))
+    slide = MapMotion(np.zeros(2))
     nothing = np.full((3, 2), np.nan)
     slide.follow(np.ones((3, 2)), nothing)
     slide.follow(np.empty((0, 2)), np.empty((0, 2)))
@@ -53,7 +53,7 @@ def test_a_rock_that_moves_otherwise_than_the_rest_does_not_count():
     rocks = rocks_over(20.0, 40, rng)
     by = np.tile([0.3, 0.1], (40, 1)) + rng.normal(0.0, 0.01, (40, 2))
     by[:4] = [-3.0, 2.0]
-    slide = Slide(np.array(GRID.centre))
+    slide = MapMotion(np.array(GRID.centre))
     slide.follow(rocks + by, by)
     middle = np.array(GRID.centre)
     assert slide.now(middle) - middle == pytest.approx([0.3, 0.1], abs=0.02)
@@ -82,7 +82,7 @@ def test_the_map_shows_what_was_seen_where_it_lies_now():
     off_the_blocks = mapping.probability(tracker_at((0.0, 0.0, 50.0)))[0, 0]
     assert off_the_blocks == pytest.approx(mapping.evidence.unseen(), rel=1e-4)
     mapping.evidence.forget()
-    assert mapping.evidence.slide.still
+    assert mapping.evidence.motion.still
 
 
 def test_rocks_tell_by_how_far_they_were_moved_since_they_were_asked():

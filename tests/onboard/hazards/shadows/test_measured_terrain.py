@@ -12,7 +12,7 @@ from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
+from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
@@ -64,7 +64,7 @@ def test_heights_are_means_of_what_is_known_about_a_point(posting, cells, level)
     z[rng.random(grid.shape) < 0.4] = np.nan
     z[3, 4] = np.inf
     xy = rng.uniform(-0.6, 0.6, (300, 2)) * 30.0 * posting + [5.0, 2.0]
-    told = MeasuredGround(Maps(measured(z, grid))).heights(xy)
+    told = MeasuredTerrain(Maps(measured(z, grid))).heights(xy)
     for point, height in zip(xy, told, strict=True):
         row, col = (int(k) for k in grid.cell(point))
         if grid.contains(point) and np.isfinite(z[row, col]):
@@ -77,19 +77,19 @@ def test_heights_are_means_of_what_is_known_about_a_point(posting, cells, level)
 
 def test_nothing_is_known_of_points_that_are_none_nor_of_ground_that_nobody_measured():
     points = np.array([[40.0, -30.0], [np.nan, 0.0], [np.inf, -30.0]])
-    assert np.isnan(MeasuredGround(None).heights(points)).all()
-    assert np.isnan(MeasuredGround(Maps()).heights(points)).all()
+    assert np.isnan(MeasuredTerrain(None).heights(points)).all()
+    assert np.isnan(MeasuredTerrain(Maps()).heights(points)).all()
     assert np.isnan(
-        MeasuredGround(Maps(measured(np.full(GRID.shape, np.nan)))).heights(points)
+        MeasuredTerrain(Maps(measured(np.full(GRID.shape, np.nan)))).heights(points)
     ).all()
-    told = MeasuredGround(Maps(sloping((0.0, 0.0)))).heights(points)
+    told = MeasuredTerrain(Maps(sloping((0.0, 0.0)))).heights(points)
     np.testing.assert_array_equal(np.isfinite(told), [True, False, False])
-    assert MeasuredGround(Maps(sloping((0.0, 0.0)))).heights(np.empty((0, 2))).shape == (0,)
+    assert MeasuredTerrain(Maps(sloping((0.0, 0.0)))).heights(np.empty((0, 2))).shape == (0,)
 
 
 def test_plane_and_heights_follow_the_map():
     maps, there = Maps(), np.array([[44.0, -30.0]])
-    told = MeasuredGround(maps)
+    told = MeasuredTerrain(maps)
     assert told.plane() is None
     maps.drawn = sloping((0.05, 0.0))
     assert told.heights(there)[0] == pytest.approx(7.0 + 0.05 * 44.0, abs=0.03)
@@ -102,7 +102,7 @@ def test_plane_and_heights_follow_the_map():
     maps.drawn = HazardMap.unobserved(GRID)
     assert told.plane() is None
     assert np.isnan(told.heights(there)).all()
-    assert MeasuredGround(None).plane() is None
+    assert MeasuredTerrain(None).plane() is None
 
 
 # --- on a terrace -----------------------------------------------------------------------------
@@ -203,7 +203,7 @@ def rocks_on(ground, xy):
     """Return a filter of rocks that stand on ground somebody has measured."""
     inertial = StrapdownState(np.array(PLACE), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.622)
     rocks = RockFilter.of(inertial, ground=LevelGround(0.0, 2.0))
-    rocks.measured = MeasuredGround(Maps(ground))
+    rocks.measured = MeasuredTerrain(Maps(ground))
     n = len(xy)
     rocks.add_known(xy, np.full(n, 0.1), np.full(n, 0.5), np.full(n, 0.01))
     return rocks
@@ -218,7 +218,7 @@ def test_rocks_tell_the_height_where_nobody_has_measured_it():
     assert (by_rocks > 4.0).all()
     z = np.full(GRID.shape, 3.0)
     z[:, GRID.x < 40.0] = np.nan
-    rocks.measured = MeasuredGround(Maps(measured(z)))
+    rocks.measured = MeasuredTerrain(Maps(measured(z)))
     np.testing.assert_allclose(rocks.ground_at(at), [3.0, by_rocks[1]])
 
 
@@ -234,13 +234,13 @@ def test_the_shape_of_measured_ground_is_laid_on_the_rocks(count, laid):
     error[rocks.places(np.array([count - 1]))[0, 2]] = 30.0
     rocks.state.correct(error)
     assert rocks.xyz[-1, 2] == pytest.approx(7.0 + 4.1 + 1.2 + 30.0, abs=0.05)
-    rocks.measured = MeasuredGround(Maps(slope))
+    rocks.measured = MeasuredTerrain(Maps(slope))
     at = np.array([[36.0, -34.0], [44.0, -25.0]])
     np.testing.assert_allclose(rocks.ground_at(at), 7.0 + 0.1 * at[:, 0] + laid, atol=0.03)
     # Rocks beyond what was measured do not tell how high that lies.
     far = sloping((0.1, 0.0))
     far.elevation[:, GRID.x < 45.0] = np.nan
-    rocks.measured = MeasuredGround(Maps(far))
+    rocks.measured = MeasuredTerrain(Maps(far))
     np.testing.assert_allclose(rocks.ground_at([[50.0, -25.0]]), 12.0, atol=0.03)
 
 

@@ -1,4 +1,4 @@
-"""Tables that take a second to make: kept for this user, and made anew when their code changes."""
+"""Cache of computed tables, renewed when their code changes."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from lunarsim.whole_arrays import write_arrays_whole
 Array = NDArray[np.float64]
 
 _PACKAGE = Path(__file__).parents[2]
-# What tables of shadows are made by.
+# Source files on which the shadow tables depend.
 _CODE = ("onboard/perception/shadow_model.py", "frames.py", "rocks/*.py")
 
 
-def kept_table(name: str, key: str, make: Callable[[], Array]) -> Array:
-    """Return a table as it was kept, or make it and keep it; to the bit the same.
+def cached_table(name: str, key: str, make: Callable[[], Array]) -> Array:
+    """Return a table from the user's cache, or compute and store it.
 
-    Where the user's cache can't be read or written it is made each time.
+    The cached table is identical to the computed one. If the cache cannot be read or written, the
+    table is computed each time.
 
     Parameters
     ----------
     name
-        Of the kind of table.
+        Kind of table.
     key
-        What it is made for.
+        Parameters of the table.
     make
-        Makes it.
+        Computes the table.
     """
     digest = hashlib.sha256(f"{_code()} {key}".encode()).hexdigest()[:20]
     path = user_cache("tables") / f"{name}-{digest}.npz"
@@ -50,7 +51,7 @@ def kept_table(name: str, key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a digest of the code by which tables are made, and of NumPy's version."""
+    """Return a digest of the source files and of NumPy's version."""
     found = hashlib.sha256(np.__version__.encode())
     for pattern in _CODE:
         for file in sorted(_PACKAGE.glob(pattern)):

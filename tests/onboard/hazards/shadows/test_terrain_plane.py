@@ -9,7 +9,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
+from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
 
 GRID = Grid.centred((40.0, -30.0), 80.0, 0.5)
 
@@ -25,7 +25,7 @@ def mapped(gradient, seen=1.0, noise=0.0):
 
 
 def test_the_plane_is_that_of_what_was_measured():
-    plane = relief_plane(mapped((0.12, -0.08), seen=0.4, noise=0.3))
+    plane = fit_terrain_plane(mapped((0.12, -0.08), seen=0.4, noise=0.3))
     assert plane.gradient == pytest.approx((0.12, -0.08), abs=2e-3)
     assert plane.heights(np.array([[40.0, -30.0]])) == pytest.approx(7.0 + 4.8 + 2.4, abs=0.05)
 
@@ -35,16 +35,16 @@ def test_what_is_no_elevation_or_was_not_observed_says_nothing():
     z, observed = drawn.elevation.copy(), drawn.observed.copy()
     z[:40], z[40:60], observed[60:80] = np.nan, np.inf, False
     z[60:80] = 1e3
-    plane = relief_plane(replace(drawn, elevation=z, observed=observed))
+    plane = fit_terrain_plane(replace(drawn, elevation=z, observed=observed))
     assert plane.gradient == pytest.approx((0.12, -0.08), abs=1e-4)
     z[:] = np.nan
-    assert relief_plane(replace(drawn, elevation=z)) is None
-    assert relief_plane(replace(drawn, elevation=None)) is None
+    assert fit_terrain_plane(replace(drawn, elevation=z)) is None
+    assert fit_terrain_plane(replace(drawn, elevation=None)) is None
 
 
 @pytest.mark.parametrize(("gradient", "seen"), [((0.1, 0.0), 0.2), ((0.28, 0.2), 1.0)])
 def test_too_little_and_too_steep_ground_tell_none(gradient, seen):
-    assert relief_plane(mapped(gradient, seen)) is None
+    assert fit_terrain_plane(mapped(gradient, seen)) is None
 
 
 @pytest.mark.parametrize(("corner", "diameter"), [((35.0, 35.0), 40.0), ((45.0, 0.0), 60.0)])
@@ -55,12 +55,12 @@ def test_part_of_a_crater_does_not_tell_how_the_ground_slopes(corner, diameter):
     z = np.where(away < 1.0, 0.18 * away**2 - 0.15, 0.03 * np.exp(3.0 - 3.0 * away)) * diameter
     seen = (x > 0.0) & ((y > 0.0) | (corner[1] == 0.0))
     drawn = replace(mapped((0.0, 0.0)), elevation=z.astype(np.float32))
-    assert relief_plane(replace(drawn, observed=seen)) is None
+    assert fit_terrain_plane(replace(drawn, observed=seen)) is None
     # The same part of a slope does.
     slope = replace(mapped((0.08, 0.05), noise=0.3), observed=seen)
-    assert relief_plane(slope).gradient == pytest.approx((0.08, 0.05), abs=5e-3)
+    assert fit_terrain_plane(slope).gradient == pytest.approx((0.08, 0.05), abs=5e-3)
     # All of it is seen to be level, but for that.
-    whole = relief_plane(drawn)
+    whole = fit_terrain_plane(drawn)
     assert whole is None or np.hypot(*whole.gradient) < 0.03
 
 
@@ -69,7 +69,7 @@ def test_a_map_of_few_cells_tells_what_they_do():
     x, _ = np.meshgrid(few.x, few.y)
     drawn = replace(HazardMap.unobserved(few), elevation=(0.1 * x).astype(np.float32))
     seen = np.ones(few.shape, bool)
-    assert relief_plane(replace(drawn, observed=seen)).gradient[0] == pytest.approx(0.1)
+    assert fit_terrain_plane(replace(drawn, observed=seen)).gradient[0] == pytest.approx(0.1)
     # Three in a row tell nothing of how it rises across.
     seen[1:] = False
-    assert relief_plane(replace(drawn, observed=seen)).gradient == pytest.approx((0.1, 0.0))
+    assert fit_terrain_plane(replace(drawn, observed=seen)).gradient == pytest.approx((0.1, 0.0))

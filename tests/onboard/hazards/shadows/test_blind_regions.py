@@ -12,13 +12,13 @@ from scipy.stats import poisson
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.blind_parts import (
+from lunarsim.onboard.hazards.shadows.blind_regions import (
     COLS,
     ROWS,
+    cell_centres,
     empty_cells,
     expected_shares,
     glare,
-    middles,
 )
 from lunarsim.rocks.laws import golombek_number
 from tests.picture_faults import rocky
@@ -74,7 +74,7 @@ def test_cells_should_have_shadows_by_their_ground_and_by_the_least_rock_that_sh
     np.testing.assert_allclose(by_size[:2], area[:2] * golombek_number([2.0, 1.0], 0.05))
     np.testing.assert_allclose(by_area, [8.0, 3.0, 0.0, 0.0, 0.0])
     assert not by_size[2:].any()
-    uv = middles(640, 480)
+    uv = cell_centres(640, 480)
     assert uv.shape == (ROWS * COLS, 2)
     np.testing.assert_allclose(uv[[0, 1, COLS]], [[19.5, 19.5], [59.5, 19.5], [19.5, 59.5]])
 
