@@ -1,4 +1,4 @@
-"""The Gaussian DEM paper's testbed and its nine scans (sections IV.B.1 and IV.B.2)."""
+"""Simulate the testbed and nine scans of the Gaussian DEM paper (IV.B.1, IV.B.2)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 LANDER = Lander()
 RANGES, ANGLES = (200.0, 500.0, 1000.0), (0.0, 30.0, 60.0)
 CONFIGURATIONS = [(r, a) for r in RANGES for a in ANGLES]
-POSTING = 0.1  # of the truth and of the proposed maps, m
-# Only sigma_f^2 / length_scale matters. The density of the elevations asks for a smaller one than
-# a margin against missed rocks: two purposes, two settings, both stated with the tables.
+POSTING = 0.1  # posting of the truth and of the proposed maps, m
+# Only sigma_f^2 / length_scale has an effect. The elevation density requires a smaller value than a
+# margin against missed rocks, so Table 5 and Tables 6 and 7 use different settings.
 DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
 MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
@@ -46,9 +46,9 @@ class Mapped:
     points, sigma, shape
         Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
     dem
-        On the grid that is judged.
+        Gaussian DEM on the evaluated grid.
     window
-        Cells of the testbed's grid that are those of the DEM.
+        Cells of the testbed grid that coincide with the DEM cells.
     """
 
     points: np.ndarray
@@ -59,14 +59,14 @@ class Mapped:
 
     @property
     def grid(self) -> Grid:
-        """The grid that is judged."""
+        """The evaluated grid."""
         return self.dem.grid
 
 
 def testbed(seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0) -> Field:
-    """Draw a testbed and its exact safety over the middle `side` metres.
+    """Generate a testbed and its exact safety over the central square of side `side` (m).
 
-    The paper's has 500 rocks of 1 m.
+    The testbed of the paper has 500 rocks of 1 m.
     """
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
     rng = np.random.default_rng(seed)
@@ -83,12 +83,12 @@ def scan(
     rng: np.random.Generator,
     lidar: FlashLidar | None = None,
 ) -> tuple[np.ndarray, float, tuple[int, int]]:
-    """Flash at the map's centre from a distance and an angle off nadir towards +x.
+    """Scan the map center from a distance (m) and an angle off nadir (deg) towards +x.
 
     Returns
     -------
     points, sigma, shape
-        As in `Mapped`.
+        Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
     """
     angle = np.deg2rad(angle_deg)
     position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])
@@ -101,12 +101,12 @@ def scan(
 
 
 def view_grid(distance: float) -> Grid:
-    """The square over which a configuration is judged: what is scanned, 100 m at most."""
+    """Return the evaluated square of a configuration: the scanned area, at most 100 m."""
     return Grid.centred((0.0, 0.0), min(100.0, 0.2 * distance), POSTING)
 
 
 def crop(field: Field, grid: Grid) -> tuple[slice, slice]:
-    """Cells of the field's grid that are those of `grid`."""
+    """Return the cells of the field grid that coincide with `grid`."""
     row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
@@ -123,9 +123,9 @@ def mapped(
     lidar: FlashLidar | None = None,
     stated: float | None = None,
 ) -> Mapped:
-    """Scan a testbed and build the Gaussian DEM over what is judged, or over `grid`.
+    """Scan a testbed and build the Gaussian DEM over the evaluated square, or over `grid`.
 
-    `stated` is taken for the standard deviation of a return (m) instead of the true one.
+    `stated` replaces the true standard deviation of a return (m) in the DEM.
     """
     points, sigma, shape = scan(field, distance, angle_deg, rng, lidar)
     sigma = sigma if stated is None else stated
