@@ -1,7 +1,7 @@
 """Compare two stochastic safety tests on a Gaussian DEM with sampled terrain.
 
 Elevation errors are sampled from the model with their correlation (Matheron's rule): a field from
-the prior is scan_testbed and interpolated like the scan itself,
+the prior is scanned and interpolated like the scan itself,
 and the interpolation error is added to
 the mean. The exact test on many such terrains gives the probability of safety under the model.
 Eqs. 15 to 17 and `plane_stochastic_safety` are compared with it.

@@ -42,9 +42,7 @@ FAR = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
 NEAR = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
 SCALE = np.array([1.0, 1.0, 1.0, 20.0])
 _BATCH = 4096
-_BOUND_MARGIN = (
-    0.01  # extension of the input bounds, as a fraction of the training range
-)
+_BOUND_MARGIN = 0.01  # extension of the input bounds, as a fraction of the training range
 _MIN_TIME_TO_GO_S = 1.0  # minimum time to go of training states, s: below it another law takes over
 
 
