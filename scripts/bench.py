@@ -17,7 +17,7 @@ import numba
 from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
-from bench_parts.common import yardstick_ms
+from bench_parts.common import reference_ms
 from bench_parts.environments import envs
 from bench_parts.eyes import eyes
 from bench_parts.gaussian_dem import gaussian_dem
@@ -66,7 +66,7 @@ def main(parts: tuple[str, ...]) -> None:
         raise click.UsageError(f"PARTS: must be among {', '.join(PARTS)}, got {unknown[0]}")
     print(
         f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; reference: SciPy triangulates "
-        f"the returns of one scan in {yardstick_ms():.0f} ms"
+        f"the returns of one scan in {reference_ms():.0f} ms"
     )
     for name in parts or PARTS:
         print(f"{name}: {(PARTS[name].__doc__ or '').strip().splitlines()[0]}")

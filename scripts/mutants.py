@@ -20,7 +20,7 @@ from pathlib import Path
 
 import click
 from mutant_parts.equivalent import BrokenListError, EquivalentMutant, load_equivalents
-from mutant_parts.faults import Mutant, sample_faults, faults_of, kernel_lines
+from mutant_parts.faults import Mutant, faults_of, kernel_lines, sample_faults
 from mutant_parts.run import MutationRun
 from mutant_parts.trial import CAUGHT, BrokenTestsError
 from rich.table import Table

@@ -19,8 +19,8 @@ import click
 import numpy as np
 from judging import (
     QuadtreeTruth,
-    hazard_confusion,
     ground_under,
+    hazard_confusion,
     judged_sites,
     map_errors,
     slope_errors,

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .faults import Mutant
-from .trial import TrialStopped, MutantWorkspace
+from .trial import MutantWorkspace, TrialStopped
 
 
 @dataclass(frozen=True)
