@@ -17,7 +17,7 @@ from typing import Any
 import click
 import eyes_flights
 from eyes_figures import draw, show
-from eyes_flights import DEAD_BELOW, ROWS, Task, fly
+from eyes_flights import DEAD_BELOW, ROWS, FusionFlightTask, fly
 from rich.console import Console
 
 from lunarsim.campaign.files import code_digest
@@ -26,7 +26,7 @@ from lunarsim.console import plain_console, plain_progress
 from lunarsim.whole_files import write_text_whole
 
 
-class Kept:
+class FusionFlightStore:
     """Store of finished flights; its file is written atomically after each flight.
 
     Parameters
@@ -62,7 +62,7 @@ class Kept:
             )  # fmt: skip
         self.flights = flights
 
-    def keep(self, task: Task, flight: dict[str, Any]) -> None:
+    def keep(self, task: FusionFlightTask, flight: dict[str, Any]) -> None:
         """Add a flight and rewrite the file."""
         self.flights[task.key] = flight
         if self._path is not None:
@@ -77,7 +77,9 @@ def code() -> str:
     return hashlib.sha256(code_digest().encode() + own).hexdigest()[:16]
 
 
-def flown(tasks: list[Task], jobs: int, kept: Kept, console: Console) -> list[dict[str, Any]]:
+def flown(
+    tasks: list[FusionFlightTask], jobs: int, kept: FusionFlightStore, console: Console
+) -> list[dict[str, Any]]:
     """Return the flights of all tasks; fly only those that are not stored."""
     missing = [task for task in tasks if task.key not in kept.flights]
     with plain_progress(console) as progress:
@@ -128,10 +130,10 @@ def main(
             param_hint="--altitudes",
         )
     settings = {"seed": seed, "altitudes": list(levels), "code": code()}
-    kept = Kept(json_file, settings)
+    kept = FusionFlightStore(json_file, settings)
     # Rows that share a world and field run consecutively: the cached world is built once.
     order = sorted(wanted, key=lambda name: ROWS[name].world)
-    tasks = [Task(row, n, seed, levels) for n in range(fields) for row in order]
+    tasks = [FusionFlightTask(row, n, seed, levels) for n in range(fields) for row in order]
     console = plain_console(150)
     flights = flown(tasks, jobs, kept, console)
     flights.sort(key=lambda f: wanted.index(f["row"]))

@@ -94,7 +94,7 @@ def gained(flights: list[Flight], altitude: str, other: str) -> list[float]:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FusedMapComparison:
     """The fused map compared with others at one altitude of a row.
 
     Attributes
@@ -134,7 +134,7 @@ class Comparison:
         return out
 
 
-def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
+def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapComparison]:
     """Compare the fused map with the others for each row and altitude."""
     out = []
     for row, mine in by_row(flights).items():
@@ -145,7 +145,7 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
             dem, fused = ([f["maps"][altitude][n] for f in mine] for n in ("dem", "fused"))
             recall = curve_of(dem).at_half().recall
             out.append(
-                Comparison(
+                FusedMapComparison(
                     row, altitude, best,
                     gained(mine, altitude, best), gained(mine, altitude, "alone"),
                     gained(mine, altitude, left) if failed else [],
@@ -204,7 +204,7 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
     _show_comparison(comparisons(flights, dead_below), console)
 
 
-def _show_comparison(found: list[Comparison], console: Console) -> None:
+def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
     table = Table(
         title=f"Recall of the fused map minus others, at precision {PRECISION}, per field"
     )

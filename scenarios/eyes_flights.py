@@ -104,7 +104,7 @@ ROWS: dict[str, FusionStudyRow] = {
 
 
 @dataclass(frozen=True)
-class Task:
+class FusionFlightTask:
     """One flight: row name, field index, root seed, and altitudes of map evaluation, m."""
 
     row: str
@@ -160,7 +160,7 @@ def world_of(world: str, seed: int) -> World:
     return build_world(scenario_of(world, (100.0,)), Streams(seed))
 
 
-def fly(task: Task) -> dict[str, Any]:
+def fly(task: FusionFlightTask) -> dict[str, Any]:
     """Fly once; return the counts of each map at each altitude for JSON."""
     row = ROWS[task.row]
     seed = flight_seed(task.seed, task.field)

@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
-from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
+from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sobol
 
 from lunarsim.campaign.kept_flights import Flight, KeptFlights
 from lunarsim.campaign.pool import outcomes
@@ -52,12 +52,14 @@ def _share(flight: Flight, level: str, name: str) -> float:
     return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
 
 
-def unfinished(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[str]:
+def unfinished(tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]) -> list[str]:
     """Return the keys of flights that ended before the last map; these are not compared."""
     return [t.key for t in tasks if t.key in flights and LAST not in flights[t.key]["levels"]]
 
 
-def complete_fields(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[dict[str, Flight]]:
+def complete_fields(
+    tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]
+) -> list[dict[str, Flight]]:
     """Return the fields in which all paths reached the last map: flights by path."""
     rows: dict[int, dict[str, Flight]] = {}
     for task in tasks:
@@ -180,11 +182,15 @@ def main(
         )
     if points:
         everything = [
-            Task(p, k, seed, "camera", g) for k, g in enumerate(sobol(points, seed)) for p in PATHS
+            SeekingFlightTask(p, k, seed, "camera", g)
+            for k, g in enumerate(sobol(points, seed))
+            for p in PATHS
         ]
     else:
         wanted = SENSORS if sensors == "all" else (sensors,)
-        everything = [Task(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS]
+        everything = [
+            SeekingFlightTask(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS
+        ]
     tasks = [t for t in everything if t.key not in results.flights]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))

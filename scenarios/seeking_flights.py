@@ -46,7 +46,7 @@ class SunAndTerrain:
 
 
 @dataclass(frozen=True)
-class Task:
+class SeekingFlightTask:
     """One flight."""
 
     path: str
@@ -68,7 +68,7 @@ def sobol(count: int, seed: int) -> list[SunAndTerrain]:
     return [SunAndTerrain(*(round(float(v), 4) for v in row)) for row in points]
 
 
-def scenario_of(task: Task) -> Scenario:
+def scenario_of(task: SeekingFlightTask) -> Scenario:
     """Return the descent of a task: a map of 60 m around the site, two images per second.
 
     Sites are chosen between altitudes of 75 m and 50 m.
@@ -118,7 +118,7 @@ def _sensor_tables(sensors: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def fly(task: Task) -> dict[str, Any]:
+def fly(task: SeekingFlightTask) -> dict[str, Any]:
     """Fly once; return map metrics and landing outcome for JSON."""
     scenario = scenario_of(task)
     simulation = Simulation(scenario, flight_seed(task.seed, task.field), policy="safest")

@@ -20,8 +20,8 @@ from testbed import (
     LANDER,
     MARGIN,
     POSTING,
-    Field,
-    Mapped,
+    ScannedDem,
+    TestbedField,
     mapped,
     scan,
     testbed,
@@ -201,10 +201,10 @@ class ScanEvaluation:
     truth: dict[str, np.ndarray]
     judged: np.ndarray
     p_safe: np.ndarray
-    scan: Mapped
+    scan: ScannedDem
 
 
-def truth_of(field: Field, one: Mapped) -> dict[str, np.ndarray]:
+def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
     """Return true slope and roughness safety on the evaluated grid."""
     return {
         "slope": field.safety.slope[one.window] < LANDER.slope_limit,
@@ -212,7 +212,7 @@ def truth_of(field: Field, one: Mapped) -> dict[str, np.ndarray]:
     }
 
 
-def judge(field: Field, seed: int, n: int) -> ScanEvaluation:
+def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
     """Scan a testbed in its n-th configuration and evaluate all methods."""
     distance, angle = CONFIGURATIONS[n]
     one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)

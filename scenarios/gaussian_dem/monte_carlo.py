@@ -20,7 +20,7 @@ import click
 import numpy as np
 from rich.table import Table
 from scipy import fft, ndimage
-from testbed import LANDER, MARGIN, Field, Mapped, mapped, testbed
+from testbed import LANDER, MARGIN, ScannedDem, TestbedField, mapped, testbed
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -53,7 +53,7 @@ class TerrainSampleTask:
 
 
 @lru_cache(maxsize=4)
-def scan_testbed(configuration: int, seed: int) -> tuple[Field, Mapped]:
+def scan_testbed(configuration: int, seed: int) -> tuple[TestbedField, ScannedDem]:
     """Return the testbed and its scan in one configuration."""
     field = testbed(seed, SIDE + 10.0)
     rng = np.random.default_rng([seed, configuration])

@@ -21,7 +21,16 @@ from paper import PAPER_5, PAPER_6
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
-from testbed import CONFIGURATIONS, DENSITY, LANDER, MARGIN, Field, Mapped, mapped, testbed
+from testbed import (
+    CONFIGURATIONS,
+    DENSITY,
+    LANDER,
+    MARGIN,
+    ScannedDem,
+    TestbedField,
+    mapped,
+    testbed,
+)
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -46,7 +55,7 @@ def growth(setting: dict[str, float]) -> float:
 # --- the random field ---------------------------------------------------------------------
 
 
-def judged(own: Field, one: Mapped) -> dict[str, float]:
+def judged(own: TestbedField, one: ScannedDem) -> dict[str, float]:
     """Return all metrics of one map, computed as in both tables."""
     inside = np.isfinite(one.dem.mean)
     error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)

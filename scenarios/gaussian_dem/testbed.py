@@ -28,7 +28,7 @@ MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 
 @dataclass(frozen=True)
-class Field:
+class TestbedField:
     """One testbed: hemispheres on a plane of 200 x 200 m (section IV.B.1)."""
 
     terrain: Terrain
@@ -38,7 +38,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class ScannedDem:
     """A scan of a testbed and its Gaussian DEM.
 
     Attributes
@@ -63,7 +63,9 @@ class Mapped:
         return self.dem.grid
 
 
-def testbed(seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0) -> Field:
+def testbed(
+    seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0
+) -> TestbedField:
     """Generate a testbed and its exact safety over the central square of side `side` (m).
 
     The testbed of the paper has 500 rocks of 1 m.
@@ -73,11 +75,11 @@ def testbed(seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float
     terrain = Terrain(plane, place_rocks(plane, np.full(rocks, diameter), rng))
     grid = Grid.centred((0.0, 0.0), side, POSTING)
     elevation = terrain.raster(grid)
-    return Field(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
+    return TestbedField(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
 
 
 def scan(
-    field: Field,
+    field: TestbedField,
     distance: float,
     angle_deg: float,
     rng: np.random.Generator,
@@ -105,14 +107,14 @@ def view_grid(distance: float) -> Grid:
     return Grid.centred((0.0, 0.0), min(100.0, 0.2 * distance), POSTING)
 
 
-def crop(field: Field, grid: Grid) -> tuple[slice, slice]:
+def crop(field: TestbedField, grid: Grid) -> tuple[slice, slice]:
     """Return the cells of the field grid that coincide with `grid`."""
     row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
 
 def mapped(
-    field: Field,
+    field: TestbedField,
     distance: float,
     angle_deg: float,
     rng: np.random.Generator,
@@ -122,7 +124,7 @@ def mapped(
     grid: Grid | None = None,
     lidar: FlashLidar | None = None,
     stated: float | None = None,
-) -> Mapped:
+) -> ScannedDem:
     """Scan a testbed and build the Gaussian DEM over the evaluated square, or over `grid`.
 
     `stated` replaces the true standard deviation of a return (m) in the DEM.
@@ -133,4 +135,4 @@ def mapped(
     dem = gaussian_dem(
         points, grid, sigma_f=sigma_f, length_scale=length_scale, sigma_eps=sigma, image_shape=shape
     )
-    return Mapped(points, sigma, shape, dem, crop(field, grid))
+    return ScannedDem(points, sigma, shape, dem, crop(field, grid))

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
-from kept import SceneSites, judged_scenes
+from kept import SceneSites, evaluated_scenes
 from rich.console import Console
 from rich.table import Table
 from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
@@ -388,7 +388,7 @@ def study(
     if row is not None and (target is not None or picture is not None):
         raise click.UsageError("--row: cannot be combined with --save or --out")
     console = plain_console(205)
-    judged = judged_scenes(method.judge, method.draw(count, seed), file, jobs, console)
+    judged = evaluated_scenes(method.judge, method.draw(count, seed), file, jobs, console)
     judged = [j for j in judged if len(j.safe)]
     if row is not None:
         deck = fresh_scenes(method, row, fresh, seed)

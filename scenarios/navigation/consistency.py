@@ -429,7 +429,7 @@ def main(
             ConsistencyTask(scenario, start, n, seed, policy, kind, speed, without, changes)
             for n in range(flights)
         ]
-        name = "scenario" if start is None else f"{start:g}"
+        name = "the scenario's" if start is None else f"{start:g}"
         name += "" if speed is None else f", {speed:g} m/s"
         name += "" if kind is None else f", {kind}"
         by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")

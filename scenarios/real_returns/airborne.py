@@ -17,7 +17,7 @@ import click
 import numpy as np
 from figures import draw
 from judging import HeightErrors, SafetyComparison, judge_heights, judge_safety, scores, strata_of
-from returns import SLOPE_LIMIT_DEG, STRATA, Cloud, load
+from returns import SLOPE_LIMIT_DEG, STRATA, AirborneCloud, load
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -108,7 +108,9 @@ def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> d
     return kept
 
 
-def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict[str, Any], Any]:
+def study(
+    cloud: AirborneCloud, splits: int, title: str, console: Console
+) -> tuple[dict[str, Any], Any]:
     """Evaluate heights and safety on random splits; return all metrics and figure data."""
     heights = [
         judge_heights(cloud, seed) for seed in track(range(splits), description=f"heights, {title}")

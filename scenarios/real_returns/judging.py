@@ -11,12 +11,12 @@ from returns import (
     SHIPPED,
     SIGMA,
     STRATA,
-    Cloud,
-    fitted,
+    AirborneCloud,
+    fit_prior,
     one_map,
     pooled_map,
     quadtree_map,
-    scaled,
+    scaled_lander,
     slope_of,
     stratum,
     without_trend,
@@ -137,17 +137,17 @@ def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
     return np.floor((xy[:, :2] - corner) / size).astype(np.int64)
 
 
-def judge_heights(cloud: Cloud, seed: int) -> dict[str, HeightErrors]:
+def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
     """Map a random half of the returns in several ways; compare with the other half."""
     rng = np.random.default_rng([seed, 0])
     mapped, held = cloud.split(0.5, rng)
     grid = cloud.grid(POSTING)
     slope = slope_of(cloud, grid)
-    own = fitted(without_trend(mapped), rng)
+    own = fit_prior(without_trend(mapped), rng)
     apart = cloud.spacing(0.5)
     out = {
         "field of Table 6": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
-        "fitted": heights_of(one_map(mapped, grid, fitted(mapped, rng)), held, slope),
+        "fitted": heights_of(one_map(mapped, grid, fit_prior(mapped, rng)), held, slope),
         "fitted without trend": heights_of(one_map(mapped, grid, own), held, slope),
         "as flights do": heights_of(pooled_map(mapped, grid, apart, 1), held, slope),
         "as flights do, 4 parts": heights_of(pooled_map(mapped, grid, apart, 4), held, slope),
@@ -188,14 +188,14 @@ class SafetyComparison:
     pictures: Any = None
 
 
-def judge_safety(cloud: Cloud, share: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the returns with a scaled lander; compare with the others."""
+def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
+    """Map a fraction of the returns with a scaled_lander lander; compare with the others."""
     rng = np.random.default_rng([seed, 1])
     mapped, held = cloud.split(share, rng)
     factor = cloud.spacing(share) / SCAN_SPACING
-    lander = scaled(Lander(), factor)
+    lander = scaled_lander(Lander(), factor)
     grid = cloud.grid(0.1 * factor)
-    own = fitted(without_trend(mapped), rng)
+    own = fit_prior(without_trend(mapped), rng)
     # All lengths scale, including the amplitude and the correlation length of the field.
     shipped = {name: factor * value for name, value in SHIPPED.items()}
     verdict = exact_on(held, grid, lander, own)

@@ -50,7 +50,7 @@ def judged(flights, p, safe, large=None, objects=()):
     grid = Grid(0.0, 0.0, 1.0, 1, len(p))
     seen = np.ones((1, len(p)), bool)
     drawn = HazardMap(grid, p[None], seen, np.zeros((1, len(p)), np.float32), in_domain=seen)
-    ground = flights.Ground(
+    ground = flights.MapTruth(
         grid.centres().reshape(-1, 2), s, np.zeros(len(p), bool) if large is None else large,
         np.array([[x, 0.0] for x in objects]).reshape(-1, 2),
     )  # fmt: skip
@@ -127,7 +127,7 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
 
     own = Slow(now)
     fused = FusedMapper({"own": own}, TERMS)
-    clock = flights.Clock({"own": own, "fused": fused})
+    clock = flights.MapperTimer({"own": own, "fused": fused})
     own.update(0.7, None)
     fused.hazard_map()
     told = clock.mean_ms()
@@ -218,7 +218,7 @@ def test_sites_are_counted_by_two_maps(flights):
     p, q = np.float32([[0.9, 0.9, 0.1, 1.0]]), np.float32([[0.6, 0.6, 0.2, 0.0]])
     fused, second = HazardMap(grid, p, seen), HazardMap(grid, q, seen & (q > 0.0))
     xy, safe = grid.centres().reshape(-1, 2), np.array([True, False, False, True])
-    counts = np.array(flights.joint(fused, second, flights.Ground(xy, safe, ~safe, xy)))
+    counts = np.array(flights.joint(fused, second, flights.MapTruth(xy, safe, ~safe, xy)))
     assert counts.sum() == 4
     row, col = (np.searchsorted(flights.ODDS, np.log(v / (1 - v))) - 1 for v in (0.9, 0.6))
     assert counts[0, row, col] == counts[1, row, col] == 1

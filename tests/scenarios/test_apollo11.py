@@ -34,7 +34,7 @@ def _close(ours, theirs):
 
 def test_the_file_holds_the_load(study):
     plain = Scenario.load(FILE)
-    loaded = study.apollo11.started(study.apollo11.loaded(plain))
+    loaded = study.apollo11.with_ignition_start(study.apollo11.with_load(plain))
     for table in ("start", "braking", "approach"):
         _close(getattr(plain, table).model_dump(), getattr(loaded, table).model_dump())
     assert plain.descent.table == loaded.descent.table
@@ -151,13 +151,13 @@ def test_differences_are_those_put_in(study):
     told = a.record()
     good = np.isfinite(told.altitude)
     height = np.interp(told.time, told.time[good], told.altitude[good])
-    ours = a.Track(told.time, height + 30.0, told.pitch - 0.02)
-    found = a.beside(ours, told, a.LOCK_ON, a.P64)
+    ours = a.DescentTrack(told.time, height + 30.0, told.pitch - 0.02)
+    found = a.record_difference(ours, told, a.LOCK_ON, a.P64)
     assert (found.altitude, found.pitch) == pytest.approx((30.0, 0.02))
     assert 0 < found.rows < good.sum()
     # What the flight does not last for is not compared.
-    short = a.Track(told.time[:50], height[:50], told.pitch[:50])
-    assert np.isnan(a.beside(short, told, a.P66, a.LANDING).altitude)
+    short = a.DescentTrack(told.time[:50], height[:50], told.pitch[:50])
+    assert np.isnan(a.record_difference(short, told, a.P66, a.LANDING).altitude)
 
 
 def test_the_command_tells_of_itself(study):

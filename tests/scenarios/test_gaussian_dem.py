@@ -60,8 +60,8 @@ def test_unknown_table_is_refused(script):
 def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
     study = script("gaussian_dem", "monte_carlo")
     for configuration in (1, 3):
-        dem = study.scanned(configuration, 0)[1].dem
-        task = study.Task(configuration, 0, 0, 1)
+        dem = study.scan_testbed(configuration, 0)[1].dem
+        task = study.TerrainSampleTask(configuration, 0, 0, 1)
         ratio = [
             (study.error_field(task, np.random.default_rng([9, n])) ** 2 / dem.variance)[
                 dem.observed
@@ -159,13 +159,13 @@ def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
         for p5, p6 in zip(study.PAPER_5, study.PAPER_6, strict=True)
     ]
     rows = np.tile(paper, (len(study.GROWTHS), 1, 1))
-    rows[3:, 2, study.FIGURES.index("nlpd")] += 0.1
-    rows[2, 5, study.FIGURES.index("recall slope")] -= 0.1
-    values = {name: rows[:, :, i] for i, name in enumerate(study.FIGURES)}
+    rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
+    rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
+    values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
     count = study.reached(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
-    monkeypatch.setattr(study, "swept", lambda seed: rows.tolist())
+    monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())
     arguments = ["--study", "field", "--seeds", "1", "--out", str(tmp_path)]
     done = CliRunner().invoke(study.main, arguments)
     assert done.exit_code == 0, done.output

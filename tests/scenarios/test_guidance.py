@@ -58,7 +58,7 @@ def test_round_and_flat_are_set_side_by_side(script):
     assert "1 flights from 600 m" in done.output
     # The same fall on both is the same where the sphere has no curvature to speak of.
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
-    fell = study.fallen(None, r, v)
+    fell = study.fall(None, r, v)
     assert fell == pytest.approx(r + 30.0 * v - [0.0, 0.0, 0.5 * 1.622 * 900.0], abs=1e-6)
 
 

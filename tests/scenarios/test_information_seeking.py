@@ -35,12 +35,12 @@ def made(study, clear, propellant=8.0, known=100.0):
 def test_paths_are_compared_field_by_field(study):
     clear = {"nominal": (0.2, 0.4), "modified": (0.6, 0.9), "seeking": (0.7, 0.8)}
     rows = [{p: made(study, v[k]) for p, v in clear.items()} for k in range(2)]
-    line = study.compared(rows)["clear ground called clear"]
+    line = study.compare_paths(rows)["clear cells classified as clear"]
     assert line["seeking"].startswith("0.750")
     assert line["seeking - nominal"].startswith("0.450")
     assert line["seeking - modified"].startswith("0.000")
-    assert study.compared(rows)["safe sites known"]["seeking"].startswith("0.250")
-    assert study.compared(rows)["and in reach"]["seeking"].startswith("0.125")
+    assert study.compare_paths(rows)["safe sites known"]["seeking"].startswith("0.250")
+    assert study.compare_paths(rows)["known and reachable"]["seeking"].startswith("0.125")
     console = Console(record=True, width=150)
     study.show("camera", rows, console)
     study.show_losses(rows, console)
@@ -66,12 +66,12 @@ def test_a_win_is_one_whose_interval_lies_above_nought(study):
 
 
 def test_a_field_counts_once_all_paths_have_flown_it(study):
-    tasks = [study.Task(p, k, 1) for k in range(2) for p in study.PATHS]
+    tasks = [study.SeekingFlightTask(p, k, 1) for k in range(2) for p in study.PATHS]
     flights = {t.key: made(study, 0.5) for t in tasks[:5]}
-    assert len(study.whole_fields(tasks, flights)) == 1
+    assert len(study.complete_fields(tasks, flights)) == 1
     assert study.unfinished(tasks, flights) == []
     del flights[tasks[0].key]["levels"][study.LAST]
-    assert study.whole_fields(tasks, flights) == []
+    assert study.complete_fields(tasks, flights) == []
     assert study.unfinished(tasks, flights) == [tasks[0].key]
 
 
@@ -147,7 +147,7 @@ def test_words_that_cannot_be_are_refused(study, words):
 def test_every_set_of_sensors_is_a_scenario(study, script, sensors):
     flights = script(".", "seeking_flights")
     for path in flights.PATHS:
-        scenario = flights.scenario_of(flights.Task(path, 0, 1, sensors))
+        scenario = flights.scenario_of(flights.SeekingFlightTask(path, 0, 1, sensors))
         kind = "information-seeking" if path == "seeking" else "apollo"
         assert scenario.guidance.kind == kind
         assert ("rocks" in scenario.mappers) == (sensors != "lidar")
@@ -157,7 +157,7 @@ def test_every_set_of_sensors_is_a_scenario(study, script, sensors):
 @pytest.mark.slow
 def test_it_sees_more_than_the_direct_path_for_less_than_the_modified(script):
     flights = script(".", "seeking_flights")
-    flown = {p: flights.fly(flights.Task(p, 0, 41)) for p in flights.PATHS}
+    flown = {p: flights.fly(flights.SeekingFlightTask(p, 0, 41)) for p in flights.PATHS}
     clear = {p: f["levels"]["50"]["clear"] for p, f in flown.items()}
     assert clear["seeking"] > clear["nominal"] + 0.2
     assert clear["seeking"] > clear["modified"] - 0.03

@@ -62,7 +62,7 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
 def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeypatch):
     study = script("landers", "slosh")
     still, swinging = (
-        study.fly(study.Task("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
+        study.fly(study.SloshTask("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
     )
     assert still.slosh_deg == 0.0
     assert 1.0 < swinging.slosh_deg < 30.0
@@ -82,7 +82,7 @@ def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(s
     sensors = {**world["sensors"], "flash": {"kind": "flash-lidar", "rows": 48, "cols": 48}}
     dem = {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}
     monkeypatch.setattr(study, "WORLD", {**world, "sensors": sensors, "mappers": {"dem": dem}})
-    ideal, jets = (study.fly(study.Task(way, 0, 3)) for way in ("ideal", "phase-plane"))
+    ideal, jets = (study.fly(study.ThrusterMapTask(way, 0, 3)) for way in ("ideal", "phase-plane"))
     assert ideal.figures["thruster_kg"] == 0.0
     assert jets.figures["thruster_kg"] > 0.2
     assert jets.figures["rate_deg_s"] > ideal.figures["rate_deg_s"]

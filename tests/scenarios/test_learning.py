@@ -38,8 +38,8 @@ def test_rankings_contradict_where_both_are_sure_of_other_sides(script):
     study = script("learning", "ranking")
     ahead, behind, unsure = _between(0.1, 0.3), _between(-0.3, -0.1), _between(-0.1, 0.2)
     assert [study.side(d) for d in (ahead, behind, unsure)] == [1, -1, 0]
-    assert study.contradicted(ahead, behind) and study.contradicted(behind, ahead)
-    assert not study.contradicted(ahead, ahead) and not study.contradicted(ahead, unsure)
+    assert study.is_contradiction(ahead, behind) and study.is_contradiction(behind, ahead)
+    assert not study.is_contradiction(ahead, ahead) and not study.is_contradiction(ahead, unsure)
 
 
 def test_pairs_are_counted_by_what_both_perceptions_say(script):
@@ -49,9 +49,9 @@ def test_pairs_are_counted_by_what_both_perceptions_say(script):
     good, bad = np.arange(100) < 95, np.arange(100) < 40
     cheap, dear = 30.0 + rng.random(100), 35.0 + rng.random(100)
     told = {
-        ("one", model): study.Flown(good, cheap), ("one", mapper): study.Flown(bad, cheap),
-        ("two", model): study.Flown(bad, dear), ("two", mapper): study.Flown(good, dear),
-        ("three", model): study.Flown(bad, dear), ("three", mapper): study.Flown(bad, dear),
+        ("one", model): study.AgentFlights(good, cheap), ("one", mapper): study.AgentFlights(bad, cheap),
+        ("two", model): study.AgentFlights(bad, dear), ("two", mapper): study.AgentFlights(good, dear),
+        ("three", model): study.AgentFlights(bad, dear), ("three", mapper): study.AgentFlights(bad, dear),
     }  # fmt: skip
     counts = study.pairs(told, ("one", "two", "three"))
     # One and two swap sides in safety; one is ahead of three on the model alone, two on the mapper.

@@ -52,7 +52,7 @@ def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, mon
     monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
 
     mapper = Slow(now)
-    clock = flown.Clock(mapper)
+    clock = flown.SingleMapperTimer(mapper)
     mapper.surface()
     assert clock.seconds == 3.0
 
@@ -80,28 +80,30 @@ def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
         drawn.append(scene)
         rng = scene.rng(9)
         n = int(rng.integers(2, 6))
-        return kept.Judged(
+        return kept.SceneSites(
             scene, rng.random((n, 3), np.float32), rng.random(n) < 0.5, rng.random(n) + add,
             rng.random(n), rng.random(n), rng.random(n) < 0.5, float(rng.random()),
             rng.random(n) < 0.5,
         )  # fmt: skip
 
-    deck, other = ([kept.Scene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4))
+    deck, other = (
+        [kept.LidarScene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4)
+    )
     file, console = tmp_path / "scenes.npz", Console(quiet=True)
-    first = kept.judged_scenes(judge, deck, file, 1, console)
+    first = kept.evaluated_scenes(judge, deck, file, 1, console)
     drawn.clear()
-    again = kept.judged_scenes(judge, deck, file, 1, console)
+    again = kept.evaluated_scenes(judge, deck, file, 1, console)
     assert drawn == deck[:1]
     for one, same in zip(first, again, strict=True):
         assert (one.scene, one.cover) == (same.scene, same.cover)
         assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
     with pytest.raises(click.ClickException, match="other scenes"):
-        kept.judged_scenes(judge, other, file, 1, console)
+        kept.evaluated_scenes(judge, other, file, 1, console)
     with pytest.raises(click.ClickException, match="another version"):
-        kept.judged_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
+        kept.evaluated_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
     file.write_bytes(file.read_bytes()[:300])
     with pytest.raises(click.ClickException, match="no file of scenes"):
-        kept.judged_scenes(judge, deck, file, 1, console)
+        kept.evaluated_scenes(judge, deck, file, 1, console)
 
 
 def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
@@ -115,17 +117,17 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, FREE] - 4.0)))
         ones = np.ones(60)
         known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
-        return study.Judged(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
+        return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
-    rows = list(study.left_out(scenes))
+    rows = list(study.held_out_rows(scenes))
     assert {name.split()[0] for name, _, _ in rows} == {"relief", "rocks", "lander", "range"}
     for _, others, kept in rows:
         assert len(others) + len(kept) == 24
         assert not {id(j) for j in others} & {id(j) for j in kept}
     name, others, kept = rows[0]
-    sites = study.Sites.of(kept)
-    model = study.fitted(others)
+    sites = study.PooledSites.of(kept)
+    model = study.fit_model(others)
     assert name not in model.without
     assert set(model.without) <= {row for row, _, _ in rows}
     plain, _ = study.probability(model, sites, MARGIN)
@@ -144,7 +146,7 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
-    assert study.table_of([study.Row(name, p, claimed, sites)]).row_count == 1
+    assert study.table_of([study.HeldOutRow(name, p, claimed, sites)]).row_count == 1
 
 
 @pytest.fixture
@@ -156,7 +158,7 @@ def small_world(script, monkeypatch, tmp_path):
     small = Scenario.load(SCENARIOS / "golombek.toml").changed(
         terrain={"size_m": 90.0}, target={"scatter_m": [10.0, 10.0]},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
-        sensors={**flown.PLACED["sensors"], "flash": {"rows": 128, "cols": 128}},
+        sensors={**flown.WITH_FIXES["sensors"], "flash": {"rows": 128, "cols": 128}},
         tasking={"flash": {"altitudes_m": [220.0, 120.0]}},
         mappers={"dem": {"posting_m": 0.4, "size_m": 70.0}},
     )  # fmt: skip
@@ -167,9 +169,9 @@ def small_world(script, monkeypatch, tmp_path):
         monkeypatch.setattr(module, "WORLDS", worlds)
     kept = script("lidar_maps", "flown_kept")
     monkeypatch.setattr(kept, "flown", flown)
-    monkeypatch.setattr(compare, "flown_or_kept", kept.flown_or_kept)
+    monkeypatch.setattr(compare, "load_or_fly", kept.load_or_fly)
     monkeypatch.setattr(compare, "fly", flown.fly)
-    monkeypatch.setattr(compare, "Task", flown.Task)
+    monkeypatch.setattr(compare, "MapperFlightTask", flown.MapperFlightTask)
     return flown, compare
 
 

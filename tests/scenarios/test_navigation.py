@@ -61,7 +61,7 @@ def drawn(study, rng, *, scale=1.0, lost=False, nis=1.0):
     covariance = np.array([root @ root.T] * len(study.EPOCHS))
     error = scale * rng.standard_normal((len(covariance), 9)) @ root.T
     latest = [{"beam range": Consistency(nis * rng.chisquare(40), 40)} for _ in study.EPOCHS]
-    return study.Flown(
+    return study.ConsistencyFlight(
         error, covariance, latest, latest, {}, {}, 0, (lost, lost), 0.0, 0.0, safe=True
     )
 
@@ -137,7 +137,7 @@ def test_flights_with_faults_are_written_and_added_up(script, tmp_path, monkeypa
 
 def test_fits_begun_at_the_stated_error_are_not_wrong_and_would_be_seen(script, monkeypatch):
     study = script("navigation", "fits")
-    tasks = [study.Task(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
+    tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
     tried = [f for task in tasks for f in study.fits(task)]
     assert sum(f.believed for f in tried) > 10
     assert not any(f.wrong for f in tried)
@@ -167,7 +167,10 @@ def test_errors_of_fifty_flights_are_what_is_said(script, name):
     study = script("navigation", "consistency")
     modest, changes = study.SETS[name]
     path = str(SCENARIOS / f"{name}.toml")
-    tasks = [study.Task(path, None, n, 1201, "safest", None, changes=changes) for n in range(50)]
+    tasks = [
+        study.ConsistencyTask(path, None, n, 1201, "safest", None, changes=changes)
+        for n in range(50)
+    ]
     assert study.broken([study.fly(task) for task in tasks], modest) == []
 
 

@@ -78,13 +78,15 @@ def test_same_seed_same_bits_in_any_number_of_processes_and_after_a_break(small,
     written(small, broken)
     figures = [json.loads((f / "figures.json").read_text()) for f in (whole, broken)]
     assert figures[0] == figures[1]
-    tasks = [small.Task(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
+    tasks = [small.DescentShardTask(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
     again = small.solve(tasks[1])
     stored = np.load(sorted((whole / "shards").glob("*.npz"))[1])
     assert np.array_equal(again["observations"], stored["observations"])
     other = small.solve(replace(tasks[1], seed=2))
     assert not np.array_equal(other["observations"], stored["observations"])
-    assert small.DrawnStarts.key(tasks[1]) != small.DrawnStarts.key(replace(tasks[1], intervals=30))
+    assert small.StartDistribution.key(tasks[1]) != small.StartDistribution.key(
+        replace(tasks[1], intervals=30)
+    )
 
 
 def test_what_cannot_be_done_is_told(small, tmp_path, monkeypatch):
@@ -135,7 +137,7 @@ def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeyp
 
 
 def test_descents_begin_where_the_law_takes_over(small):
-    starts = small.DrawnStarts()
+    starts = small.StartDistribution()
     assert starts.elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
     assert starts.height[1] == MOST_HEIGHT
     assert starts.across == (-MOST_ACROSS, MOST_ACROSS)

@@ -48,7 +48,7 @@ def test_trend_of_a_plane_is_taken_away_whole(script, scattered):
 
 def test_lander_is_scaled_in_length_alone(script):
     returns = script("real_returns", "returns")
-    large = returns.scaled(Lander(), 2.0)
+    large = returns.scaled_lander(Lander(), 2.0)
     assert (large.leg_radius, large.pad_diameter, large.roughness_limit) == (4.7, 0.6, 0.5)
     assert large.slope_limit == pytest.approx(np.deg2rad(30.0))
 

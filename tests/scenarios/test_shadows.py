@@ -106,7 +106,7 @@ def small(script, tmp_path, monkeypatch):
 
 
 def test_experiment_compares_two_paths(small, tmp_path):
-    tasks = [small.Task(path, 0, 1, None) for path in small.PATHS]
+    tasks = [small.ShadowPathTask(path, 0, 1, None) for path in small.PATHS]
     results = [small.fly(task) for task in tasks]
     assert [r["path"] for r in results] == list(small.PATHS)
     assert all(r["landed"] for r in results)
@@ -177,9 +177,9 @@ def matrix(script, tmp_path, monkeypatch):
     """The matrix of two cells that are one short descent."""
     module = script("shadows", "matrix")
     short = Scenario.from_dict(SMALL_SHADOW_FLIGHT)
-    cells = tuple(module.Cell(f"small {k}", cover=0.05) for k in range(2))
+    cells = tuple(module.ShadowCell(f"small {k}", cover=0.05) for k in range(2))
     monkeypatch.setattr(module, "CELLS", cells)
-    monkeypatch.setattr(module.Cell, "scenario", lambda self, path: short)
+    monkeypatch.setattr(module.ShadowCell, "scenario", lambda self, path: short)
     return module
 
 
@@ -228,17 +228,17 @@ def test_the_site_that_is_chosen_is_judged_where_it_truly_lies(matrix, monkeypat
 
 def test_matrix_names_the_goals_that_are_missed(matrix):
     good = {"clear_false": 0.001, "objects_clear": 0.0, "clear_recall": 0.7}
-    cell = matrix.Cell("x")
-    assert matrix.meets(cell, good) == ""
+    cell = matrix.ShadowCell("x")
+    assert matrix.missed_goals(cell, good) == ""
     bad = {"clear_false": 0.003, "objects_clear": 0.05, "clear_recall": 0.5}
-    assert matrix.meets(cell, bad) == "area, objects, recall"
-    far = matrix.Cell("x", relief=8.0)
-    assert matrix.meets(far, bad | {"clear_false": float("nan")}) == "objects"
+    assert matrix.missed_goals(cell, bad) == "area, objects, recall"
+    far = matrix.ShadowCell("x", relief=8.0)
+    assert matrix.missed_goals(far, bad | {"clear_false": float("nan")}) == "objects"
 
 
 def test_no_bad_picture_counts_and_most_good_ones_do(script):
     health = script("shadows", "health")
-    rows = health.look(health.Task(2, 0.05, 2.0, 11, True))
+    rows = health.look(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
     by = {}
     for row in rows:
         by.setdefault(row["fault"], []).append(row["verdict"])

@@ -29,13 +29,13 @@ def shards(script, tmp_path):
     folder = tmp_path / "set" / "shards"
     folder.mkdir(parents=True)
     for k in range(2):
-        np.savez(folder / f"{k}.npz", **descents.solve(descents.Task(k, 3, 5, 12)))
+        np.savez(folder / f"{k}.npz", **descents.solve(descents.DescentShardTask(k, 3, 5, 12)))
     return tmp_path / "set"
 
 
 def test_states_between_nodes_lie_on_the_descent(study, shards):
-    descents = study.Descents.load(sorted((shards / "shards").glob("*.npz")))
-    gravity = study.problem_figures()[0]
+    descents = study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
+    gravity = study.problem_parameters()[0]
     start, wanted = descents.within(np.zeros(descents.done.shape[:2]), gravity)
     end, _ = descents.within(np.full(descents.done.shape[:2], 1.0 - 1e-9), gravity)
     first = descents.seen[0]
@@ -61,7 +61,7 @@ def test_a_shard_that_is_not_whole_is_told(study, shards):
     files = sorted((shards / "shards").glob("*.npz"))
     files[0].write_bytes(files[0].read_bytes()[:500])
     with pytest.raises(click.UsageError, match="is no whole shard"):
-        study.Descents.load(files)
+        study.DescentNodes.load(files)
 
 
 def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
@@ -80,15 +80,15 @@ def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
         assert (figures["shards"], figures["epochs"]) == (2, 2)
     for a, b in zip(nets[0].weights, nets[1].weights, strict=True):
         assert np.array_equal(a, b)
-    assert np.array_equal(nets[0].problem, study.problem_figures())
+    assert np.array_equal(nets[0].problem, study.problem_parameters())
 
 
 def test_shards_of_several_runs_are_not_mixed(study, script, shards):
     descents = script("learning", "optimal_descents")
     other = shards / "shards" / "other.npz"
-    np.savez(other, **descents.solve(descents.Task(0, 3, 5, 10)))
+    np.savez(other, **descents.solve(descents.DescentShardTask(0, 3, 5, 10)))
     with pytest.raises(click.UsageError, match=r"\[10, 12\] intervals"):
-        study.Descents.load(sorted((shards / "shards").glob("*.npz")))
+        study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
 
 
 @pytest.mark.parametrize(

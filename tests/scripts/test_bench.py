@@ -12,7 +12,7 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 def test_the_flight_with_two_eyes_is_one(monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS)
-    scenario = importlib.import_module("bench_parts.navigation").two_eyes()
+    scenario = importlib.import_module("bench_parts.navigation").camera_and_lidar()
     assert set(scenario.mappers) == {"rocks"}
     assert scenario.prior_map is not None
 
@@ -20,7 +20,7 @@ def test_the_flight_with_two_eyes_is_one(monkeypatch):
 @pytest.mark.parametrize("both", [False, True])
 def test_the_flight_with_all_eyes_looks_as_often_as_it_says(monkeypatch, both):
     monkeypatch.syspath_prepend(SCRIPTS)
-    scenario = importlib.import_module("bench_parts.eyes").all_eyes(both)
+    scenario = importlib.import_module("bench_parts.eyes").all_sensors(both)
     looks = {name: part.make() for name, part in scenario.tasking.items()}
     assert {name: part.rate for name, part in looks.items()} == {
         "narrow": 10.0, "wide": 10.0, "flash": 2.0

@@ -61,7 +61,7 @@ def test_the_page_is_what_is_kept(pages):
     shown = pages.PAGE.read_text(encoding="utf-8")
     kept = pages.load()
     assert kept
-    assert shown == pages.made(shown, kept)
+    assert shown == pages.update_page(shown, kept)
     for world, file in kept.items():
         assert f"- {world}: `{file['command']}`. Short: " in shown
         assert len(file["figures"]["landings"]) == 4
@@ -75,7 +75,7 @@ def test_another_figure_is_another_page(pages):
     kept = copy.deepcopy(pages.load())
     world = next(iter(kept.values()))["figures"]
     next(iter(world["landings"].values()))["landed"] -= 1
-    assert pages.made(shown, kept) != shown
+    assert pages.update_page(shown, kept) != shown
 
 
 def test_rows_hold_figures_intervals_and_dashes(pages):
@@ -112,7 +112,7 @@ def test_where_a_world_falls_short_is_told(pages):
 
 
 def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, monkeypatch):
-    monkeypatch.setattr(pages, "KEPT", tmp_path / "kept")
+    monkeypatch.setattr(pages, "STORED", tmp_path / "kept")
     monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
     pages.PAGE.write_text(_page(pages))
     (tmp_path / "figures.json").write_text(json.dumps({"new": _world()}))

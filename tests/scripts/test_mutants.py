@@ -98,7 +98,7 @@ def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
         found = faults.faults_of(path, text)
         assert len({f.name for f in found}) == len(found) > 0
         for fault in found[::20]:
-            compile(fault.applied(text), path, "exec")
+            compile(fault.apply(text), path, "exec")
         for test in mutants.tests_of(path):
             assert (ROOT / test).exists()
 
@@ -106,20 +106,20 @@ def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
 def test_the_draw_is_of_every_kind_and_does_not_follow_changes_elsewhere(faults):
     path, text = "lunarsim/x.py", (ROOT / "lunarsim/rocks/_kernels.py").read_text()
     found = faults.faults_of(path, text)
-    drawn = faults.drawn(found, 15, seed=1)
+    drawn = faults.sample_faults(found, 15, seed=1)
     assert len(set(drawn)) == 15
     assert {f.operator for f in drawn} == {f.operator for f in found}
     lower = text.replace("@kernel", "# One more line.\n@kernel", 1)
-    again = faults.drawn(faults.faults_of(path, lower), 15, seed=1)
+    again = faults.sample_faults(faults.faults_of(path, lower), 15, seed=1)
     assert [(f.code, f.column, f.line - 1) for f in again] == [
         (f.code, f.column, f.line) for f in drawn
     ]
-    assert faults.drawn(found, 15, seed=2) != drawn
+    assert faults.sample_faults(found, 15, seed=2) != drawn
 
 
 def test_shares_go_by_lines_with_two_at_least():
     mutants = importlib.import_module("mutants")
-    assert mutants.shares({"a": 300, "b": 99, "c": 1}, 40) == {"a": 30, "b": 10, "c": 2}
+    assert mutants.faults_per_file({"a": 300, "b": 99, "c": 1}, 40) == {"a": 30, "b": 10, "c": 2}
 
 
 def test_callers_of_a_file_are_found_at_any_hand(tmp_path):
@@ -143,7 +143,7 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
     tests = {path: ["tests/test_room.py"]}
     kept = tmp_path / "kept.jsonl"
     told = []
-    run.Trials(root, kept, tests).run([fault], jobs=1, limit=60.0, tell=told.append)
+    run.MutationRun(root, kept, tests).run([fault], jobs=1, limit=60.0, tell=told.append)
     assert [r.verdict for r in told] == [verdict]
     assert (root / path).read_text() == text
     assert not list((root / "lunarsim").glob("__pycache__"))
@@ -152,12 +152,12 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
         fault.name,
     ]
     # The next run takes it from the file, until the source, or a survivor's test, has changed.
-    assert run.Trials(root, kept, tests).known(fault) == told[0]
+    assert run.MutationRun(root, kept, tests).known(fault) == told[0]
     (root / "tests" / "test_room.py").write_text(test + "\n")
-    again = run.Trials(root, kept, tests).known(fault)
+    again = run.MutationRun(root, kept, tests).known(fault)
     assert again == (told[0] if verdict == "caught" else None)
     (root / path).write_text(text + "\n")
-    assert run.Trials(root, kept, tests).known(fault) is None
+    assert run.MutationRun(root, kept, tests).known(fault) is None
 
 
 def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_path, faults):
@@ -170,7 +170,7 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
     )
     path = "lunarsim/a_kernels.py"
     text = (tmp_path / "tree" / path).read_text()
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
 
     def stop():
         while not sign.exists():
@@ -181,7 +181,7 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
     stopper.start()
     fault = faults.faults_of(path, text)[0]
     for _ in range(2):
-        with pytest.raises(trial.Stopped):
+        with pytest.raises(trial.TrialStopped):
             space.trial(fault, ["tests/test_room.py"], 300.0)
     stopper.join()
     assert (tmp_path / "copy" / path).read_text() == text
@@ -190,9 +190,9 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
 def test_tests_that_fail_without_a_fault_end_the_run(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     toy_package(tmp_path / "tree", CATCHES.replace("== 2", "== 3"))
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
     with pytest.raises(trial.BrokenTestsError, match=r"tests of \S+a_kernels.py fail"):
-        space.unchanged("lunarsim/a_kernels.py", ["tests/test_room.py"])
+        space.run_without_fault("lunarsim/a_kernels.py", ["tests/test_room.py"])
 
 
 def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path, faults):
@@ -208,7 +208,7 @@ def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path
     cache.mkdir()
     for name in "abc":
         (cache / f"{name}_kernels.f.nbi").write_text("good")
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
     path = "lunarsim/a_kernels.py"
     fault = faults.faults_of(path, (tmp_path / "tree" / path).read_text())[0]
     # Of b the kernels hold those of a; c calls neither.
@@ -234,7 +234,7 @@ def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, fault
         )
     )
     known = equivalent.load_equivalents(path)
-    tried, listed, stale = mutants.chosen({"toy.py": TOY}, "", 100, 1, known)
+    tried, listed, stale = mutants.select_faults({"toy.py": TOY}, "", 100, 1, known)
     assert [(f.name, reason) for f, reason in listed] == [("toy.py:14:9:boundary", "as it is")]
     assert stale == [known[1]]
     assert len(tried) == len(faults.faults_of("toy.py", TOY)) - 1
@@ -259,7 +259,7 @@ def test_the_list_means_faults_that_exist():
     equivalent = importlib.import_module("mutant_parts.equivalent")
     mutants = importlib.import_module("mutants")
     known = equivalent.load_equivalents(mutants.EQUIVALENT)
-    assert not mutants.chosen(mutants.kernel_files(), "", 1, 1, known)[2]
+    assert not mutants.select_faults(mutants.kernel_files(), "", 1, 1, known)[2]
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ def results(monkeypatch):
 def test_the_page_is_made_of_the_kept_files(results):
     shown = (ROOT / "docs" / "results-by-seed.md").read_text(encoding="utf-8")
     assert shown == results.page()
-    kept = sorted(results.KEPT.glob("*.json"))
+    kept = sorted(results.STORED.glob("*.json"))
     assert len(kept) >= 2
     for path in kept:
         report = results.load(path)
@@ -31,7 +31,7 @@ def test_the_page_is_made_of_the_kept_files(results):
 
 
 def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
-    figure = results.Figure("recall", "", [0.4, 0.6], 0.55, "higher")
+    figure = results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher")
     assert figure.mean == 0.5
     assert figure.falls_short
     assert not replace(figure, better="lower").falls_short
@@ -43,16 +43,16 @@ def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
 
 def test_a_section_tells_mean_spread_and_where_it_is_short(results):
     figures = [
-        results.Figure("recall", "", [0.4, 0.6], 0.55, "higher"),
-        results.Figure("error", "m", [1.0, 3.0, 2.0]),
+        results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher"),
+        results.SeedMetric("error", "m", [1.0, 3.0, 2.0]),
     ]
-    text = results.section(results.Report("A map", "python a.py", "a", figures))
+    text = results.section(results.StudyReport("A map", "python a.py", "a", figures))
     assert "## A map\n\n`python a.py`; [more](a.md).\n" in text
     assert "| recall | 0.5 | 0.4 to 0.6 | 2 | 0.55 |" in text
     assert "| error (m) | 2 | 1 to 3 | 3 |  |" in text
     assert "Short of the paper: recall (0.5 for 0.55)." in text
     good = replace(figures[0], paper=0.5)
-    text = results.section(results.Report("A map", "python a.py", "a", [good]))
+    text = results.section(results.StudyReport("A map", "python a.py", "a", [good]))
     assert "Short of the paper: nothing here." in text
 
 
@@ -184,7 +184,7 @@ def test_what_is_taken_of_real_returns_is_by_split(results):
 
 
 def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "KEPT", tmp_path)
+    monkeypatch.setattr(results, "STORED", tmp_path)
     found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
     written.write_text(json.dumps(found))
