@@ -183,7 +183,7 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
         table = Table(title=f"{row}: {len(mine)} fields", caption=caption)
         table.add_column("altitude (m)", justify="right")
         table.add_column("map")
-        for heading in (*_COLUMNS.values(), "recall per field"):
+        for heading in (*_COLUMNS.values(), "per field"):
             table.add_column(heading, justify="right")
         for altitude in common(mine):
             for name, words in MAPS.items():

@@ -119,11 +119,11 @@ def odds(rows: list[dict[str, Flight]], other: str) -> str:
     if apart == 0:
         return f"equal to {other} in all fields"
     won = mean_interval(more)
-    word = "positive" if won.mean - won.half > 0.0 else "not positive"
+    word = "significantly positive" if won.mean - won.half > 0.0 else "not significantly positive"
     return (
         f"better than {other} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
         f"(sign test: p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon test: "
-        f"p = {wilcoxon(more).pvalue:.2g}); mean difference significantly {word}"
+        f"p = {wilcoxon(more).pvalue:.2g}); mean difference {word}"
     )
 
 

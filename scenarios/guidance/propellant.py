@@ -170,8 +170,7 @@ def _optimum(task: PropellantTask, flight: Simulation) -> float:
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
-            f"must give feasible starts; flight {task.flight} of seed {task.seed} has an "
-            f"infeasible one: {error}",
+            f"must give feasible starts (flight {task.flight} of seed {task.seed})", str(error),
         ) from None  # fmt: skip
 
 

@@ -118,7 +118,7 @@ def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(fi
         for altitude, gap in (("500", []), ("200", [-1.0])):
             (found,) = figures.comparisons([flight(row, altitude, flights, **maps)], 400.0)
             assert found.left == gap
-            assert ("worse than the eye that is left" in found.missed) == bool(gap)
+            assert ("worse than the remaining sensor" in found.missed) == bool(gap)
 
 
 def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(flights, monkeypatch):
@@ -168,7 +168,7 @@ def test_every_row_can_be_flown(flights):
 
 @pytest.mark.parametrize(
     ("option", "value", "told"),
-    [("--rows", "the Moon", "not one of"), ("--altitudes", "10", "metres from 50")],
+    [("--rows", "the Moon", "must be one of"), ("--altitudes", "10", "must be numbers from 50")],
 )
 def test_mistakes_are_named(study, option, value, told):
     result = CliRunner().invoke(study.main, [option, value])
@@ -199,7 +199,7 @@ def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch)
     result = CliRunner().invoke(study.main, [*options, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert len(flown) == 1 and not set(flown) & set(first)
-    for words in (*flights.MAPS.values(), "objects missed", "mean over rows", "15 % cover"):
+    for words in (*flights.MAPS.values(), "objects", "Mean over rows", "15 % cover"):
         assert words in result.output
     assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
     other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
@@ -251,7 +251,7 @@ def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
     assert both < none
     file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
     alone = CliRunner().invoke(fit.main, [str(file)])
-    assert alone.exit_code == 2 and "one row" in alone.output
+    assert alone.exit_code == 2 and "two rows" in alone.output
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
     out = tmp_path / "flown.json"
     done = CliRunner().invoke(study.main, ["--flights", "1", "--json", str(out)])
     assert done.exit_code == 0, done.output
-    assert "over the optimum" in done.output
+    assert "relative to the optimum" in done.output
     rows = {row["law"]: row for row in json.loads(out.read_text())}
     assert set(rows) == set(kinds("guidance"))
     assert len({row["optimum"] for row in rows.values()}) == 1
@@ -42,7 +42,7 @@ def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
 
     monkeypatch.setattr(study, "problem", short_of_fuel)
     for options, told in (
-        ([], "starts that can be flown from, which flight 0 of seed 1 has not"),
+        ([], "must give feasible starts (flight 0 of seed 1)"),
         (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
     ):
         done = CliRunner().invoke(study.main, ["--flights", "1", "--laws", "optimal", *options])
@@ -55,7 +55,7 @@ def test_round_and_flat_are_set_side_by_side(script):
     done = CliRunner().invoke(study.main, ["--flights", "1"])
     assert done.exit_code == 0, done.output
     assert "55418.29" in done.output
-    assert "1 flights from 600 m" in done.output
+    assert "1 flights from a distance of 600 m" in done.output
     # The same fall on both is the same where the sphere has no curvature to speak of.
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
     fell = study.fall(None, r, v)

@@ -19,7 +19,7 @@ def test_touchdowns_are_judged_both_ways(script, tmp_path):
         arguments = ["--touchdowns", "6", "--seed", "5", "--jobs", jobs, "--json", str(out)]
         done = CliRunner().invoke(study.main, arguments)
         assert done.exit_code == 0, done.output
-        assert "static-safe that tip over" in done.output
+        assert "Static-safe touchdowns that tip over" in done.output
         runs.append(json.loads(out.read_text()))
     assert runs[0] == runs[1]
     assert sum(runs[0]["confusion"].values()) == 6
@@ -53,7 +53,7 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
     assert {one for one, _ in shut} == {None} | set(range(16)) - {0, 1, 4, 5}
     assert {seed for _, seed in shut} == {7, 8, 9, 10}
     assert "false alarms in 4" in done.output
-    assert "noticed 12, 4.0 s after (median; most 4.0), others given up 0" in done.output
+    assert "detected 12, after 4.0 s (median; maximum 4.0), false isolations 0" in done.output
     assert 5.0 < seeing[2] < 38.0
     assert seeing[0]
     assert seeing[1] < blind[1]
@@ -97,4 +97,4 @@ def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(s
     done = CliRunner().invoke(study.main, ["--flights", "2"])
     assert done.exit_code == 0, done.output
     gained = jets.figures["thruster_kg"]
-    assert f"| thrusters kg | 0.000 | {gained:.3f} | {gained:+.3f} [" in done.output
+    assert f"| thruster propellant (kg) | 0.000 | {gained:.3f} | {gained:+.3f} [" in done.output

@@ -49,9 +49,12 @@ def test_pairs_are_counted_by_what_both_perceptions_say(script):
     good, bad = np.arange(100) < 95, np.arange(100) < 40
     cheap, dear = 30.0 + rng.random(100), 35.0 + rng.random(100)
     told = {
-        ("one", model): study.AgentFlights(good, cheap), ("one", mapper): study.AgentFlights(bad, cheap),
-        ("two", model): study.AgentFlights(bad, dear), ("two", mapper): study.AgentFlights(good, dear),
-        ("three", model): study.AgentFlights(bad, dear), ("three", mapper): study.AgentFlights(bad, dear),
+        ("one", model): study.AgentFlights(good, cheap),
+        ("one", mapper): study.AgentFlights(bad, cheap),
+        ("two", model): study.AgentFlights(bad, dear),
+        ("two", mapper): study.AgentFlights(good, dear),
+        ("three", model): study.AgentFlights(bad, dear),
+        ("three", mapper): study.AgentFlights(bad, dear),
     }  # fmt: skip
     counts = study.pairs(told, ("one", "two", "three"))
     # One and two swap sides in safety; one is ahead of three on the model alone, two on the mapper.

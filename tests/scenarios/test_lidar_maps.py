@@ -102,7 +102,7 @@ def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
     with pytest.raises(click.ClickException, match="another version"):
         kept.evaluated_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
     file.write_bytes(file.read_bytes()[:300])
-    with pytest.raises(click.ClickException, match="no file of scenes"):
+    with pytest.raises(click.ClickException, match="not a file of scenes"):
         kept.evaluated_scenes(judge, deck, file, 1, console)
 
 
@@ -200,9 +200,9 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeyp
     kept.write_text(kept.read_text().replace('"code": "', '"code": "0'))
     other = CliRunner().invoke(compare.main, options)
     assert other.exit_code == 1
-    assert "other code" in other.output
+    assert "different code" in other.output
     kept.write_text("{")
-    assert "is no kept flight" in CliRunner().invoke(compare.main, options).output
+    assert "is not a saved flight" in CliRunner().invoke(compare.main, options).output
     wrong = CliRunner().invoke(compare.main, ["--worlds", "Mars"])
     assert wrong.exit_code == 2
     assert "Mars" in wrong.output

@@ -29,15 +29,15 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
     assert study.main() == 130
     told = capsys.readouterr()
     assert told.out.startswith("70 descents of ")
-    assert "interrupted: flights till then count" in told.err
+    assert "interrupted: the results cover the flights until then" in told.err
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--flights", "0"], "--flights = 0: 1 or more"), (["--seed", "-1"], "0 or more"),
+        (["--flights", "0"], "--flights: must be 1 or more, got 0"), (["--seed", "-1"], "must be 0 or more"),
         (["--scenario", "hardd"], "hard"), (["--step", "nan"], "step_s"),
-        (["--worlds", "0"], "--worlds = 0: 1 or more"),
+        (["--worlds", "0"], "--worlds: must be 1 or more, got 0"),
     ],
 )  # fmt: skip
 def test_bad_input_is_told(script, monkeypatch, capsys, words, says):

@@ -39,7 +39,7 @@ def test_consistency_is_printed_and_written_by_epoch(script, tmp_path):
         "start.velocity_m_s=[18,0,-12]",
     ]
     text = run(study.main, *words)
-    assert "NEES over degrees of freedom" in text
+    assert "NEES / degrees of freedom" in text
     assert "stars attitude" in text
     (flights,) = json.loads(out.read_text()).values()
     assert len(flights) == 2

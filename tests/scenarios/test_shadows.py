@@ -42,7 +42,7 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
             least, most = np.sort(np.hypot(base, small / edges))
             assert least / 1.2 < found / ratio < 1.2 * most
     assert "nan" not in done.output
-    left = re.search(r"radius ([\d.]+) of itself, centre ([\d.]+) radii", done.output)
+    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", done.output)
     assert left is not None
     radius, centre = _outline_sigmas()
     assert float(left[1]) == pytest.approx(radius, abs=0.08)

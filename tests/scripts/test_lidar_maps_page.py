@@ -51,7 +51,7 @@ def _world():
 
 
 def _page(pages):
-    out = [pages.mark("commands") + "\n\n- old: `x`. Short: nowhere.\n"]
+    out = [pages.mark("commands") + "\n\n- old: `x`. Shortfalls: none.\n"]
     for name, head in HEADS.items():
         out.append(f"{pages.mark(name)}\n\n{head}\n| --- |\n| kept | 1 |\n|  | 2 |\n| new | 3 |\n")
     return "Words.\n\n" + "\nMore.\n\n".join(out) + "\nEnd.\n"
@@ -63,7 +63,7 @@ def test_the_page_is_what_is_kept(pages):
     assert kept
     assert shown == pages.update_page(shown, kept)
     for world, file in kept.items():
-        assert f"- {world}: `{file['command']}`. Short: " in shown
+        assert f"- {world}: `{file['command']}`. Shortfalls: " in shown
         assert len(file["figures"]["landings"]) == 4
         for rows in (f(file["figures"]) for f in pages.ROWS.values()):
             for row in rows:
@@ -123,7 +123,7 @@ def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, mon
     assert page.count("| kept | 1 |\n|  | 2 |\n") == 3
     assert "| new | 3 |" not in page
     assert "| new | one | 10 |" in page
-    assert "- new: `python a.py`. Short: two: 3 of 10 not safe; " in page
+    assert "- new: `python a.py`. Shortfalls: two: 3 of 10 not safe; " in page
     assert "- old" not in page
     assert page.startswith("Words.\n") and page.endswith("\nEnd.\n")
     pages.main([], standalone_mode=False)

@@ -191,7 +191,7 @@ def test_tests_that_fail_without_a_fault_end_the_run(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     toy_package(tmp_path / "tree", CATCHES.replace("== 2", "== 3"))
     space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
-    with pytest.raises(trial.BrokenTestsError, match=r"tests of \S+a_kernels.py fail"):
+    with pytest.raises(trial.BrokenTestsError, match=r"tests of \S+a_kernels.py: must pass"):
         space.run_without_fault("lunarsim/a_kernels.py", ["tests/test_room.py"])
 
 
@@ -243,8 +243,11 @@ def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, fault
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[[equivalent]]\nfault = 'a.py:1:2:sign'\ncode = 'x'", "entry 1 needs fault, code"),
-        ("[[equivalent]]\nfault = 'a.py:sign'\ncode = 'x'\nreason = 'y'", "entry 1: 'a.py:sign'"),
+        (
+            "[[equivalent]]\nfault = 'a.py:1:2:sign'\ncode = 'x'",
+            "entry 1: must have exactly fault, code",
+        ),
+        ("[[equivalent]]\nfault = 'a.py:sign'\ncode = 'x'\nreason = 'y'", "got 'a.py:sign'"),
         ("[[equivalent", "list.toml"),
     ],
 )
@@ -266,8 +269,8 @@ def test_the_list_means_faults_that_exist():
     ("arguments", "message"),
     [
         (["--count", "0"], "--count"),
-        (["--only", "no such file"], "no fault's name holds 'no such file'"),
-        (["--results", "RESULTS"], "line 1, is no result"),
+        (["--only", "no such file"], "must be part of a fault name, got 'no such file'"),
+        (["--results", "RESULTS"], "line 1: must be the result"),
     ],
 )
 def test_bad_input_ends_with_two(tmp_path, arguments, message):

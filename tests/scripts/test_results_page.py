@@ -50,10 +50,10 @@ def test_a_section_tells_mean_spread_and_where_it_is_short(results):
     assert "## A map\n\n`python a.py`; [more](a.md).\n" in text
     assert "| recall | 0.5 | 0.4 to 0.6 | 2 | 0.55 |" in text
     assert "| error (m) | 2 | 1 to 3 | 3 |  |" in text
-    assert "Short of the paper: recall (0.5 for 0.55)." in text
+    assert "Worse than the paper: recall (0.5 for 0.55)." in text
     good = replace(figures[0], paper=0.5)
     text = results.section(results.StudyReport("A map", "python a.py", "a", [good]))
-    assert "Short of the paper: nothing here." in text
+    assert "Worse than the paper: none." in text
 
 
 def test_what_is_taken_of_the_tables_is_by_seed(results):
@@ -73,8 +73,8 @@ def test_what_is_taken_of_the_tables_is_by_seed(results):
     by = {f.label: f for f in report.figures}
     assert by["Table 3, c = 0.5: recall"].values == [0.2, 0.3]
     assert by["Table 3, c = 0.5: recall"].paper == 0.28
-    assert by["Table 6, proposed slope, least precision of nine scans"].values == [0.9, 0.8]
-    assert by["Table 6, proposed slope, least recall of nine scans"].values == [0.5, 0.4]
+    assert by["Table 6, proposed slope, minimum precision of nine scans"].values == [0.9, 0.8]
+    assert by["Table 6, proposed slope, minimum recall of nine scans"].values == [0.5, 0.4]
 
 
 def _descent(path, fuel, recall=0.2):
@@ -90,12 +90,12 @@ def test_what_is_taken_of_two_descents_is_paired(results):
     ]  # fmt: skip
     report = results.take("shadows", {"flights": flights}, "")
     by = {f.label: f for f in report.figures}
-    assert by["propellant, modified less nominal"].values == [1.0, 3.0]
-    assert by["propellant, modified less nominal"].falls_short
-    assert by["duration, modified less nominal"].values == [0.0, 0.0]
-    assert by["clear ground called clear, nominal"].values == [0.1, 0.3]
-    assert not by["clear ground called clear, nominal"].falls_short
-    assert by["clear ground called clear, modified"].falls_short  # 0.2 for 0.29
+    assert by["propellant, modified minus nominal"].values == [1.0, 3.0]
+    assert by["propellant, modified minus nominal"].falls_short
+    assert by["duration, modified minus nominal"].values == [0.0, 0.0]
+    assert by["clear area classified as clear, nominal"].values == [0.1, 0.3]
+    assert not by["clear area classified as clear, nominal"].falls_short
+    assert by["clear area classified as clear, modified"].falls_short  # 0.2 for 0.29
 
 
 def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
@@ -113,20 +113,20 @@ def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
     by = {f.label: f for f in results.take("quadtree", {"flights": flights}, "").figures}
     assert {name: f.values for name, f in by.items()} == {
         "time of the lock": [7.5],
-        "map error, root mean square": [0.02, 0.06],
-        "slope error, greatest": [2.0, 7.0],
-        "share of the hazards' area missed": [0.25, 0.75],
-        "safe ground called hazardous": [0.5, 1.5],
-        "sites ranked": [2.0, 1.0],
-        "of them exactly safe": [1.0, 1.0],
+        "map error, RMS": [0.02, 0.06],
+        "slope error, maximum": [2.0, 7.0],
+        "missed fraction of the hazard area": [0.25, 0.75],
+        "false hazard area": [0.5, 1.5],
+        "ranked sites": [2.0, 1.0],
+        "exactly safe sites": [1.0, 1.0],
         "landing zones with a true hazard": [1.0, 0.0],
     }
     assert {name: f.unit for name, f in by.items() if f.unit} == {
-        "time of the lock": "s", "map error, root mean square": "m",
-        "slope error, greatest": "deg", "safe ground called hazardous": "m2",
+        "time of the lock": "s", "map error, RMS": "m",
+        "slope error, maximum": "deg", "false hazard area": "m2",
     }  # fmt: skip
     papers = {name: f.paper for name, f in by.items() if f.paper is not None}
-    assert papers == {"map error, root mean square": 0.5, "slope error, greatest": 6.0,
+    assert papers == {"map error, RMS": 0.5, "slope error, maximum": 6.0,
                       "landing zones with a true hazard": 0.0}  # fmt: skip
     assert {name for name, f in by.items() if f.falls_short} == {"landing zones with a true hazard"}
 
@@ -137,12 +137,12 @@ def test_what_is_taken_of_the_laws_is_over_the_optimum_of_each_start(results):
              {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
     report = results.take("guidance", flown, "python g.py")
     by = {f.label: f for f in report.figures}
-    assert by["`apollo`: over the optimum, to the ground"].values == pytest.approx([25.0, 10.0])
-    assert by["`optimal`: over the optimum, to the ground"].values == pytest.approx([-5.0])
-    assert by["`apollo`: landed safe"].values == [1.0, 0.0]
+    assert by["`apollo`: excess propellant to touchdown"].values == pytest.approx([25.0, 10.0])
+    assert by["`optimal`: excess propellant to touchdown"].values == pytest.approx([-5.0])
+    assert by["`apollo`: safe landings"].values == [1.0, 0.0]
     text = results.section(report)
-    assert "| figure | mean | least to greatest | seeds | optimum |" in text
-    assert "Short of the optimum: `apollo`: over the optimum, to the ground (17.5 for 0)." in text
+    assert "| metric | mean | range | seeds | optimum |" in text
+    assert "Worse than the optimum: `apollo`: excess propellant to touchdown (17.5 for 0)." in text
 
 
 def test_what_is_taken_of_navigation_is_by_flight(results):
@@ -151,15 +151,15 @@ def test_what_is_taken_of_navigation_is_by_flight(results):
     other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
     report = results.take("navigation", {"the scenario's": [flight, other]}, "python n.py")
     assert {f.label: f.values for f in report.figures} == {
-        "NEES over degrees of freedom, all nine (1)": [0.8, 1.4],
-        "NEES over degrees of freedom, position (1)": [2.0],
-        "NIS over degrees of freedom, stars (1)": [1.1],
-        "error of position at the start": [40.0, 40.0],
-        "at touchdown": [3.0, 3.0],
-        "lost at the end": [0.0, 0.0],
-        "landed safe": [1.0, 0.0],
+        "NEES / degrees of freedom, all nine (ideal 1)": [0.8, 1.4],
+        "NEES / degrees of freedom, position (ideal 1)": [2.0],
+        "NIS / degrees of freedom, stars (ideal 1)": [1.1],
+        "initial position error": [40.0, 40.0],
+        "position error at touchdown": [3.0, 3.0],
+        "navigation lost at the end": [0.0, 0.0],
+        "safe landings": [1.0, 0.0],
     }
-    assert "Short of the paper: no paper has these figures." in results.section(report)
+    assert "Worse than the paper: no reference values." in results.section(report)
 
 
 def test_what_is_taken_of_real_returns_is_by_split(results):
@@ -169,17 +169,21 @@ def test_what_is_taken_of_real_returns_is_by_split(results):
         for k, name in enumerate(("as flights do", "field of Table 6"))
     }  # fmt: skip
     report = results.take("real_returns", {"ground": {"heights": heights}}, "")
-    error, square, share = "RMSE", "mean square of error over stated sigma (1)", "share beyond 2"
+    error, square, share = (
+        "RMSE",
+        "mean square of error / predicted sigma (ideal 1)",
+        "fraction beyond 2",
+    )
     told = {f.label: f.values for f in report.figures}
     assert told == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
-        f"as flights do: {share} sigma (0.046)": [0.3, 0.6],
+        f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],
         f"field of Table 6: {error}": [1.1, 1.4],
         f"field of Table 6: {square}": [1.2, 1.5],
-        f"field of Table 6: {share} sigma (0.046)": [1.3, 1.6],
+        f"field of Table 6: {share} sigma (ideal 0.046)": [1.3, 1.6],
     }
-    assert "no paper has these figures" in results.section(report)
+    assert "no reference values" in results.section(report)
     assert [f.unit for f in report.figures] == ["m", "", ""] * 2
 
 
@@ -190,4 +194,4 @@ def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
     written.write_text(json.dumps(found))
     results.main(["--take", "shadows", str(written), "--command", "c"], standalone_mode=False)
     assert results.load(tmp_path / "shadows.json") == results.take("shadows", found, "c")
-    assert "## Rocks by their shadows" in results.page()
+    assert "## Shadow filter, two descents" in results.page()
