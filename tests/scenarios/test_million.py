@@ -35,7 +35,8 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--flights", "0"], "--flights: must be 1 or more, got 0"), (["--seed", "-1"], "must be 0 or more"),
+        (["--flights", "0"], "--flights: must be 1 or more, got 0"),
+        (["--seed", "-1"], "must be 0 or more"),
         (["--scenario", "hardd"], "hard"), (["--step", "nan"], "step_s"),
         (["--worlds", "0"], "--worlds: must be 1 or more, got 0"),
     ],
