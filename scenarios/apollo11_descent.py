@@ -76,7 +76,7 @@ def scenario_of(isp: float, ground: str, load: str = apollo11.FLOWN) -> Scenario
 
 
 def with_pilot(scenario: Scenario, **pilot: float) -> Scenario:
-    """Return the descent with P66 and the pilot from low gate; `pilot` sets parameters."""
+    """Return the descent with P66 and a pilot from low gate; `pilot`: parameters."""
     taken = scenario.changed(approach={"takeover_altitude_m": LOW_GATE})
     return taken.changed(descent={"kind": "rate-of-descent", **PILOT, **pilot})
 

@@ -32,7 +32,7 @@ FITS = ("none", "without the quadtree", "with the quadtree")
 
 
 def counts_of(flights: list[dict[str, Any]]) -> Array:
-    """Return pooled site counts (safe or not, fused, quadtree), see `eyes_flights.joint`."""
+    """Return pooled site counts (safe, fused, quadtree), see `eyes_flights.joint`."""
     shape = (2, len(ODDS) - 1, len(ODDS))
     pooled = np.zeros(shape)
     for flight in flights:
@@ -42,7 +42,7 @@ def counts_of(flights: list[dict[str, Any]]) -> Array:
 
 
 def kinds() -> tuple[Array, Array, Array]:
-    """Return per count: probability of the fused map, of the quadtree, and its observed flag."""
+    """Return fused probability, quadtree probability and observed flag per count."""
     middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
     p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
     seen = np.ones(p.shape, np.bool_)
@@ -61,7 +61,7 @@ def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibrati
 
 
 def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
-    """Return the Brier score of C over sites, and its bias (mean C minus safe fraction)."""
+    """Return the Brier score of C and its bias (mean C minus safe fraction)."""
     p, q, seen = kinds()
     unsafe, safe = counts.reshape(2, -1)
     c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)

@@ -66,7 +66,7 @@ def figures_of(judged: list[Counts]) -> dict[str, float]:
 
 
 def large_share(judged: list[Counts], recall: float) -> float:
-    """Return the fraction of terrain called safe that has a large rock under the lander.
+    """Return the fraction of terrain called safe with a large rock underneath.
 
     The threshold is the highest one with the given recall. NaN if no threshold reaches it or if the
     recall is zero.

@@ -105,7 +105,7 @@ ROWS: dict[str, FusionStudyRow] = {
 
 @dataclass(frozen=True)
 class FusionFlightTask:
-    """One flight: row name, field index, root seed, and altitudes of map evaluation, m."""
+    """One flight: row, field, root seed, and altitudes of map evaluation, m."""
 
     row: str
     field: int

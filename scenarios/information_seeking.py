@@ -53,7 +53,7 @@ def _share(flight: Flight, level: str, name: str) -> float:
 
 
 def unfinished(tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]) -> list[str]:
-    """Return the keys of flights that ended before the last map; these are not compared."""
+    """Return the keys of flights that ended before the last map (not compared)."""
     return [t.key for t in tasks if t.key in flights and LAST not in flights[t.key]["levels"]]
 
 

@@ -1,4 +1,4 @@
-"""Simulate a large number of descents in compiled kernels and report failure rates.
+"""Simulate very many descents in compiled kernels and report failure rates.
 
     python scenarios/million.py                    # 1,000,000 flights of about 60 s each
     python scenarios/million.py --flights 10000

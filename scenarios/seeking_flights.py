@@ -69,7 +69,7 @@ def sobol(count: int, seed: int) -> list[SunAndTerrain]:
 
 
 def scenario_of(task: SeekingFlightTask) -> Scenario:
-    """Return the descent of a task: a map of 60 m around the site, two images per second.
+    """Return the descent of a task with a map of 60 m and two images per second.
 
     Sites are chosen between altitudes of 75 m and 50 m.
     """

@@ -1,4 +1,4 @@
-"""Print the page of all commands: `python scripts/command_pages.py > docs/commands.md`."""
+"""Print docs/commands.md: `python scripts/command_pages.py > docs/commands.md`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Make the film of `Retarget-v0`: `scripts/environment_film.py docs/images/retarget.gif`."""
+"""Make the film of `Retarget-v0`: `environment_film.py docs/images/retarget.gif`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Print the page of environments: `python scripts/environment_pages.py > docs/environments.md`."""
+"""Print the page docs/environments.md from the environment docstrings."""
 
 from __future__ import annotations
 

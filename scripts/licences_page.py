@@ -1,4 +1,4 @@
-"""Print the page of licences: `python scripts/licences_page.py > docs/licences.md`.
+"""Print the licences page: `python scripts/licences_page.py > docs/licences.md`.
 
 The script asks pip which packages the project and each extra would install, without installing
 them. It needs pip 25 or later, which reports licences that are SPDX expressions.

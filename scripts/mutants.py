@@ -1,4 +1,4 @@
-"""Run mutation tests: put faults into the kernels and measure the fraction detected.
+"""Run mutation tests: put faults into kernels and count those detected.
 
     python scripts/mutants.py                                   # a sample over all kernels
     python scripts/mutants.py --only triangulation --count 20

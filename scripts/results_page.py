@@ -1,4 +1,4 @@
-"""Print the page of results by seed: `python scripts/results_page.py > docs/results-by-seed.md`.
+"""Print the page docs/results-by-seed.md from the stored results.
 
 A study writes its results with `--json`. `python scripts/results_page.py --take NAME FILE` stores
 the part that the page shows in `docs/results/NAME.json`: every metric by seed, the value of the
@@ -179,7 +179,7 @@ def real_returns(found: dict[str, Any]) -> list[SeedMetric]:
 
 
 def guidance(found: list[dict[str, Any]]) -> list[SeedMetric]:
-    """Return the propellant of each law relative to the optimum, and its terminal error."""
+    """Return each law's propellant relative to the optimum, and terminal error."""
     out = []
     for law in dict.fromkeys(row["law"] for row in found):
         mine = [row for row in found if row["law"] == law]

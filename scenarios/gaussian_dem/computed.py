@@ -54,13 +54,13 @@ HALF_PHASES = [(east / 2, north / 2) for east in range(2) for north in range(2)]
 
 
 def sample_distance(distance: float, angle_deg: float) -> float:
-    """Return the mean ground sample distance of a configuration (m): the baseline posting."""
+    """Return the mean ground sample distance (baseline posting) of a scan, m."""
     x, y = table_4_row(distance, angle_deg)[2:4]
     return float(np.sqrt(x * y))
 
 
 def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)):
-    """Return the conventional DEM at the scan posting and its cell at each cell of `grid`.
+    """Return the conventional DEM at the scan posting and its cells on `grid`.
 
     `phase` moves its grid east and north by fractions of a cell.
     """
@@ -72,7 +72,7 @@ def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0
 
 
 def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
-    """Return terrain by Eq. 20: plane, rocks of 0.2 to 1 m, and c times measured relief.
+    """Return terrain by Eq. 20: plane, rocks (0.2 to 1 m), c times measured relief.
 
     The posting is 0.1 m.
     """
@@ -307,7 +307,7 @@ def median_time(call: Callable[[], Any], repeats: int) -> float:
 
 
 def table_7(seeds: int) -> dict[str, Any]:
-    """Return run times at four postings: 65,536 points, 100 x 100 m, 500 m above nadir."""
+    """Return run times at four postings: 65,536 points, 100 x 100 m, from 500 m."""
     field = testbed(0, side=20.0)
     points, sigma, shape = scan(field, 500.0, 0.0, np.random.default_rng(0))
     rows = []

@@ -35,7 +35,7 @@ GRID = Grid.centred((0.0, 0.0), 24.0, 0.2)
 
 @dataclass(frozen=True)
 class DemTerrainParams:
-    """Terrain parameters: RMS slope (deg), Hurst exponent, boulder diameters (m), count."""
+    """RMS slope (deg), Hurst exponent, boulder diameters (m) and boulder count."""
 
     slope: float = 5.0
     hurst: float = 0.85

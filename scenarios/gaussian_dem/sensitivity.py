@@ -156,7 +156,7 @@ def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console
 
 
 def draw_field(values: dict[str, Any], path: Path) -> None:
-    """Plot error, density, precision and recall against the growth of the random field."""
+    """Plot error, density, precision and recall against the random-field growth."""
     figure = new_figure(9.6, 7.2)
     panels = figure.subplots(2, 2, sharex=True)
     names = ("rmse", "nlpd", "precision roughness", "recall roughness")

@@ -69,7 +69,7 @@ def print_3(result: dict[str, Any], console: Console) -> None:
 
 
 def spread(values: list[float]) -> str:
-    """Return the mean and, with more than one seed, the half width of its 95 % interval."""
+    """Return the mean and, for several seeds, half its 95 % interval."""
     if len(values) < 2:
         return f"{values[0]:.4f}"
     return mean_interval(values).text()

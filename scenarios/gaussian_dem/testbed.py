@@ -66,7 +66,7 @@ class ScannedDem:
 def testbed(
     seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0
 ) -> TestbedField:
-    """Generate a testbed and its exact safety over the central square of side `side` (m).
+    """Generate a testbed and its exact safety over a central square of `side`, m.
 
     The testbed of the paper has 500 rocks of 1 m.
     """
@@ -125,7 +125,7 @@ def mapped(
     lidar: FlashLidar | None = None,
     stated: float | None = None,
 ) -> ScannedDem:
-    """Scan a testbed and build the Gaussian DEM over the evaluated square, or over `grid`.
+    """Scan a testbed and build its Gaussian DEM over the evaluated area or `grid`.
 
     `stated` replaces the true standard deviation of a return (m) in the DEM.
     """

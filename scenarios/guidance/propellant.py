@@ -138,7 +138,7 @@ def shared_world() -> World:
 
 
 def problem(flight: Simulation) -> Descent:
-    """Return the optimal descent problem from a flight's true start to its approach end."""
+    """Return the descent problem from a flight's true start to its approach end."""
     briefing = flight.briefing
     lander, approach = briefing.lander, briefing.software.approach
     limits, end = approach.limits, approach.end(briefing.target, lander)

@@ -1,4 +1,4 @@
-"""Plot the reachable landing area on the way down, by propellant, one panel per height.
+"""Plot the reachable landing area and its propellant at several heights.
 
 The default approach is flown to its site with one guidance law. At each height the terrain around
 the site is evaluated under the limits of the approach.

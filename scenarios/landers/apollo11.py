@@ -1,4 +1,4 @@
-"""Read Apollo 11 target loads and the descent record, and compare flights with them.
+"""Read Apollo 11 target loads and the descent record; compare flights.
 
 The guidance frame of a load is x up, y cross, z downrange. Downrange is west here, so a value along
 z is a value along -x of ENU.
@@ -75,7 +75,7 @@ def _jerk(t: Targets, of: str) -> float:
 
 
 def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario with the targets of a load in `[braking]`, `[approach]`, `[descent]`."""
+    """Return a scenario with the targets of a load in all descent phases."""
     t = targets(load)
     high = scenario.vehicle.com_height_m
     braking = {

@@ -15,7 +15,7 @@ _FULL_THRUST_N = 46_706.0  # 100 % throttle, N
 
 
 def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: Path) -> Path:
-    """Plot altitude, pitch, throttle, look angle and terrain of flights; return the path."""
+    """Plot altitude, pitch, throttle, look angle and terrain; return the path."""
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(2, 2)
     recorded = apollo11.record()

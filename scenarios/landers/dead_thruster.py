@@ -1,4 +1,4 @@
-"""Compare flights with a failed thruster with and without thruster fault detection.
+"""Compare flights with a failed thruster with and without fault detection.
 
 The fault detection was tuned on thrusters 0, 1, 4 and 5 and seeds 1 to 3. `--held-out` flies with
 failures of the other thrusters, and `--nominal` adds flights without failure to count false alarms.

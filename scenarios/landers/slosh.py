@@ -1,4 +1,4 @@
-"""Compare the attitude control with and without propellant slosh on the same flights.
+"""Compare attitude control with and without propellant slosh.
 
 Four tanks around the center of the default lander with thrusters. The table reports the attitude
 error, body rates, thruster firings and thruster propellant over the descent, and the touchdown.
@@ -57,7 +57,7 @@ class SloshTask:
 
 @dataclass(frozen=True)
 class SloshFlight:
-    """Results of a flight; attitude error and rate are RMS, over the flight and its end."""
+    """Results of a flight; attitude errors and rates are RMS (flight, and its end)."""
 
     control: str
     case: str

@@ -1,4 +1,4 @@
-"""Compare hazard maps with thruster attitude control and with ideal attitude control.
+"""Compare hazard maps with thruster and with ideal attitude control.
 
 The shadow EKF paper turns its vehicle along the great circle to the commanded attitude at a limited
 rate (section IV.A.3). Here the same descents, over the same terrain and with the same noise, are

@@ -1,4 +1,4 @@
-"""Fit the surrogate of a mapper to its flights and compare both on held-out flights.
+"""Fit the surrogate of a mapper and compare both on held-out flights.
 
     python scenarios/learning/fit_surrogate.py --out out/surrogate.npz
     python scenarios/learning/fit_surrogate.py --check

@@ -102,7 +102,7 @@ class StartDistribution:
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        """Return the displacement from the end (3,), m, the velocity (3,), m/s, and the load."""
+        """Return displacement from the end (3,), m, velocity (3,), m/s, and load."""
         while True:
             height, aside = rng.uniform(*self.height), rng.uniform(*self.aside)
             if height >= aside * np.tan(np.deg2rad(self.elevation)):
@@ -123,7 +123,7 @@ def _default() -> Scenario:
 
 
 def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
-    """Return the descent of the default lander from a start, with the limits of the law."""
+    """Return the descent of the default lander from a start, with the law's limits."""
     scenario = _default()
     lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
     margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
@@ -292,7 +292,7 @@ def write_dataset(
 def _write_dataset_atomically(
     files: list[Path], data: Path, task: DescentShardTask, console: Console
 ) -> dict[str, Any]:
-    """Write the data set to a temporary folder and move it: a killed run leaves no part."""
+    """Write the data set to a temporary folder and move it when it is complete."""
     part = data.with_name(f".{data.name}.part")
     if part.exists():
         shutil.rmtree(part)

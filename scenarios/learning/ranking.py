@@ -1,4 +1,4 @@
-"""Compare agent rankings on the surrogate and on the real mapper, on held-out worlds.
+"""Compare agent rankings on the surrogate and the real mapper (held-out worlds).
 
     python scenarios/learning/ranking.py --flights 300
 

@@ -44,7 +44,7 @@ def stack(shown: list[Any]) -> Any:
 def episode(
     env: gymnasium.Env[Any, Any], flies: Agent, name: str, streams: Streams
 ) -> dict[str, Any]:
-    """Fly an episode; return the Minari buffer arguments, and its metadata in ``told``.
+    """Fly an episode; return Minari buffer arguments, with metadata in ``told``.
 
     Raises
     ------

@@ -23,7 +23,7 @@ def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int
 
 
 def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Choose the nearest site whose p_safe is close to the maximum; keep it once there."""
+    """Choose the nearest site with nearly maximum p_safe; keep it once there."""
     sites = observation["sites"]
     good = (sites[:, 5] > 0) & (sites[:, 3] >= min(0.95, sites[:, 3].max()))
     distance = np.hypot(sites[:, 0], sites[:, 1])

@@ -27,7 +27,7 @@ REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
 
 
 def compare(out: Path, settings: Training, episodes: int, console: Console) -> None:
-    """Print the results of the agent and the reference agents on the same held-out flights."""
+    """Print results of the agent and the reference agents on held-out flights."""
     from lunarsim_envs.descent.core import level
     from lunarsim_envs.evaluation.episodes import Study
     from lunarsim_envs.evaluation.results import differences, figures, with_target

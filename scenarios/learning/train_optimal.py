@@ -126,7 +126,7 @@ def train_network(
 
 
 def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float) -> dict[str, Any]:
-    """Return the errors on held-out descents, and the fraction that violates the limits."""
+    """Return errors on held-out descents and the fraction beyond the limits."""
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
     told = network(shown)
     off = told - wanted * SCALE

@@ -1,4 +1,4 @@
-"""Fit the calibrated safety probability of the Gaussian DEM and test it on held-out worlds.
+"""Fit the safety probability of the Gaussian DEM and test it on held-out worlds.
 
 The script scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`) and
 fits the calibrated probability of `lunarsim.safety.calibration` to all of them. It then repeats the
@@ -153,7 +153,7 @@ AXES: tuple[tuple[str, tuple[str, ...], Callable[[LidarScene], str]], ...] = (
 def held_out_rows(
     judged: list[SceneSites],
 ) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
-    """Yield each row of the matrix: its name, the scenes outside it and the scenes in it."""
+    """Yield each row of the matrix: name, scenes outside it, scenes in it."""
     for axis, names, of in AXES:
         for name in names:
             inside = [of(j.scene) == name for j in judged]
@@ -209,7 +209,7 @@ def worst_stratum(
 
 @dataclass(frozen=True)
 class HeldOutRow:
-    """A held-out row of the matrix: the probabilities and claims of the fit without it."""
+    """Probabilities and claims for a held-out row by the fit without it."""
 
     name: str
     p: np.ndarray

@@ -190,7 +190,7 @@ def megabytes(mapper: HazardMapper) -> float:
 
 
 def strata_of(world: World, truth: Truth) -> np.ndarray:
-    """Return the stratum of each cell of the truth (rows, cols), from the true terrain.
+    """Return the stratum of each truth cell (rows, cols), from the true terrain.
 
     The slope is that of the relief without rocks over the width of the lander.
     """

@@ -1,4 +1,4 @@
-"""Save the flights of the mapper comparison one by one, so that a study can resume.
+"""Save the flights of the mapper comparison so that a study can resume.
 
 Each file holds one flight and a digest of the code that computed it. Flights of other code are
 rejected.

@@ -1,4 +1,4 @@
-"""Cache evaluated scenes in a file, so that a repeated fit does not generate them again.
+"""Cache evaluated scenes in a file for repeated fits.
 
 The file is valid for one matrix of scenes. To detect changed code, the first scene is generated
 again and compared.
@@ -51,7 +51,7 @@ def evaluated_scenes(
     jobs: int,
     console: Console,
 ) -> list[SceneSites]:
-    """Return evaluated scenes from the file; if it does not exist, compute and write it.
+    """Return evaluated scenes from the file; compute and write it if missing.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Fit the calibrated safety probability of the quadtree and test it on held-out worlds.
+"""Fit the safety probability of the quadtree and test it on held-out worlds.
 
 The method is that of `calibration.py`: four flashes of each scene of the same matrix build a
 quadtree, and its sites are compared with exact safety.

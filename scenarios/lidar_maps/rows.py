@@ -1,4 +1,4 @@
-"""Format the rows of the mapper comparison for its tables and for the results page."""
+"""Format the rows of the mapper comparison for tables and the results page."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def map_rows(world: WorldResults) -> list[TableRow]:
 
 
 def stratum_rows(world: WorldResults) -> list[TableRow]:
-    """Return the rows of map metrics at the last decision by stratum of the true terrain."""
+    """Return the rows of map metrics at the last decision by terrain stratum."""
     last = {MAPPERS[mapper]: f["last"] for mapper, f in world["maps"].items() if f["last"]}
     strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
     out = []

@@ -1,4 +1,4 @@
-r"""Check the consistency of navigation (NEES and NIS) and the effect of initial errors.
+r"""Check navigation consistency (NEES, NIS) and the effect of initial errors.
 
 The script flies a scenario whose navigation has an error state. At five fixed fractions of the
 planned descent time it compares the errors of position, velocity and attitude with their covariance
@@ -202,7 +202,7 @@ def since(before: dict[str, Consistency], now: dict[str, Consistency]) -> dict[s
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
-    """Return the errors of position, velocity and attitude (ENU) in the site frame (9,)."""
+    """Return position, velocity and attitude errors (ENU) in the site frame (9,)."""
     state = simulation.state
     found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
     turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
@@ -339,7 +339,7 @@ def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
 
 
 def plain(flight: ConsistencyFlight) -> dict[str, Any]:
-    """Return a flight for JSON: NEES, and NIS of the complete flight, per degree of freedom."""
+    """Return a flight for JSON, with NEES and NIS per degree of freedom."""
     nees = {}
     for part, keep in PARTS.items():
         squares = [

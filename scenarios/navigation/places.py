@@ -1,4 +1,4 @@
-"""Measure how fast and how reliably a LiDAR sweep is located on maps of many kinds.
+"""Measure how fast and reliably a LiDAR sweep is located on prior maps.
 
 No flight is simulated: a vehicle on a straight path sweeps the terrain around its target as in
 `tasking.sweep`, with errors of position (30 m per axis), attitude (0.5 deg) and velocity

@@ -1,4 +1,4 @@
-"""Test whether navigation declares itself lost with outdated maps or scanner errors.
+"""Test whether navigation declares itself lost with map or scanner faults.
 
 The script flies `morpheus.toml`, a LiDAR sweep on a prior map, over its hazard field and over
 cratered relief. The faults are: a map of which up to 0.3 is outdated, voids or correlated errors in

@@ -1,4 +1,4 @@
-"""Test whether rock navigation declares itself lost: relief, cover, Sun errors, image loss.
+"""Test whether rock navigation declares itself lost in difficult conditions.
 
 The script flies `shadow_nominal.toml` with images at 2.5 Hz from 160 m, over relief of 0 to 8 deg,
 with a rock cover of 2 to 15 % and an error of the assumed Sun azimuth of up to 180 deg; then with

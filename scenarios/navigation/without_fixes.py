@@ -1,4 +1,4 @@
-"""Compare landings with onboard instruments and with position fixes (paired flights).
+"""Compare landings with onboard instruments and with position fixes.
 
 Each scenario is flown twice over the same terrain from the same starts: as it is, with a radar
 altimeter, a Doppler velocimeter and a star tracker in one filter; and with position fixes (truth

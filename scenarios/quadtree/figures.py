@@ -76,7 +76,7 @@ def draw_mapping(look: dict[str, Any], path: Path) -> None:
 
 
 def draw_slopes(look: dict[str, Any], path: Path) -> None:
-    """Plot slope estimates and their errors at the sites (Figures 13 and 14 of the paper)."""
+    """Plot slope estimates and errors at the sites (Figures 13, 14 of the paper)."""
     maps = look["maps"]
     selection, size = maps["selection"], maps["sizes"]
     figure = new_figure(9.4, 4.4)
@@ -94,7 +94,7 @@ def draw_slopes(look: dict[str, Any], path: Path) -> None:
 
 
 def draw_hazards(look: dict[str, Any], path: Path) -> None:
-    """Plot exception ratio, hazards and classification (Figures 15 to 17 of the paper)."""
+    """Plot exception ratio, hazards and classes (Figures 15 to 17 of the paper)."""
     maps = look["maps"]
     figure = new_figure(13.0, 4.9)
     ratio, over, right = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -186,7 +186,7 @@ def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
 
 
 def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
-    """Plot the ranked sites on the true terrain during and after the sweep (Figures 21, 22)."""
+    """Plot the ranked sites during and after the sweep (Figures 21, 22)."""
     figure = new_figure(10.4, 5.8)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
         maps = look["maps"]
@@ -204,7 +204,7 @@ def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_choice(look: dict[str, Any], path: Path) -> None:
-    """Plot the sites on the true hazards and on the interest (Figures 18 and 23 of the paper)."""
+    """Plot the sites on true hazards and on interest (Figures 18, 23 of the paper)."""
     maps = look["maps"]
     figure = new_figure(10.0, 4.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)

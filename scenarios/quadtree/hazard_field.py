@@ -1,4 +1,4 @@
-"""Map a hazard field by a LiDAR sweep, locate it on a prior map, and rank landing sites.
+"""Sweep a hazard field by LiDAR, locate it on a map, and rank landing sites.
 
 The experiment of the quadtree paper (section 5) on simulated fields: boulders and craters on
 horizontal grass, a Morpheus-like vehicle, a sweep of 20 s. Sites are evaluated 13 s and 20 s after
@@ -178,7 +178,7 @@ def figure_data(
 
 
 def cells_of(quadtree: QuadtreeMap) -> tuple[np.ndarray, np.ndarray]:
-    """Return centers (n, 2) and sides (n,) of the smallest cells down to the 8th division."""
+    """Return centers (n, 2) and sides (n,) of cells down to the 8th division."""
     nodes = quadtree.band(quadtree.side / 2**8, quadtree.side)
     return quadtree.centres(nodes), quadtree.sizes(nodes)
 

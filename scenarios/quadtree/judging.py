@@ -1,4 +1,4 @@
-"""Compare map, hazards and sites of the quadtree with the true terrain (local frame)."""
+"""Compare quadtree map, hazards and sites with the true terrain."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def judged_sites(
 def map_errors(
     mapper: QuadtreeMapper, ground: QuadtreeTruth
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return centers, sides, elevation errors and true elevations (n,) of cells of 0.4 m."""
+    """Return centers, sides, elevation errors and truth (n,) of cells of 0.4 m."""
     tree, fine = mapper.map, ground.grid
     nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
@@ -117,7 +117,7 @@ def slope_errors(mapper: QuadtreeMapper, selection: Selection, mesh: TruthMesh) 
 def hazard_confusion(
     mapper: QuadtreeMapper, ground: QuadtreeTruth
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Compare hazard cells with the truth; return areas (m^2) and the estimate (rows, cols).
+    """Compare hazard cells with the truth; return areas (m^2) and the estimate.
 
     The estimate is NaN where cells have too few points (grey in the paper).
     """

@@ -1,4 +1,4 @@
-"""Test both LiDAR maps on real returns: map a part of an airborne cloud, test on the rest.
+"""Test both LiDAR maps on an airborne cloud: map a part, test on the rest.
 
     python scenarios/real_returns/airborne.py --splits 4 --out out/real_returns
 
@@ -111,7 +111,7 @@ def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> d
 def study(
     cloud: AirborneCloud, splits: int, title: str, console: Console
 ) -> tuple[dict[str, Any], Any]:
-    """Evaluate heights and safety on random splits; return all metrics and figure data."""
+    """Evaluate heights and safety on random splits; return metrics and plot data."""
     heights = [
         judge_heights(cloud, seed) for seed in track(range(splits), description=f"heights, {title}")
     ]

@@ -60,7 +60,7 @@ class HeightErrors:
     xy: np.ndarray
 
     def figures(self, which: int | None = None) -> dict[str, float]:
-        """Return count, bias, RMSE, mean normalised square and fractions beyond 2 and 3 sigma."""
+        """Return count, bias, RMSE, NEES and fractions beyond 2 and 3 sigma."""
         use = slice(None) if which is None else self.stratum == which
         error, ratio = self.error[use], self.error[use] / self.sigma[use]
         if not error.size:
@@ -84,7 +84,7 @@ def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
 
 
 def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightErrors:
-    """Compare a Gaussian DEM with held-out returns (n, 3); `slope` is on its grid, deg."""
+    """Compare a Gaussian DEM with held-out returns (n, 3); `slope`: on its grid, deg."""
     seen = np.where(dem.observed, dem.mean, np.nan)
     mean = bilinear(seen, dem.grid, held[:, :2])
     variance = bilinear(np.where(dem.observed, dem.variance, np.nan), dem.grid, held[:, :2])
@@ -100,7 +100,7 @@ def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightE
 def heights_of_cells(
     mapper: QuadtreeMapper, held: np.ndarray, slope: np.ndarray, grid: Grid
 ) -> HeightErrors:
-    """Compare the site cells of a quadtree with the held-out returns in the same cells.
+    """Compare quadtree site cells with the held-out returns in the same cells.
 
     The predicted sigma is that of the difference of two means, from the variance in the cell.
     """
@@ -189,7 +189,7 @@ class SafetyComparison:
 
 
 def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
-    """Map a fraction of the returns with a scaled_lander lander; compare with the others."""
+    """Map a fraction of the returns with a scaled lander; test on the others."""
     rng = np.random.default_rng([seed, 1])
     mapped, held = cloud.split(share, rng)
     factor = cloud.spacing(share) / SCAN_SPACING

@@ -82,7 +82,7 @@ def load(ground_only: bool = True, limit: float | None = None) -> AirborneCloud:
 
 
 def slope_of(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
-    """Return the slope of the terrain smoothed over 3 m (rows, cols), deg; NaN off the cloud."""
+    """Return the slope of terrain smoothed over 3 m (rows, cols), deg; NaN unknown."""
     dem = gaussian_dem(cloud.points, grid, sigma_eps=SIGMA, **SHIPPED)
     known = dem.observed
     z = np.where(known, dem.mean, 0.0).astype(np.float64)
@@ -144,7 +144,7 @@ def scaled_lander(lander: Lander, factor: float) -> Lander:
 
 
 def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) -> QuadtreeMapper:
-    """Return the quadtree of the returns and its sites, all sizes scaled by powers of two.
+    """Return the quadtree of the returns with sizes scaled by powers of two.
 
     The required density is half the given one (1/m^2).
     """

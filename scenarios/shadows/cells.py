@@ -1,4 +1,4 @@
-"""Define the cells of the shadow map matrix: one factor at a time, and all together.
+"""Define the cells of the shadow map matrix.
 
 One line of cells varies each factor from the home cell (5 % cubes with correct prior, Sun at 20 deg
 behind the camera, horizontal terrain). Further cells have rocks outside these factor levels (low,
@@ -90,7 +90,7 @@ class ShadowCell:
         )
 
     def scenario(self, path: str = "modified") -> Scenario:
-        """Return a reduced version of the descent of the paper over the terrain of this cell.
+        """Return a reduced descent of the paper over the terrain of this cell.
 
         The map is 80 m wide and the camera takes two images per second,
         which needs a fifteenth of the

@@ -193,7 +193,7 @@ def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
 
 
 def draw_forms(path: Path) -> None:
-    """Plot the exact probability that a rock covers a point, and the paper's approximation."""
+    """Plot the exact coverage probability of a rock and the paper's approximation."""
     figure = new_figure(8.4, 3.4)
     axes = figure.subplots(1, 2, sharey=True)
     d = np.linspace(0.0, 2.0, 401)

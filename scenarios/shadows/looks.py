@@ -1,4 +1,4 @@
-"""Measure how rock centers from shadows vary between images and with the view direction.
+"""Measure how rock centers from shadows vary between images and views.
 
 A camera with known pose descends to a rendered field along a straight path, and the detected rock
 positions are compared with the true ones. The difference between two images 0.1 s apart is
@@ -134,7 +134,7 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockM
 
 
 def successive_changes(looks: list[RockMeasurements]) -> Array:
-    """Return for pairs of measurements (n, 5): rock radius, normalised and pixel changes.
+    """Return rock radius, normalised and pixel changes of measurement pairs (n, 5).
 
     Columns: radius in pixels; change along and across over its standard deviation; change along and
     across in pixels, scaled to a single measurement.

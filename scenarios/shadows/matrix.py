@@ -1,4 +1,4 @@
-"""Evaluate the shadow map in about seventy cells of rock cover, shape, Sun and terrain.
+"""Evaluate the shadow map over rock cover, shape, Sun and terrain.
 
 Every cell is flown over a few rock fields on the modified path. The map at 50 m is evaluated per
 cell, and by whether a hazard lies under a vehicle that lands at the safest site of the map. The
@@ -94,7 +94,7 @@ def choice(simulation: Simulation) -> dict[str, Any]:
 
 
 def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
-    """Return which true rocks are hazards (n,): those at least as long as the hazard diameter."""
+    """Return which true rocks reach the hazard diameter (n,)."""
     least = simulation.scenario.mappers["rocks"].hazard_diameter_m
     return np.asarray(2.0 * simulation.world.terrain.rocks.a >= least)
 

@@ -1,4 +1,4 @@
-"""Compare the direct descent with the modified one over the same rocks (shadow EKF paper).
+"""Compare the nominal and the modified descent of the shadow EKF paper.
 
 In the experiment (IV.B and V), a vehicle detects rocks by their shadows while it flies to a site
 with the Sun behind its camera. The modified path overflies the site by 60 m and sees the shadows
@@ -68,7 +68,7 @@ class ShadowPathTask:
 
 
 def fly(task: ShadowPathTask) -> dict[str, Any]:
-    """Fly once; return rates, reliability and maps by altitude, propellant and duration."""
+    """Fly once; return map results by altitude, propellant and duration."""
     scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
     if task.shapes is not None:
         scenario = scenario.changed(expected_rocks={"shape": task.shapes})
@@ -125,7 +125,7 @@ def compare_means(nominal: list[float], modified: list[float]) -> dict[str, Mean
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return means and intervals by altitude, path and rate, and the paired differences."""
+    """Return means by altitude, path and rate, and paired differences."""
     by = [[r for r in results if r["path"] == p] for p in PATHS]
     out: dict[str, Any] = {"altitudes": {}, "fields": len(by[0])}
     for altitude in ALTITUDES:

@@ -1,4 +1,4 @@
-"""Measure the false-negative and false-detection rates FN(q), FP(q) of the shadow detector.
+"""Measure the false-negative and false-detection rates of the shadow detector.
 
 Rendered fields of rocks of all shapes, or of one, are seen from random positions. A rock whose
 shadow patch should have q^2 pixels counts as found if a detection lies on it with a radius within a
@@ -81,7 +81,7 @@ def model_of(shape: str) -> RockModel:
 
 
 def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
-    """Take one image from a random position; return q and outcome of rocks and detections."""
+    """Take one image; return q and outcome of rocks and detections."""
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
     back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), depression)

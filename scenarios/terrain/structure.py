@@ -1,4 +1,4 @@
-"""Compare generated detail with the measured relief above its posting (structure function).
+"""Compare generated detail with the measured relief by structure functions.
 
     python scenarios/terrain/structure.py --scenario scenarios/apollo15.toml --out out/terrain
 
@@ -60,7 +60,7 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
 
 
 def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
-    """Return the relief as filed, refined (smoothed within height steps), and with detail."""
+    """Return the relief as filed, refined, and with generated detail."""
     filed = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
     return {
         "as filed": filed.scaled(ground.relief_scale),

@@ -66,7 +66,7 @@ def brute(z, grid, lander):
 
 
 def terrains(grid):
-    """Return terrains by name: rocks, relief, and cases in which the exact map was slow."""
+    """Return terrains by name, including cases in which the exact map was slow."""
     from lunarsim.world.terrain import fractal_relief
 
     rng = np.random.default_rng(0)
@@ -107,7 +107,7 @@ def terrains(grid):
 
 
 def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
-    """Print the time of the exact map per cell and thread, and its ratio to brute force."""
+    """Print the exact map's time per cell and its ratio to brute force."""
     import numba
 
     from lunarsim.grid import Grid

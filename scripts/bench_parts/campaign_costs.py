@@ -23,7 +23,7 @@ _ROW_COUNT = 2000
 
 
 def worlds(folder: Path) -> None:
-    """Print the cost of a world and its truth, and of a flight with and without the cache."""
+    """Print the cost of a world, and of a flight with and without the cache."""
     from lunarsim.campaign.cache import opened
     from lunarsim.campaign.grounds import Grounds
     from lunarsim.rng import flight_seed
@@ -83,7 +83,7 @@ def million(folder: Path, row_bytes: float) -> None:
 
 
 def _writer_time(folder: Path) -> float:
-    """Return the processor time of the writer per row with the columns of a campaign, s."""
+    """Return the processor time of the campaign writer per row, s."""
     from dataclasses import replace
 
     from lunarsim.campaign.flying import plan_of
@@ -109,7 +109,7 @@ def _spec(name: str, flights: int) -> Any:
 
 
 def _seconds(name: str, flights: int, cache: Any) -> float:
-    """Return the median processor time of a flight, s, without the first (compilation)."""
+    """Return the median processor time of a flight without compilation, s."""
     from lunarsim.campaign.flying import fly, plan_of
     from lunarsim.campaign.plan import Group
 

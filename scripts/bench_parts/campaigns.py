@@ -72,7 +72,7 @@ def _plan(flights: int, function: str, study: Any = None) -> Any:
 
 
 def _overhead(folder: Path) -> None:
-    """Print the processor time of the overhead per flight, and its fraction of a flight."""
+    """Print the overhead per flight, and its fraction of a flight."""
     from lunarsim.campaign.cache import opened
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.flying import plan_of
@@ -141,7 +141,7 @@ def _jobs(folder: Path) -> None:
 
 
 def _busy(timing: Any) -> float:
-    """Return the fraction of time between first and last flight that workers were flying."""
+    """Return the fraction of time that workers were flying."""
     shares = []
     for _, one in timing.groupby("worker"):
         ended = one["finished_unix_s"].to_numpy()

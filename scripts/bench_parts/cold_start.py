@@ -25,7 +25,7 @@ main()
 
 
 def _run(*words: str, cores: int | None = None) -> tuple[float, float, float]:
-    """Return processor time of a command and of its helper, and wall time, s, without cache."""
+    """Return processor time of a command and its helper, and wall time, s."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         some = sorted(os.sched_getaffinity(0))[:cores]

@@ -35,7 +35,7 @@ def reference_ms() -> float:
 def alternating_medians(
     calls: dict[str, Callable[[], object]], repeats: int = 11
 ) -> dict[str, float]:
-    """Return the median time of each call, ms; the calls alternate to share slow periods."""
+    """Return the median time of each call, ms; the calls alternate."""
     for call in calls.values():
         call()
     times: dict[str, list[float]] = {name: [] for name in calls}

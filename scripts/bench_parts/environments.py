@@ -39,7 +39,7 @@ print("steps", steps / (time.perf_counter() - begun))
 
 
 def _peer(name: str) -> float:
-    """Return steps per second of another environment with random actions; NaN if missing."""
+    """Return steps per second of another environment; NaN if missing."""
     python = _PEERS / "bin" / "python"
     if not python.exists():
         print(f"  creating {_PEERS} for {', '.join(_PACKAGES)}", flush=True)
@@ -56,7 +56,7 @@ def _peer(name: str) -> float:
 
 
 def _single(name: str, clock: Callable[[], float] = time.perf_counter, **settings: Any) -> float:
-    """Return steps per second of one environment with random actions, including resets."""
+    """Return steps per second of an environment with random actions and resets."""
     env = gymnasium.make(name, **settings)
     env.reset(seed=1)
     env.action_space.seed(1)
@@ -152,7 +152,7 @@ def _batch(name: str, count: int) -> float:
 
 
 def envs() -> None:
-    """Steps per second relative to PyFlyt and Gymnasium, and simulated seconds per second."""
+    """Steps per second relative to PyFlyt and Gymnasium; simulated seconds per second."""
     assert lunarsim_envs.__name__
     lander, rocket = _peer("LunarLander-v3"), _peer("PyFlyt/Rocket-Landing-v4")
     print(f"  LunarLander-v3 {lander:,.0f} steps/s, PyFlyt/Rocket-Landing-v4 {rocket:,.0f} steps/s")

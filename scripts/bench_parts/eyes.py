@@ -11,7 +11,7 @@ _EVERY = 1.0
 
 
 def eyes() -> None:
-    """Two cameras at 10 Hz, flashes at 2 Hz, a fused map per second: mean and worst second."""
+    """Two cameras at 10 Hz, flashes at 2 Hz, a fused map per second."""
     for words, both in (("in sequence", False), ("both all the time", True)):
         scenario = all_sensors(both)
         # Compiles the kernels and computes the Sun tables.

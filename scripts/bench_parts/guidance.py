@@ -1,4 +1,4 @@
-"""Measure the guidance laws: time of a command and of the reach, and landing errors."""
+"""Measure the guidance laws: command time, reach time, landing errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _states(lander: Any) -> list[Any]:
 def _fly_law(
     law: Any, start: Any, end: Any, time_to_go: float, exhaust: float
 ) -> tuple[float, ...]:
-    """Return propellant (kg), miss (m) and speed error (m/s) with held commands, no lag."""
+    """Return propellant (kg), miss (m), speed error (m/s) with held commands."""
     from dataclasses import replace
 
     cycle = 0.1
@@ -55,7 +55,7 @@ def _fly_law(
 
 
 def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
-    """Return the minimum propellant of each start with the limits of reach, kg; else NaN."""
+    """Return the minimum propellant of each start, kg; NaN if infeasible."""
     from lunarsim.onboard.guidance.divert import PathLimits
     from lunarsim.optimal.errors import InfeasibleError
     from lunarsim.optimal.final_time import least_propellant
@@ -90,7 +90,7 @@ def _min_cpu_ms(work: Callable[[], object]) -> float:
 
 
 def guidance() -> None:
-    """Each law: a command, 100 x 100 cells of reach, propellant and errors over 200 starts."""
+    """Each law: command, reach of 100 x 100 cells, propellant and errors."""
     from lunarsim.models.lander import Lander
     from lunarsim.onboard.guidance import PhaseEnd
     from lunarsim.parts.registry import kinds, resolve

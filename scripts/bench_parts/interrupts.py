@@ -20,7 +20,7 @@ _SPEC = 'scenario = "{}"\nflights = 200\n[factors]\npolicy = ["no-divert", "safe
 
 
 def interrupts() -> None:
-    """Time from Ctrl-C to the end of `lunarsim campaign run`, two jobs, with busy processes."""
+    """Time from Ctrl-C to the end of `lunarsim campaign run` on a busy machine."""
     rng = random.Random(1)
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(_BUSY)]
     try:

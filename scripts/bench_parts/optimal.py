@@ -14,7 +14,7 @@ _G = 1.622
 
 
 def _descent(rng: Any = None, **changes: Any) -> Any:
-    """Return the approach of the default lander, with random scatter if `rng` is given."""
+    """Return the default approach, with random scatter if `rng` is given."""
     from lunarsim.models.lander import Lander
     from lunarsim.optimal.problem import Descent
 
@@ -112,7 +112,7 @@ def _free(clarabel: float) -> None:
 
 
 def _rigid() -> None:
-    """Print a rigid-body descent by quadratic programs, cold and 1 s later, and by IPOPT."""
+    """Print the times of a rigid-body descent by quadratic programs and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
     from lunarsim.evaluation.open_loop import flown
@@ -149,7 +149,7 @@ def _rigid() -> None:
 
 
 def optimal() -> None:
-    """Optimal descents: fixed and free final time, one thread, relative to Clarabel (cold)."""
+    """Optimal descents at fixed and free final time, relative to Clarabel (cold)."""
     from lunarsim.optimal.collocation import collocate
     from lunarsim.optimal.final_time import least_propellant
     from lunarsim.optimal.planner import Planner

@@ -1,4 +1,4 @@
-"""Measure the speed of the quadtree map, its sites, and the localisation on a prior map."""
+"""Measure the speed of the quadtree map, its sites, and localisation."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _memory() -> None:
 
 
 def resident(way: str, count: int) -> None:
-    """Print the memory growth of this process with a number of points, and its maximum."""
+    """Print the memory growth of this process with `count` points."""
     import resource
     from pathlib import Path
 
@@ -195,7 +195,7 @@ def _larger_maps(rng) -> None:
 
 
 def lidar_inertial() -> None:
-    """Registration of scans on a prior map, and the position search before the first fit."""
+    """Registration of scans on a prior map, and the initial position search."""
     from lunarsim.onboard.navigation import map_matcher as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario

@@ -13,7 +13,7 @@ _PATHS = 3000
 
 
 def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
-    """Return planner, problem and time-to-go at the start of the shadow paper's descent."""
+    """Return planner, problem and time-to-go at the start of the descent."""
     from lunarsim.onboard.guidance.divert import divert_cost
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation

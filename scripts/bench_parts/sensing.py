@@ -13,7 +13,7 @@ from bench_parts.plain_renderer import PlainRenderer
 
 
 def terrain() -> None:
-    """Generation of 1 km^2 at 0.5 m with 50,000 rocks, and the scaling of rock placement."""
+    """Generation of 1 km^2 with 50,000 rocks, and the scaling of rock placement."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -151,7 +151,7 @@ def _small_square_of_cubes(count: int):
 
 
 def lidar() -> None:
-    """65,536 rays from 500 m relative to Embree on the same triangles, one thread each."""
+    """65,536 rays from 500 m relative to Embree, one thread each."""
     import numpy as np
 
     from lunarsim.grid import Grid

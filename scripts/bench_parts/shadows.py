@@ -8,7 +8,7 @@ from bench_parts.common import ROOT, TimedFunction, make_terrain, median_ms, ref
 
 
 def _rock_filter(count, seed=0):
-    """Return a filter of `count` rocks seen from 80 m, its camera and the true positions."""
+    """Return a filter of `count` rocks, its camera and the true positions."""
     from dataclasses import replace
 
     import numpy as np
@@ -121,7 +121,7 @@ def _images(rng) -> None:
 
 
 def _one_image(rocks, camera, seen: int, rng) -> None:
-    """Associate and update as for one image in which the first `seen` rocks are detected."""
+    """Associate and update for an image with the first `seen` rocks detected."""
     import numpy as np
 
     from lunarsim.onboard.hazards.shadows.association import associate

@@ -15,7 +15,7 @@ _CASES = (
 
 
 def paths() -> None:
-    """Processor time of flights that differ only in policy, with and without shared paths."""
+    """Processor time of flights of several policies with and without shared paths."""
     from lunarsim.campaign.flying import plan_of
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -40,7 +40,7 @@ def paths() -> None:
 
 
 def _processor_times(study: Any, index: int, arms: int) -> tuple[float, float]:
-    """Return the processor time of all arms of an index, with and without shared paths."""
+    """Return processor times of all arms of an index with and without shared paths."""
     from dataclasses import replace
 
     from lunarsim.campaign.flying import fly

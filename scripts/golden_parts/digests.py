@@ -33,7 +33,7 @@ def digest(value: Any) -> list[str]:
 
 
 def digests_of_folder(folder: Path, root: Path | None = None) -> dict[str, list[str]]:
-    """Return the digest of each quantity in a result folder, without figures and pages.
+    """Return the digest of each quantity in a result folder.
 
     In texts, the path of the source folder `root` is removed,
     because terrain file names contain it.

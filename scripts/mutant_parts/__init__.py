@@ -1,1 +1,1 @@
-"""Parts of `scripts/mutants.py`: faults, trials of faults, and known equivalent faults."""
+"""Parts of `scripts/mutants.py`: faults, trials, known equivalent faults."""

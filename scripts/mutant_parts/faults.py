@@ -1,4 +1,4 @@
-"""Generate the faults of a kernel file (mutants): one small change of the text each.
+"""Generate the faults (mutants) of a kernel file: one small change each.
 
 Only functions with the decorator `kernel` and numeric constants of their module are changed.
 Decorators, docstrings, annotations and the arguments of `np.empty(...)` stay unchanged: a larger
@@ -159,7 +159,7 @@ def _dropped(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
 
 
 def _constant(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
-    """Yield the fault that changes a number: times 1.5, plus one, or an index plus one."""
+    """Yield the fault that changes a number: times 1.5, or plus one."""
     value = node.value
     if isinstance(value, bool):
         yield source.fault(source.start(node), source.end(node), str(not value), "constant")

@@ -76,7 +76,7 @@ class MutationRun:
         }
 
     def known(self, fault: Mutant) -> MutantResult | None:
-        """Return the stored result of a fault, unless its file or a survivor's tests changed."""
+        """Return the stored result of a fault if it is still valid."""
         return self._valid_result(fault.name, fault.path)
 
     def _valid_result(self, name: str, path: str) -> MutantResult | None:

@@ -36,7 +36,7 @@ class TrialStopped(Exception):  # noqa: N818
 
 
 def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
-    """Return for each file all files that import it, directly or indirectly, and itself.
+    """Return each file's direct and indirect importers, and itself.
 
     Numba links a kernel into the cached code of its callers and does not check whether it changed.
 
@@ -61,7 +61,7 @@ def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
 
 
 class MutantWorkspace:
-    """Copy of package and tests, with compiled kernels, into which faults are put in turn.
+    """Copy of package and tests into which faults are put in turn.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class MutantWorkspace:
 
 
 def _forget_byte_code(file: Path) -> None:
-    """Delete the byte code of a module, which Python could take for that of a new source.
+    """Delete the byte code of a module, which could seem valid for a new source.
 
     Python compares only sizes, and times in whole seconds.
     """
