@@ -204,7 +204,7 @@ def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch)
     assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
     other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
     assert other.exit_code == 2
-    assert "flights of another seed" in " ".join(other.output.split())
+    assert "flights with another seed" in " ".join(other.output.split())
     file.write_text("[]")
     broken = CliRunner().invoke(study.main, options)
     assert broken.exit_code == 2

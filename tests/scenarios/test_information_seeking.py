@@ -45,10 +45,10 @@ def test_paths_are_compared_field_by_field(study):
     study.show("camera", rows, console)
     study.show_losses(rows, console)
     told = console.export_text()
-    assert "less clear ground than modified in 1 of 2" in told
-    assert "less clear ground than nominal in 0 of 2" in told
+    assert "Worse than modified in 1 of 2" in told
+    assert "Worse than nominal in 0 of 2" in told
     assert "2 of 120" in told
-    assert "more than modified in 1 of 2 fields, median +0.000" in told
+    assert "better than modified in 1 of 2 fields, median +0.000" in told
     assert told.count("not significantly positive") == 2
 
 
