@@ -77,7 +77,7 @@ def code() -> str:
     return hashlib.sha256(code_digest().encode() + own).hexdigest()[:16]
 
 
-def flown(
+def fly_missing(
     tasks: list[FusionFlightTask], jobs: int, kept: FusionFlightStore, console: Console
 ) -> list[dict[str, Any]]:
     """Return the flights of all tasks; fly only those that are not stored."""
@@ -135,7 +135,7 @@ def main(
     order = sorted(wanted, key=lambda name: ROWS[name].world)
     tasks = [FusionFlightTask(row, n, seed, levels) for n in range(fields) for row in order]
     console = plain_console(150)
-    flights = flown(tasks, jobs, kept, console)
+    flights = fly_missing(tasks, jobs, kept, console)
     flights.sort(key=lambda f: wanted.index(f["row"]))
     show(flights, DEAD_BELOW, console)
     if out is not None:

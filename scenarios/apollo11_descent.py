@@ -92,7 +92,7 @@ def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
     told = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_to)
     told |= {"run": name, "times_real_time": flight.duration / seconds}
     told |= _record_differences(
-        apollo11.flown(flight, moon, lander.com_height)
+        apollo11.track_of(flight, moon, lander.com_height)
     ) | _terrain_and_visibility(sim, flight)
     return ApolloDescentRun(name, flight, sim, told)
 

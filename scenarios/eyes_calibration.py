@@ -41,7 +41,7 @@ def counts_of(flights: list[dict[str, Any]]) -> Array:
     return pooled
 
 
-def kinds() -> tuple[Array, Array, Array]:
+def probability_bins() -> tuple[Array, Array, Array]:
     """Return fused probability, quadtree probability and observed flag per count."""
     middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
     p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
@@ -50,9 +50,9 @@ def kinds() -> tuple[Array, Array, Array]:
     return p.ravel(), q.ravel(), seen.ravel()
 
 
-def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
+def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
     """Fit C to counts; sites whose footprints overlap count as one."""
-    p, q, seen = kinds()
+    p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     return FusedCalibration.fit(
@@ -62,7 +62,7 @@ def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibrati
 
 def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
     """Return the Brier score of C and its bias (mean C minus safe fraction)."""
-    p, q, seen = kinds()
+    p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
     n = max(counts.sum(), 1.0)
@@ -100,10 +100,13 @@ def main(file: Path, out: Path | None) -> None:
     try:
         for row, mine in all_counts.items():
             rest = np.sum([c for other, c in all_counts.items() if other != row], axis=0)
-            fits = [FusedCalibration(), *(fitted(rest, second, lander) for second in (False, True))]
+            fits = [
+                FusedCalibration(),
+                *(fit_calibration(rest, second, lander) for second in (False, True)),
+            ]
             words = (loss_of(c, mine) for c in fits)
             table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
-        whole = fitted(np.sum(list(all_counts.values()), axis=0), True, lander)
+        whole = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
     except InputError as error:
         raise click.ClickException(str(error)) from None
     console.print(table)

@@ -87,7 +87,7 @@ def best_single(flights: list[Flight], altitude: str) -> str:
     return max(of, key=lambda name: of[name])
 
 
-def gained(flights: list[Flight], altitude: str, other: str) -> list[float]:
+def recall_gains(flights: list[Flight], altitude: str, other: str) -> list[float]:
     """Return the recall of the fused map minus that of another map, per field."""
     pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other]) for f in flights)
     return [recall_of([a]) - recall_of([b]) for a, b in pairs]
@@ -139,7 +139,7 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapCompar
     out = []
     for row, mine in by_row(flights).items():
         left = ROWS[row].left if row in ROWS else ""
-        for altitude in common(mine):
+        for altitude in common_altitudes(mine):
             best = best_single(mine, altitude)
             failed = left and float(altitude) < dead_below
             dem, fused = ([f["maps"][altitude][n] for f in mine] for n in ("dem", "fused"))
@@ -147,8 +147,8 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapCompar
             out.append(
                 FusedMapComparison(
                     row, altitude, best,
-                    gained(mine, altitude, best), gained(mine, altitude, "alone"),
-                    gained(mine, altitude, left) if failed else [],
+                    recall_gains(mine, altitude, best), recall_gains(mine, altitude, "alone"),
+                    recall_gains(mine, altitude, left) if failed else [],
                     large_share(dem, recall), large_share(fused, recall),
                 )
             )  # fmt: skip
@@ -161,7 +161,7 @@ def by_row(flights: list[Flight]) -> dict[str, list[Flight]]:
     return {row: [f for f in flights if f["row"] == row] for row in rows}
 
 
-def common(flights: list[Flight]) -> list[str]:
+def common_altitudes(flights: list[Flight]) -> list[str]:
     """Return the altitudes at which all flights were evaluated."""
     return [a for a in flights[0]["maps"] if all(a in f["maps"] for f in flights)]
 
@@ -185,7 +185,7 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
         table.add_column("map")
         for heading in (*_COLUMNS.values(), "per field"):
             table.add_column(heading, justify="right")
-        for altitude in common(mine):
+        for altitude in common_altitudes(mine):
             for name, words in MAPS.items():
                 maps = [one["maps"][altitude][name] for one in mine]
                 f, each = figures_of(maps), np.mean([recall_of([one]) for one in maps])
@@ -245,7 +245,7 @@ def draw(flights: list[Flight], path: Path) -> None:
     for axis in axes.flat[len(rows) :]:
         axis.set_visible(False)
     for axis, (row, mine) in zip(axes.flat, rows.items(), strict=False):
-        altitudes = common(mine)
+        altitudes = common_altitudes(mine)
         for name, words in MAPS.items():
             found = [recall_of([f["maps"][a][name] for f in mine]) for a in altitudes]
             axis.plot(

@@ -169,7 +169,7 @@ def fly(task: FusionFlightTask) -> dict[str, Any]:
     mappers = simulation.computer.mappers
     if row.drops:
         for name in ("dem", "quadtree"):
-            mappers[name].update = dropping(mappers[name].update)  # type: ignore[method-assign]
+            mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
     clock = MapperTimer({name: mappers[name] for name in MAPS})
     judged: dict[str, Any] = {}
     waiting = sorted(task.altitudes, reverse=True)
@@ -232,7 +232,7 @@ def _evaluated_surface(mapper: HazardMapper, surface: Callable[[], Surface]) -> 
     return surface()
 
 
-def dropping(update: Callable[..., None]) -> Callable[..., None]:
+def with_dropouts(update: Callable[..., None]) -> Callable[..., None]:
     """Return a mapper method that receives scans with half of the returns lost."""
 
     def taken(scan: LidarScan, estimate: Any) -> None:
@@ -278,15 +278,17 @@ def ground_under(simulation: Simulation) -> MapTruth:
     diameter = 2.0 * np.sqrt(rocks.a * rocks.b)
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     near = grid.contains(middles)
-    high = near & (rises(terrain) >= lander.roughness_limit)
+    high = near & (rock_heights(terrain) >= lander.roughness_limit)
     return MapTruth(
         xy, truth.safe[truth.observed],
-        reached(xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint),
+        has_rock_in_footprint(
+            xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint
+        ),
         middles[high],
     )  # fmt: skip
 
 
-def rises(terrain: Any) -> Array:
+def rock_heights(terrain: Any) -> Array:
     """Return the height of each rock above the surrounding terrain (n,), m."""
     rocks = terrain.rocks
     middles = np.column_stack((rocks.x, rocks.y))
@@ -297,7 +299,9 @@ def rises(terrain: Any) -> Array:
     return np.asarray(terrain.elevation(middles) - np.nanmedian(about, axis=1))
 
 
-def reached(xy: Array, middles: Array, radius: Array, footprint: float) -> NDArray[np.bool_]:
+def has_rock_in_footprint(
+    xy: Array, middles: Array, radius: Array, footprint: float
+) -> NDArray[np.bool_]:
     """Return whether any rock (k, 2) reaches into the footprint at each position (n,)."""
     out = np.zeros(len(xy), np.bool_)
     if len(middles):
@@ -310,7 +314,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     """Compare all current maps with the truth."""
     ground = ground_under(simulation)
     drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
-    found = {name: judged(one, ground) for name, one in drawn.items()}
+    found = {name: count_sites(one, ground) for name, one in drawn.items()}
     found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], ground)
     return found
 
@@ -336,7 +340,7 @@ def _log_odds(p: Array) -> Array:
         return np.asarray(logit(p.astype(np.float64)))
 
 
-def judged(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
+def count_sites(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
     """Return the site counts of one map for JSON."""
     p = drawn.p_safe_at(ground.xy)
     layer = drawn.observed if drawn.in_domain is None else drawn.in_domain

@@ -41,7 +41,7 @@ class RockPositionTask(NamedTuple):
 
 
 def fly(task: RockPositionTask) -> dict[float, Any]:
-    """Return the result of `judged` at each altitude."""
+    """Return the result of `position_errors` at each altitude."""
     seed = flight_seed(task.seed, task.field)
     scenario = scenario_of(task.world, task.altitudes)
     simulation = Simulation(scenario, seed, "no-divert", world=world_of(task.world, seed))
@@ -49,11 +49,11 @@ def fly(task: RockPositionTask) -> dict[float, Any]:
     for altitude in task.altitudes:
         while simulation.altitude > altitude and not simulation.done:
             simulation.step()
-        found[altitude] = judged(simulation)
+        found[altitude] = position_errors(simulation)
     return found
 
 
-def judged(simulation: Simulation) -> tuple[float, float, float, int] | None:
+def position_errors(simulation: Simulation) -> tuple[float, float, float, int] | None:
     """Return error and reported sigma of the mean rock position, NEES and rock count.
 
     Error and sigma are per axis, m. None with fewer than five rocks.

@@ -29,7 +29,7 @@ SENSORS = ("camera", "lidar", "both")
 ALTITUDES = (300.0, 250.0, 200.0, 150.0, 100.0, 75.0, 50.0)
 HAZARD = 0.5  # minimum hazard diameter, m
 # A site counts as known to be safe from this probability.
-SURE = 0.99
+MIN_SAFE_PROBABILITY = 0.99
 SIZE, POSTING = 60.0, 0.25
 # Azimuth and elevation of the Sun, slope (RMS at 1 m), cover.
 LOW, HIGH = (0.0, 5.0, 0.0, 0.02), (360.0, 40.0, 4.0, 0.15)
@@ -127,7 +127,7 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
         simulation.step()
         if pending and simulation.altitude <= pending[0]:
             last = len(pending) == 1
-            levels[f"{pending.pop(0):g}"] = judged(simulation, whole=last)
+            levels[f"{pending.pop(0):g}"] = map_metrics(simulation, whole=last)
             if last:
                 simulation.computer.stop_sensors()
     verdict = simulation.verdict
@@ -145,7 +145,7 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
     }
 
 
-def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
+def map_metrics(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
     """Compare the decision map with the truth in the onboard frame.
 
     Sites are sampled at a spacing of 1 m. `whole` adds the classification of shadow map cells.
@@ -157,7 +157,7 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
     site = hazard_map.grid.centres()[part].reshape(-1, 2)
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[part].ravel()
     safe = free_of_hazards(simulation, site - simulation.navigation_error[:2])
-    known = (p >= SURE) & safe
+    known = (p >= MIN_SAFE_PROBABILITY) & safe
     reach = Reach.under(hazard_map, computer.site, computer.cost_of)
     area = (every * hazard_map.grid.posting) ** 2
     out: dict[str, Any] = {
@@ -165,7 +165,7 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
         "known_in_reach_m2": float((known & reach.at(site)).sum() * area),
         "safe_m2": float(safe.sum() * area),
         "in_reach_m2": float(reach.at(site).sum() * area),
-        "unsafe_called_safe": int(((p >= SURE) & ~safe).sum()),
+        "unsafe_called_safe": int(((p >= MIN_SAFE_PROBABILITY) & ~safe).sum()),
         "unsafe": int((~safe).sum()),
         "place": [float(v) for v in simulation.state.position - computer.briefing.target],
     }

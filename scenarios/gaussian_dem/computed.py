@@ -22,7 +22,7 @@ from testbed import (
     POSTING,
     ScannedDem,
     TestbedField,
-    mapped,
+    map_testbed,
     scan,
     testbed,
 )
@@ -145,7 +145,7 @@ def table_5(seeds: int) -> dict[str, Any]:
     for seed in track(range(seeds), description="table 5"):
         field = testbed(seed)
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
-            one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
+            one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
             truth = field.elevation[one.window]
             # Cells within the convex hull of the samples, also occluded ones (with the prior
             # variance).
@@ -215,7 +215,7 @@ def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
 def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
     """Scan a testbed in its n-th configuration and evaluate all methods."""
     distance, angle = CONFIGURATIONS[n]
-    one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
+    one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
     # Occluded cells have the prior variance and therefore count as unsafe.
     own = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
     planes = plane_stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
@@ -259,14 +259,14 @@ def table_6(seeds: int) -> dict[str, Any]:
             for (method, kind), maps in one.p.items():
                 truth = one.truth[kind]
                 counted = [PrecisionRecall.of(p[seen], truth[seen]) for p in maps]
-                curves[kind, n, method].append(pooled(counted))
+                curves[kind, n, method].append(pool_counts(counted))
                 if seed == 0 and method != "planes":
                     missing = np.where(seen, truth - maps[0], np.nan)
                     picture = (missing, one.scan.grid, one.scan.points)
                     pictures[f"{method} {kind}"].append(picture)
             safe = np.logical_and(*one.truth.values())
             bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
-    together = {key: pooled(own) for key, own in curves.items()}
+    together = {key: pool_counts(own) for key, own in curves.items()}
     return {
         "pictures": pictures,
         "reliability": bins.tolist(),
@@ -290,7 +290,7 @@ def table_6(seeds: int) -> dict[str, Any]:
     }
 
 
-def pooled(counts: list[PrecisionRecall]) -> PrecisionRecall:
+def pool_counts(counts: list[PrecisionRecall]) -> PrecisionRecall:
     """Add counts."""
     return reduce(operator.add, counts)
 

@@ -20,7 +20,7 @@ import click
 import numpy as np
 from rich.table import Table
 from scipy import fft, ndimage
-from testbed import LANDER, MARGIN, ScannedDem, TestbedField, mapped, testbed
+from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testbed
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -57,7 +57,7 @@ def scan_testbed(configuration: int, seed: int) -> tuple[TestbedField, ScannedDe
     """Return the testbed and its scan in one configuration."""
     field = testbed(seed, SIDE + 10.0)
     rng = np.random.default_rng([seed, configuration])
-    return field, mapped(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
+    return field, map_testbed(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
 
 
 @lru_cache(maxsize=1)

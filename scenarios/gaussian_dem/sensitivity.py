@@ -28,7 +28,7 @@ from testbed import (
     MARGIN,
     ScannedDem,
     TestbedField,
-    mapped,
+    map_testbed,
     testbed,
 )
 
@@ -55,7 +55,7 @@ def growth(setting: dict[str, float]) -> float:
 # --- the random field ---------------------------------------------------------------------
 
 
-def judged(own: TestbedField, one: ScannedDem) -> dict[str, float]:
+def map_metrics(own: TestbedField, one: ScannedDem) -> dict[str, float]:
     """Return all metrics of one map, computed as in both tables."""
     inside = np.isfinite(one.dem.mean)
     error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)
@@ -80,12 +80,14 @@ def sweep_testbed(seed: int) -> list[list[list[float]]]:
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
             rng = np.random.default_rng([seed, n])
             setting = {"sigma_f": float(np.sqrt(g * LENGTH)), "length_scale": LENGTH}
-            rows.append(list(judged(own, mapped(own, distance, angle, rng, **setting)).values()))
+            rows.append(
+                list(map_metrics(own, map_testbed(own, distance, angle, rng, **setting)).values())
+            )
         out.append(rows)
     return out
 
 
-def reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return in how many of the nine rows each growth reaches the values of the paper."""
     five, six = np.array(PAPER_5), np.array(PAPER_6)
     rounded = {name: np.round(v, 4) for name, v in values.items()}
@@ -103,7 +105,7 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
     """Print the sweep; return the means (growth, configuration) by metric."""
     mean = np.mean(np.array(results, dtype=float), axis=0)
     values = {name: mean[:, :, i] for i, name in enumerate(METRICS)}
-    rows = reached(values)
+    rows = count_rows_reached(values)
     table = Table(
         title=f"Random field for both tables, {len(results)} testbeds: number of the nine rows "
         "at the value of the paper or better"
@@ -120,7 +122,7 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
             f"{values['recall roughness'][i].mean():.4f}",
         )  # fmt: skip
     console.print(table)
-    show_one(values, rows, console)
+    show_best_field(values, rows, console)
     least = GROWTHS[values["nlpd"].argmin(axis=0)]
     console.print("The minimum NLPD is at: " + ", ".join(
         f"{g:.0e} ({r:.0f} m, {a:.0f} deg)"
@@ -129,7 +131,9 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
     return {name: v.tolist() for name, v in values.items()}
 
 
-def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console) -> None:
+def show_best_field(
+    values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console
+) -> None:
     """Print both tables for the largest growth with the most rows at the paper's NLPD."""
     most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
@@ -229,7 +233,7 @@ class MissedSites:
     unseen: tuple[int, int]
 
 
-def missed(task: tuple[int, int]) -> list[MissedSites]:
+def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
     """Evaluate one testbed under one variant at the three angles."""
     index, seed = task
     variant = VARIANTS[index]
@@ -239,7 +243,7 @@ def missed(task: tuple[int, int]) -> list[MissedSites]:
         rng = np.random.default_rng([seed, n])
         setting = {"sigma_f": float(np.sqrt(variant.growth * LENGTH)), "length_scale": LENGTH}
         lidar = FlashLidar(**variant.lidar)
-        one = mapped(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
+        one = map_testbed(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
         safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
         use = safety.observed & own.safety.observed[one.window]
         called = safety.p_roughness[use] > 0.5
@@ -323,7 +327,7 @@ def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | 
             draw_field(kept["field"], out / "random_field.png")
     if study in {"misses", "all"}:
         tasks = [(v, s) for v in range(len(VARIANTS)) for s in range(seeds)]
-        results = gathered(missed, tasks, jobs, console, "variants and testbeds")
+        results = gathered(count_missed_sites, tasks, jobs, console, "variants and testbeds")
         if len(results) < len(tasks):
             raise click.Abort
         kept["misses"] = show_misses(results, seeds, console)

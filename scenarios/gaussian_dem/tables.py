@@ -20,7 +20,7 @@ from computed import (
     KINDS,
     METHODS,
     PHASES,
-    pooled,
+    pool_counts,
     table_3,
     table_4,
     table_5,
@@ -236,7 +236,7 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
                    "slope (deg)", out / "figure_21.png")  # fmt: skip
         for which, kind in enumerate(KINDS):
             curves = [
-                {m: pooled(result["curves"][kind, n, m]) for m in METHODS}
+                {m: pool_counts(result["curves"][kind, n, m]) for m in METHODS}
                 for n in range(len(CONFIGURATIONS))
             ]
             paper = [

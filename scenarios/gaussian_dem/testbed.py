@@ -113,7 +113,7 @@ def crop(field: TestbedField, grid: Grid) -> tuple[slice, slice]:
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
 
-def mapped(
+def map_testbed(
     field: TestbedField,
     distance: float,
     angle_deg: float,

@@ -59,7 +59,7 @@ def targets(load: str = FLOWN) -> Targets:
     return out
 
 
-def only(t: Targets, name: str) -> float:
+def scalar(t: Targets, name: str) -> float:
     """Return the absolute value of a scalar entry, whichever column holds it."""
     return next(abs(v) for v in t[name] if np.isfinite(v))
 
@@ -83,8 +83,8 @@ def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "end_velocity_m_s": t["VBRFG"],
         "end_acceleration_m_s2": t["ABRFG"],
         "jerk_m_s3": _jerk(t, "BRFG"),
-        "ends_at_s": only(t, "TENDBRAK"),
-        "trim_s": only(t, "ZOOMTIME"),
+        "ends_at_s": scalar(t, "TENDBRAK"),
+        "trim_s": scalar(t, "ZOOMTIME"),
     }
     approach: dict[str, Any] = {
         "vertical_altitude_m": t["RAPFG"][2] - high,
@@ -93,15 +93,15 @@ def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "arrival_velocity_m_s": t["VAPFG"][:2],
         "arrival_acceleration_m_s2": t["AAPFG"],
         "jerk_m_s3": _jerk(t, "APFG"),
-        "ends_at_s": only(t, "TENDAPPR"),
+        "ends_at_s": scalar(t, "TENDAPPR"),
         "time_to_go_s": None,
         "descent_speed_m_s": None,
     }
     if load == SAMPLE:  # the sample load has no first guess of the P64 time and no P65 values
         return scenario.changed(braking=braking, approach=approach)
-    approach["time_to_go_s"] = only(t, "TENDBRAK") + only(t, "DELTTFAP")
+    approach["time_to_go_s"] = scalar(t, "TENDBRAK") + scalar(t, "DELTTFAP")
     approach["descent_speed_m_s"] = -t["V2FG"][2]
-    descent = {"kind": "velocity-null", "time_constant_s": only(t, "TAUVERT")}
+    descent = {"kind": "velocity-null", "time_constant_s": scalar(t, "TAUVERT")}
     return scenario.changed(braking=braking, approach=approach, descent=descent)
 
 
@@ -117,8 +117,8 @@ def with_ignition_start(scenario: Scenario, load: str = FLOWN) -> Scenario:
     along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]
     out = np.array([along, 0.0, up + moon.radius])
     level = np.array([-out[2], 0.0, out[0]]) / np.hypot(out[0], out[2])
-    zoom = only(t, "ZOOMTIME")
-    speed = only(t, "VIGN") + TRIM_ACCELERATION * zoom
+    zoom = scalar(t, "ZOOMTIME")
+    speed = scalar(t, "VIGN") + TRIM_ACCELERATION * zoom
     place, velocity = coast(moon, np.array([along, 0.0, up]), speed * level, -zoom)
     way = float(np.sign(t["VBRFG"][0]))
     end = (way * t["RBRFG"][0], way * t["VBRFG"][0], way * t["ABRFG"][0])
@@ -185,7 +185,7 @@ def record() -> DescentTrack:
     return DescentTrack(time, height, np.deg2rad((pitch + 180.0) % 360.0 - 180.0))
 
 
-def flown(flight: Flight, moon: CentralGravity, com_height: float) -> DescentTrack:
+def track_of(flight: Flight, moon: CentralGravity, com_height: float) -> DescentTrack:
     """Return the track of a flight with the altitude of the pads above the site."""
     t = flight.trajectory
     axis = quat_rotate(
@@ -235,7 +235,7 @@ def event(flight: Flight, name: str) -> float:
     return next((float(e["time"]) for e in flight.events if e["name"] == name), float("nan"))
 
 
-def at(flight: Flight, values: Array, time: float) -> float:
+def value_at(flight: Flight, values: Array, time: float) -> float:
     """Interpolate values (n,) of a flight at a time, s; NaN at NaN."""
     inside = np.isfinite(time)
     return float(np.interp(time, flight.trajectory["time"], values)) if inside else float("nan")
@@ -245,7 +245,7 @@ def flight_summary(
     flight: Flight, moon: CentralGravity, com_height: float, full: float
 ) -> dict[str, Any]:
     """Return times, altitudes and masses of a flight; `full` is the fixed throttle, N."""
-    track, t = flown(flight, moon, com_height), flight.trajectory
+    track, t = track_of(flight, moon, com_height), flight.trajectory
     after = (t["time"] > 60.0) & (t["thrust"] < 0.99 * full)
     recovery = float(t["time"][np.argmax(after)]) if after.any() else float("nan")
     spent = t["mass"][0] - t["mass"]
@@ -258,11 +258,11 @@ def flight_summary(
         "propellant_kg": flight.propellant_used - jets,
         "thruster_propellant_kg": jets,
         "miss_m": float(np.hypot(*(flight.positions[-1, :2] - flight.target[:2]))),
-        "burnt_at_lock_on_kg": at(flight, spent, LOCK_ON),
+        "burnt_at_lock_on_kg": value_at(flight, spent, LOCK_ON),
     }
     for name, time in (("recovery", recovery), ("approach", approach), ("last", last)):
-        out |= {f"{name}_s": time, f"{name}_altitude_m": at(flight, track.altitude, time)}
+        out |= {f"{name}_s": time, f"{name}_altitude_m": value_at(flight, track.altitude, time)}
     marks = [0.0, approach, last, flight.duration]
-    burnt = np.diff([at(flight, spent, time) for time in marks])
+    burnt = np.diff([value_at(flight, spent, time) for time in marks])
     out |= dict(zip(("braking_kg", "approach_kg", "last_kg"), map(float, burnt), strict=True))
     return out

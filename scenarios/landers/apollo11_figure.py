@@ -49,7 +49,7 @@ def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], 
 
 def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
     flight, lander = run.flight, run.sim.lander
-    track = apollo11.flown(flight, run.sim.world.moon, lander.com_height)
+    track = apollo11.track_of(flight, run.sim.world.moon, lander.com_height)
     line = {"color": colour, "linewidth": 1.2, "label": run.name}
     axes[0, 0].plot(track.time, track.altitude / 1e3, **line)
     axes[0, 1].plot(track.time, np.rad2deg(track.pitch), **line)

@@ -38,9 +38,9 @@ from lunarsim.whole_files import write_text_whole
 
 Array = NDArray[np.float64]
 
-FAR = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
-NEAR = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
-SCALE = np.array([1.0, 1.0, 1.0, 20.0])
+WIDE_SCALE = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
+FINE_SCALE = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
+OUTPUT_SCALE = np.array([1.0, 1.0, 1.0, 20.0])
 _BATCH = 4096
 _BOUND_MARGIN = 0.01  # extension of the input bounds, as a fraction of the training range
 _MIN_TIME_TO_GO_S = 1.0  # minimum time to go of training states, s: below it another law takes over
@@ -81,7 +81,7 @@ class DescentNodes:
         turned = np.einsum("...ij,...j->...i", axes, push)
         # Without a cross speed, both sides are equivalent; the target is zero.
         turned[..., 1] = np.where(shown[..., 3] < 1e-6, 0.0, turned[..., 1])
-        wanted = np.concatenate((turned, left[..., None]), axis=-1) / SCALE
+        wanted = np.concatenate((turned, left[..., None]), axis=-1) / OUTPUT_SCALE
         used = left.ravel() > _MIN_TIME_TO_GO_S
         return shown.reshape(-1, INPUTS)[used], wanted.reshape(-1, OUTPUTS)[used]
 
@@ -104,7 +104,9 @@ def train_network(
     for epoch in range(epochs):
         shown, wanted = learnt.within(rng.random(learnt.done.shape[:2]), gravity)
         order = rng.permutation(len(shown))
-        features = np.concatenate((shown / FAR, np.arcsinh(shown / NEAR)), axis=1)[order]
+        features = np.concatenate((shown / WIDE_SCALE, np.arcsinh(shown / FINE_SCALE)), axis=1)[
+            order
+        ]
         x, y = (torch.from_numpy(np.float32(a)) for a in (features, wanted[order]))
         past = (clock.monotonic() - began) / (60.0 * minutes) if minutes else epoch / epochs
         for group in optimiser.param_groups:
@@ -129,7 +131,7 @@ def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float
     """Return errors on held-out descents and the fraction beyond the limits."""
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
     told = network(shown)
-    off = told - wanted * SCALE
+    off = told - wanted * OUTPUT_SCALE
     law, lander = NeuralOptimalLaw(), Scenario.from_dict({"name": "descents"}).vehicle.make()
     force = np.linalg.norm(told[:, :3], axis=1) * shown[:, 5]
     tilt = np.arctan2(np.hypot(told[:, 0], told[:, 1]), told[:, 2])
@@ -211,7 +213,7 @@ def main(
     low, high = shown.min(axis=0), shown.max(axis=0)
     beyond = _BOUND_MARGIN * (high - low)  # a start with full tanks lies on the bound
     network = OptimalNetwork(
-        FAR, NEAR, low - beyond, high + beyond, SCALE,
+        WIDE_SCALE, FINE_SCALE, low - beyond, high + beyond, OUTPUT_SCALE,
         tuple(w for w, _ in layers), tuple(b for _, b in layers), problem_parameters(),
     )  # fmt: skip
     network.save(out)

@@ -225,7 +225,7 @@ def judge(
     return MapEvaluation(counts, claimed, reliability(p[c], s[c], EDGES))
 
 
-def under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np.ndarray:
+def raster_under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np.ndarray:
     """Return the values of a truth raster at the cells of a map; clipped at its edge."""
     own = truth.safety.grid
     xy = grid.centres() - error[:2]
@@ -292,9 +292,9 @@ def judge_all(
     for name, drawn in maps.items():
         where = np.logical_or.reduce([seen_under(drawn.grid, m) for m in maps.values()])
         where &= truth.safety.grid.contains(drawn.grid.centres() - error[:2])
-        where &= under(drawn.grid, error, truth, truth.safety.observed)
-        safe = under(drawn.grid, error, truth, truth.safety.safe)
-        out[name] = judge(drawn, where, safe, under(drawn.grid, error, truth, strata))
+        where &= raster_under(drawn.grid, error, truth, truth.safety.observed)
+        safe = raster_under(drawn.grid, error, truth, truth.safety.safe)
+        out[name] = judge(drawn, where, safe, raster_under(drawn.grid, error, truth, strata))
     return out
 
 

@@ -35,7 +35,7 @@ FLASHES = 4
 ZONE = 1.35
 # Range limits, m. The map of the paper requires five points per square metre, which limits the
 # maximum.
-NEAREST, FARTHEST = 80.0, 420.0
+MIN_RANGE, MAX_RANGE = 80.0, 420.0
 
 
 def judge(scene: LidarScene) -> SceneSites:
@@ -79,7 +79,7 @@ def judge(scene: LidarScene) -> SceneSites:
 def draw_scenes(count: int, seed: int) -> list[LidarScene]:
     """Return scenes within the range that gives the point density of the paper."""
     rng = np.random.default_rng([seed, 98])
-    reach = np.exp(rng.uniform(np.log(NEAREST), np.log(FARTHEST), count))
+    reach = np.exp(rng.uniform(np.log(MIN_RANGE), np.log(MAX_RANGE), count))
     deck = scenes(count, seed)
     return [replace(s, distance=float(r)) for s, r in zip(deck, reach, strict=True)]
 

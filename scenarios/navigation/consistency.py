@@ -152,7 +152,7 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
     while not simulation.done:
         already = totals(navigation)
         simulation.step()
-        new = since(already, totals(navigation))
+        new = difference(already, totals(navigation))
         last |= {kind: c for kind, c in new.items() if c.degrees}
         if due and not simulation.done and simulation.time >= due[0] - 1e-9:
             due.pop(0)
@@ -166,7 +166,7 @@ def fly(task: ConsistencyTask) -> ConsistencyFlight:
         np.array(errors).reshape(-1, 9),
         np.array(covariances).reshape(-1, 9, 9),
         latest,
-        [since(a, b) for a, b in pairwise(({}, *before))],
+        [difference(a, b) for a, b in pairwise(({}, *before))],
         totals(navigation),
         {k: w.refused for k, w in navigation.watches.items() if corrects(k)},
         names.count("doubted"),
@@ -190,7 +190,9 @@ def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
     }  # fmt: skip
 
 
-def since(before: dict[str, Consistency], now: dict[str, Consistency]) -> dict[str, Consistency]:
+def difference(
+    before: dict[str, Consistency], now: dict[str, Consistency]
+) -> dict[str, Consistency]:
     """Return the difference of two totals."""
     none = Consistency()
     return {
@@ -272,7 +274,7 @@ def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table
     return table
 
 
-def broken(flights: list[ConsistencyFlight], modest: float) -> list[str]:
+def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str]:
     """Return a line for each inconsistency between errors and covariance.
 
     Parameters
@@ -338,7 +340,7 @@ def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
     return table
 
 
-def plain(flight: ConsistencyFlight) -> dict[str, Any]:
+def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
     """Return a flight for JSON, with NEES and NIS per degree of freedom."""
     nees = {}
     for part, keep in PARTS.items():
@@ -442,10 +444,14 @@ def main(
         )
     console.print(safe_table(by_start))
     if out is not None:
-        written = {name: [plain(f) for f in flown] for name, flown in by_start.items()}
+        written = {name: [flight_to_json(f) for f in flown] for name, flown in by_start.items()}
         out.write_text(json.dumps(written, indent=1))
     if judge is not None:
-        wrong = [f"{name}: {w}" for name, flown in by_start.items() for w in broken(flown, judge)]
+        wrong = [
+            f"{name}: {w}"
+            for name, flown in by_start.items()
+            for w in inconsistencies(flown, judge)
+        ]
         for line in wrong:
             console.print(line)
         if wrong:

@@ -64,7 +64,7 @@ class FaultState:
 Tamper = Callable[[Any, FaultState], Any]
 
 
-def on(kind: type, change: Tamper) -> Tamper:
+def fault_of_kind(kind: type, change: Tamper) -> Tamper:
     """Return a fault that changes the measurements of one kind."""
     return lambda m, now: change(m, now) if isinstance(m, kind) else m
 
@@ -86,12 +86,14 @@ def gyroscope_spike(m: InertialSamples, now: FaultState) -> InertialSamples:
 
 def beam_biases(*off: float) -> Tamper:
     """Return a fault of constant beam biases, m/s."""
-    return on(DopplerReading, lambda m, now: replace(m, speed=m.speed + np.array(off)))
+    return fault_of_kind(DopplerReading, lambda m, now: replace(m, speed=m.speed + np.array(off)))
 
 
 def beam_drifts(*rate: float) -> Tamper:
     """Return a fault of beam drifts, m/s^2."""
-    return on(DopplerReading, lambda m, now: replace(m, speed=m.speed + now.since * np.array(rate)))
+    return fault_of_kind(
+        DopplerReading, lambda m, now: replace(m, speed=m.speed + now.since * np.array(rate))
+    )
 
 
 def star_tracker_rotation(angle: float, rate: float = 0.0) -> Tamper:
@@ -101,12 +103,12 @@ def star_tracker_rotation(angle: float, rate: float = 0.0) -> Tamper:
         off = quat_from_rotation_vector(np.deg2rad([angle + rate * now.since, 0.0, 0.0]))
         return replace(m, attitude=quat_multiply(m.attitude, off))
 
-    return on(AttitudeReading, change)
+    return fault_of_kind(AttitudeReading, change)
 
 
 def accelerometer_bias(bias: float, rate: float = 0.0) -> Tamper:
     """Return a fault of the accelerometer: bias, m/s^2, and drift, m/s^3."""
-    return on(
+    return fault_of_kind(
         InertialSamples,
         lambda m, now: replace(
             m, velocity=m.velocity + STEP * np.array([bias + rate * now.since, 0.0, 0.0])
@@ -116,9 +118,13 @@ def accelerometer_bias(bias: float, rate: float = 0.0) -> Tamper:
 
 FAULTS: dict[str, Tamper] = {
     "none": lambda m, now: m,
-    "altimeter 10 % long": on(AltimeterReading, lambda m, now: replace(m, range=1.1 * m.range)),
-    "altimeter 30 m short": on(AltimeterReading, lambda m, now: replace(m, range=m.range - 30.0)),
-    "altimeter dead": on(AltimeterReading, lambda m, now: replace(m, range=np.nan)),
+    "altimeter 10 % long": fault_of_kind(
+        AltimeterReading, lambda m, now: replace(m, range=1.1 * m.range)
+    ),
+    "altimeter 30 m short": fault_of_kind(
+        AltimeterReading, lambda m, now: replace(m, range=m.range - 30.0)
+    ),
+    "altimeter dead": fault_of_kind(AltimeterReading, lambda m, now: replace(m, range=np.nan)),
     "one beam off by 0.5 m/s": beam_biases(0.5, 0.0, 0.0),
     "one beam off by 0.1 m/s": beam_biases(0.1, 0.0, 0.0),
     "two beams off by 0.1 m/s": beam_biases(0.1, 0.1, 0.0),
@@ -127,8 +133,10 @@ FAULTS: dict[str, Tamper] = {
     "one beam drifts by 0.01 m/s2": beam_drifts(0.01, 0.0, 0.0),
     "all beams drift by 0.01 m/s2": beam_drifts(0.01, 0.01, 0.01),
     "all beams drift by 0.003 m/s2": beam_drifts(0.003, 0.003, 0.003),
-    "all beams 5 % slow": on(DopplerReading, lambda m, now: replace(m, speed=0.95 * m.speed)),
-    "velocimeter dead": on(
+    "all beams 5 % slow": fault_of_kind(
+        DopplerReading, lambda m, now: replace(m, speed=0.95 * m.speed)
+    ),
+    "velocimeter dead": fault_of_kind(
         DopplerReading, lambda m, now: replace(m, speed=np.full_like(m.speed, np.nan))
     ),
     "tracker turned by 0.5 deg": star_tracker_rotation(0.5),
@@ -137,12 +145,12 @@ FAULTS: dict[str, Tamper] = {
     "stars drift by 0.02 deg/s": star_tracker_rotation(0.0, 0.02),
     "accelerometer off by 0.05 m/s2": accelerometer_bias(0.05),
     "accelerometer drifts by 0.1 m/s3": accelerometer_bias(0.0, 0.1),
-    "gyroscope off by 0.05 deg/s": on(
+    "gyroscope off by 0.05 deg/s": fault_of_kind(
         InertialSamples,
         lambda m, now: replace(m, angle=m.angle + STEP * np.deg2rad([0.05, 0.0, 0.0])),
     ),
-    "gyroscope spikes each cycle": on(InertialSamples, gyroscope_spike),
-    "a fifth of the samples lost": on(InertialSamples, lost_samples),
+    "gyroscope spikes each cycle": fault_of_kind(InertialSamples, gyroscope_spike),
+    "a fifth of the samples lost": fault_of_kind(InertialSamples, lost_samples),
 }
 
 

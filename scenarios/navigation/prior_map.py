@@ -29,7 +29,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-BEGINS, ENDS = 6.0, 10.0  # s
+FAULT_START_S, FAULT_END_S = 6.0, 10.0  # s
 MAX_ERROR_SIGMA = 5.0  # standard deviations
 GROUNDS: dict[str, dict[str, Any]] = {
     "hazard field": {},
@@ -69,8 +69,10 @@ ROWS: dict[str, PriorMapFault] = {
     "boresight 0.5 deg off": PriorMapFault({}, {"boresight_off_deg": 0.5}),
     "flashes 20 ms late": PriorMapFault({}, {"late_s": 0.02}),
     "half of the flashes lost": PriorMapFault({}, {}, lambda time, rng: rng.random() < 0.5),
-    "no flashes for 4 s": PriorMapFault({}, {}, lambda time, rng: not BEGINS <= time < ENDS),
-    "no more flashes": PriorMapFault({}, {}, lambda time, rng: time < BEGINS),
+    "no flashes for 4 s": PriorMapFault(
+        {}, {}, lambda time, rng: not FAULT_START_S <= time < FAULT_END_S
+    ),
+    "no more flashes": PriorMapFault({}, {}, lambda time, rng: time < FAULT_START_S),
 }
 
 

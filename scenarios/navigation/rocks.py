@@ -38,7 +38,7 @@ from lunarsim.world.terrain import Terrain
 RELIEFS = (0.0, 2.0, 4.0, 8.0)  # RMS slope, deg
 COVERS = (0.02, 0.08, 0.15)
 SUNS = (0.0, 5.0, 45.0, 180.0)  # error of the Sun azimuth, deg
-BEGINS, ENDS = 28.0, 32.0  # s
+FAULT_START_S, FAULT_END_S = 28.0, 32.0  # s
 MAX_ERROR_SIGMA = 5.0  # standard deviations
 
 Tamper = Callable[[Picture, np.random.Generator], Picture | None]
@@ -51,8 +51,8 @@ def black(picture: Picture, rng: np.random.Generator) -> Picture:
 
 FAULTS: dict[str, tuple[float, Tamper]] = {
     "half of the pictures lost": (np.inf, lambda p, rng: p if rng.random() < 0.5 else None),
-    "no pictures for 4 s": (ENDS, lambda p, rng: None),
-    "black pictures for 4 s": (ENDS, black),
+    "no pictures for 4 s": (FAULT_END_S, lambda p, rng: None),
+    "black pictures for 4 s": (FAULT_END_S, black),
     "no more pictures": (np.inf, lambda p, rng: None),
 }
 
@@ -132,7 +132,7 @@ def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
     update_unchanged, (end, tamper) = mapper.update, FAULTS[task.fault]
 
     def update_faulty(picture: Picture, estimate: Any) -> None:
-        left = tamper(picture, rng) if BEGINS <= picture.time < end else picture
+        left = tamper(picture, rng) if FAULT_START_S <= picture.time < end else picture
         if left is not None:
             update_unchanged(left, estimate)
 

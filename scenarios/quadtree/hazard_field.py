@@ -98,7 +98,7 @@ def fly(task: HazardFieldTask) -> dict[str, Any]:
         simulation.step()
         track.append((simulation.time, *navigation_error(simulation), *deviations(simulation)))
         if simulation.time >= pending[0] - 1e-9:
-            looks.append(look(simulation, pending.pop(0), task.pictures))
+            looks.append(evaluate_map(simulation, pending.pop(0), task.pictures))
     tree = simulation.computer.mappers["sites"].map
     return {
         "field": task.field,
@@ -129,7 +129,7 @@ def deviations(simulation: Simulation) -> np.ndarray:
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
-def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
+def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
     """Compare the current map and sites with the truth."""
     mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()

@@ -35,7 +35,7 @@ from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_sa
 POSTING = 0.25  # posting of the maps in the height test, m
 STRIDE = 5  # spacing of the safety test sites in cells: neighbours are correlated
 ELIGIBLE = STATUS.index("eligible")
-LEAST_RETURNS = 4  # minimum number of mapped and of held-out returns in an evaluated quadtree cell
+MIN_RETURNS = 4  # minimum number of mapped and of held-out returns in an evaluated quadtree cell
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def heights_of_cells(
                 mean[n] += z
                 square[n] += z * z
     number = tree.number(nodes)
-    use = (count >= LEAST_RETURNS) & (number >= LEAST_RETURNS)
+    use = (count >= MIN_RETURNS) & (number >= MIN_RETURNS)
     count, number = count[use], number[use]
     mean = mean[use] / count
     squares = number * tree.variance(nodes)[use] + square[use] - count * mean**2

@@ -74,7 +74,7 @@ def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
     return Terrain(relief, place_rocks(middle, diameters, rng, model=shape))
 
 
-def look(task: ImageCheckTask) -> list[dict[str, Any]]:
+def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
     """Return the check result of every image of a field, good and faulty."""
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     terrain = make_terrain(task, rng)
@@ -207,7 +207,9 @@ def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None
     tasks = [
         ImageCheckTask(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)
     ]
-    rows = [row for found in gathered(look, tasks, jobs, console, "fields") for row in found]
+    rows = [
+        row for found in gathered(check_images, tasks, jobs, console, "fields") for row in found
+    ]
     if not rows:
         raise click.Abort
     show(rows, console)

@@ -148,7 +148,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 # --- the file --------------------------------------------------------------------------------
 
 
-def has(results: KeptFlights, task: ShadowMatrixTask) -> bool:
+def has_flight(results: KeptFlights, task: ShadowMatrixTask) -> bool:
     """Return whether the file has the flight of this exact cell."""
     done = results.flights.get(task.key)
     return done is not None and done.get("cell") == asdict(task.cell)
@@ -157,7 +157,7 @@ def has(results: KeptFlights, task: ShadowMatrixTask) -> bool:
 # --- the table -------------------------------------------------------------------------------
 
 
-def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
+def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
     """Return the metrics of one cell over its fields."""
     of = reduce(Classification.__add__, (Classification(**f["classes"]) for f in flights))
     table = np.sum([f["reliability"] for f in flights], axis=0)
@@ -210,10 +210,10 @@ def show(tasks: list[ShadowMatrixTask], results: KeptFlights, console: Console) 
     blind = []
     for cell in dict.fromkeys(t.cell for t in tasks):
         mine = [t for t in tasks if t.cell == cell]
-        flights = [results.flights[t.key] for t in mine if has(results, t)]
+        flights = [results.flights[t.key] for t in mine if has_flight(results, t)]
         if not flights:
             continue
-        f = pooled(flights)
+        f = pool_flights(flights)
         lacks = missed_goals(cell, f)
         shown, missing = shown + 1, missing + bool(lacks)
         total = {key: value + f[key] for key, value in total.items()}
@@ -288,7 +288,7 @@ def main(
     everything = [
         ShadowMatrixTask(cell, k, seed, way, method) for k in range(fields) for cell in cells
     ]
-    tasks = [t for t in everything if not has(results, t)]
+    tasks = [t for t in everything if not has_flight(results, t)]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:

@@ -212,7 +212,7 @@ def main(
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(
-            json.dumps(plain(summary, results), indent=1, default=asdict), encoding="utf-8"
+            json.dumps(to_json(summary, results), indent=1, default=asdict), encoding="utf-8"
         )
     if out is not None:
         from figures import draw_all
@@ -220,7 +220,7 @@ def main(
         draw_all(results, out)
 
 
-def plain(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
+def to_json(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
     """Return everything except the maps for JSON."""
     flights = [
         {

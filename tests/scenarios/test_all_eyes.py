@@ -54,7 +54,7 @@ def judged(flights, p, safe, large=None, objects=()):
         grid.centres().reshape(-1, 2), s, np.zeros(len(p), bool) if large is None else large,
         np.array([[x, 0.0] for x in objects]).reshape(-1, 2),
     )  # fmt: skip
-    return json.loads(json.dumps(flights.judged(drawn, ground)))
+    return json.loads(json.dumps(flights.count_sites(drawn, ground)))
 
 
 def test_figures_of_a_map(figures, flights):
@@ -82,7 +82,7 @@ def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, fli
     ]
     # What the form makes of the LiDAR alone is no map of one mapper, but told besides.
     assert figures.best_single(made, "100") == "rocks"
-    assert figures.gained(made, "100", "rocks") == pytest.approx([0.6, 0.0])
+    assert figures.recall_gains(made, "100", "rocks") == pytest.approx([0.6, 0.0])
     (found,) = figures.comparisons(made, 400.0)
     assert (found.best, found.left, found.missed) == ("rocks", [], [])
     assert found.over_form == pytest.approx([0.0, -0.6])
@@ -137,7 +137,7 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
 
 def test_half_of_the_returns_are_lost_alike_for_all(flights):
     taken = []
-    lossy = flights.dropping(lambda scan, estimate: taken.append(scan.range))
+    lossy = flights.with_dropouts(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
     lossy(scan, None)
     lossy(scan, None)
@@ -148,12 +148,12 @@ def test_half_of_the_returns_are_lost_alike_for_all(flights):
 def test_rocks_reach_into_footprints_and_stand_above_the_ground(flights):
     xy = np.array([[0.0, 0.0], [3.0, 0.0], [8.0, 0.0]])
     middles, radius = np.array([[4.0, 0.0]]), np.array([0.5])
-    assert flights.reached(xy, middles, radius, 3.0).tolist() == [False, True, False]
-    assert flights.reached(xy, middles, radius, 3.5).tolist() == [True, True, True]
-    assert not flights.reached(xy, np.empty((0, 2)), np.empty(0), 3.0).any()
+    assert flights.has_rock_in_footprint(xy, middles, radius, 3.0).tolist() == [False, True, False]
+    assert flights.has_rock_in_footprint(xy, middles, radius, 3.5).tolist() == [True, True, True]
+    assert not flights.has_rock_in_footprint(xy, np.empty((0, 2)), np.empty(0), 3.0).any()
     rocks = RockField.hemispheres([0.0, 5.0], [0.0, 1.0], [0.0, -0.2], [0.5, 0.5])
     terrain = Terrain(flat_terrain(40.0, 2.0).relief, rocks)
-    assert flights.rises(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
+    assert flights.rock_heights(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
 
 
 def test_every_row_can_be_flown(flights):
@@ -229,7 +229,7 @@ def test_sites_are_counted_by_two_maps(flights):
 def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
     """Made flights whose quadtree knows what the fused map does not: it is given a weight."""
     fit = script(".", "eyes_calibration")
-    p, q, seen = fit.kinds()
+    p, q, seen = fit.probability_bins()
     x, y = np.log(p / (1 - p)), np.where(seen, np.log(q / (1 - q)), 0.0)
     chance = 1 / (1 + np.exp(-(0.9 * x + 0.4 * y)))
     shape = 2, len(fit.ODDS) - 1, len(fit.ODDS)
@@ -246,7 +246,7 @@ def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
     weights = told["intercept"], told["slope"], told["other"]
     assert weights == pytest.approx((0.0, 0.9, 0.4), abs=0.02)
     none, _, both = (fit.loss_of(c, counts)[0] for c in (
-        fit.FusedCalibration(), fit.fitted(counts, False, fit.Lander()),
+        fit.FusedCalibration(), fit.fit_calibration(counts, False, fit.Lander()),
         fit.FusedCalibration(*weights)))  # fmt: skip
     assert both < none
     file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
@@ -287,7 +287,7 @@ def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
         computer=SimpleNamespace(mappers={"rocks": mapper}),
         world=SimpleNamespace(terrain=terrain), navigation_error=np.array([5.0, -7.0, 0.0]),
     )  # fmt: skip
-    off, claim, nees, count = places.judged(simulation)
+    off, claim, nees, count = places.position_errors(simulation)
     assert count == 24
     assert off == pytest.approx(np.sqrt(0.05))
     # Rocks that are known beforehand share nothing with the lander.
@@ -295,4 +295,4 @@ def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
     assert claim == pytest.approx(np.sqrt(variance))
     assert nees == pytest.approx(0.1 / variance)
     existence[4:] = 0.0
-    assert places.judged(simulation) is None
+    assert places.position_errors(simulation) is None

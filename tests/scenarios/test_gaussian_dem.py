@@ -79,7 +79,7 @@ def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
 def test_mapped_is_scan_and_dem_on_the_cells_that_are_judged(script):
     bed = script("gaussian_dem", "testbed")
     field = bed.testbed(3, 50.0)
-    one = bed.mapped(field, 200.0, 30.0, np.random.default_rng(5), **bed.DENSITY)
+    one = bed.map_testbed(field, 200.0, 30.0, np.random.default_rng(5), **bed.DENSITY)
     points, sigma, shape = bed.scan(field, 200.0, 30.0, np.random.default_rng(5))
     np.testing.assert_array_equal(one.points, points)
     assert (one.sigma, one.shape) == (sigma, shape)
@@ -131,7 +131,7 @@ def test_unsafe_sites_are_split_by_whether_a_return_shows_the_rock(script, monke
     monkeypatch.setattr(study, "CONFIGURATIONS", [(1000.0, 60.0)])
     own = study.testbed(1)
     monkeypatch.setattr(study, "testbed", lambda seed, **bed: own)
-    (one,) = study.missed((0, 1))
+    (one,) = study.count_missed_sites((0, 1))
     unsafe = one.quality.false_safe + one.quality.rejected
     assert one.seen[1] + one.unseen[1] == unsafe
     assert one.seen[0] + one.unseen[0] == one.quality.false_safe
@@ -140,7 +140,7 @@ def test_unsafe_sites_are_split_by_whether_a_return_shows_the_rock(script, monke
     # The same split by distances on the raster, good to half a cell.
     setting = {"sigma_f": np.sqrt(study.VARIANTS[0].growth * study.LENGTH)}
     rng = np.random.default_rng([1, 0])
-    scan = study.mapped(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
+    scan = study.map_testbed(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
     low = np.ones(scan.grid.shape, np.bool_)
     high = scan.points[scan.points[:, 2] > 0.25, :2]
     row, col = scan.grid.cell(high[scan.grid.contains(high)])
@@ -162,7 +162,7 @@ def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
     rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
     rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
     values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
-    count = study.reached(values)
+    count = study.count_rows_reached(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
     monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())

@@ -69,24 +69,24 @@ def drawn(study, rng, *, scale=1.0, lost=False, nis=1.0):
 def test_what_errs_as_it_says_is_told_from_what_does_not(script):
     study, rng = script("navigation", "consistency"), np.random.default_rng(4)
     right = [drawn(study, rng) for _ in range(50)]
-    assert study.broken(right, 1.0) == []
-    assert study.broken([drawn(study, rng, lost=n == 0) for n in range(50)], 1.0) == []
-    (line,) = study.broken([drawn(study, rng, lost=n < 2) for n in range(50)], 1.0)
+    assert study.inconsistencies(right, 1.0) == []
+    assert study.inconsistencies([drawn(study, rng, lost=n == 0) for n in range(50)], 1.0) == []
+    (line,) = study.inconsistencies([drawn(study, rng, lost=n < 2) for n in range(50)], 1.0)
     assert "2 of 50 flights are lost" in line
-    bold = study.broken([drawn(study, rng, scale=1.3) for _ in range(50)], 1.0)
+    bold = study.inconsistencies([drawn(study, rng, scale=1.3) for _ in range(50)], 1.0)
     assert sum("NEES of all nine" in line for line in bold) == len(study.EPOCHS)
     timid = [drawn(study, rng, scale=0.8) for _ in range(50)]
-    assert any("NEES" in line for line in study.broken(timid, 1.0))
-    assert not any("NEES" in line for line in study.broken(timid, 0.5))
+    assert any("NEES" in line for line in study.inconsistencies(timid, 1.0))
+    assert not any("NEES" in line for line in study.inconsistencies(timid, 0.5))
     # One that is far off and does not know, among many that are right.
     sigma = np.sqrt(np.diag(right[7].covariance[2]))
     for lost in (False, True):
         right[7].error[2] = 0.0
         right[7].error[2, 3] = 5.2 * sigma[3]
         right[7] = replace(right[7], lost=(lost, lost))
-        assert any("flight 7" in line for line in study.broken(right, 0.01)) is not lost
+        assert any("flight 7" in line for line in study.inconsistencies(right, 0.01)) is not lost
     for nis in (0.8, 1.25):
-        off = study.broken([drawn(study, rng, nis=nis) for _ in range(50)], 1.0)
+        off = study.inconsistencies([drawn(study, rng, nis=nis) for _ in range(50)], 1.0)
         assert sum("NIS of beam range" in line for line in off) == len(study.EPOCHS)
 
 
@@ -171,7 +171,7 @@ def test_errors_of_fifty_flights_are_what_is_said(script, name):
         study.ConsistencyTask(path, None, n, 1201, "safest", None, changes=changes)
         for n in range(50)
     ]
-    assert study.broken([study.fly(task) for task in tasks], modest) == []
+    assert study.inconsistencies([study.fly(task) for task in tasks], modest) == []
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ def test_experiment_compares_two_paths(small, tmp_path):
     console = Console(record=True, width=140, file=io.StringIO())
     small.show(summary, console)
     assert "clear ground called clear" in console.export_text()
-    text = json.dumps(small.plain(summary, results))
+    text = json.dumps(small.to_json(summary, results))
     assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
 
 
@@ -238,7 +238,7 @@ def test_matrix_names_the_goals_that_are_missed(matrix):
 
 def test_no_bad_picture_counts_and_most_good_ones_do(script):
     health = script("shadows", "health")
-    rows = health.look(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
+    rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
     by = {}
     for row in rows:
         by.setdefault(row["fault"], []).append(row["verdict"])
