@@ -1,4 +1,4 @@
-"""The study of all eyes: its figures from made counts, its file, and one flight of it."""
+"""All-sensor study: metrics from synthetic counts, result file, and one flight."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.worlds import flat_terrain
 
 @dataclass(frozen=True)
 class Scan:
-    """What of a scan matters to losing returns."""
+    """The parts of a scan that matter for lost returns."""
 
     time: float
     range: np.ndarray
@@ -45,7 +45,7 @@ def flights(study):
 
 
 def judged(flights, p, safe, large=None, objects=()):
-    """Return the counts of a map that claims a frequency everywhere, a cell for each place."""
+    """Return the counts of a map that is calibrated everywhere, one cell per position."""
     p, s = np.asarray(p, np.float32), np.asarray(safe, bool)
     grid = Grid(0.0, 0.0, 1.0, 1, len(p))
     seen = np.ones((1, len(p)), bool)
@@ -57,7 +57,7 @@ def judged(flights, p, safe, large=None, objects=()):
     return json.loads(json.dumps(flights.count_sites(drawn, ground)))
 
 
-def test_figures_of_a_map(figures, flights):
+def test_map_metrics(figures, flights):
     truth = [True] * 8 + [False] * 2
     good = judged(flights, [0.9] * 8 + [0.6, 0.1], truth, objects=(8.0, 9.0))
     f = figures.figures_of([good, good])
@@ -69,7 +69,7 @@ def test_figures_of_a_map(figures, flights):
     assert f["skill"] == pytest.approx(1.0 - (8 * 0.01 + 0.36 + 0.01) / 10 / 0.16, abs=1e-6)
 
 
-def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, flights):
+def test_fused_map_is_compared_with_the_best_other_map_per_field(figures, flights):
     truth = [True] * 5 + [False] * 5
     half = judged(flights, [0.9, 0.9, 0.2, 0.2, 0.2] + [0.4] * 5, truth)
     whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
@@ -80,7 +80,7 @@ def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, fli
         )
         for fused in (whole, half)
     ]
-    # What the form makes of the LiDAR alone is no map of one mapper, but told besides.
+    # The fused form of the LiDAR only is no single-mapper map, but is reported as well.
     assert figures.best_single(made, "100") == "rocks"
     assert figures.recall_gains(made, "100", "rocks") == pytest.approx([0.6, 0.0])
     (found,) = figures.comparisons(made, 400.0)
@@ -93,8 +93,8 @@ def flight(row, altitude, flights, **maps):
             "maps": {altitude: maps}}  # fmt: skip
 
 
-def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flights):
-    """Both find four of five safe places; among what they call safe, one and none have a rock."""
+def test_large_rocks_are_counted_at_the_recall_of_the_lidar_map(figures, flights):
+    """Both maps find four of five safe sites; one and none of these have a rock."""
     truth = np.array([True] * 5 + [False] * 3)
     large = ~truth
     dem = judged(flights, [0.9, 0.9, 0.8, 0.7, 0.1, 0.75, 0.2, 0.2], truth, large)
@@ -109,7 +109,7 @@ def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flight
         assert found.missed == aims
 
 
-def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(figures, flights):
+def test_fused_map_is_compared_with_the_remaining_sensor_after_a_failure(figures, flights):
     truth = [True] * 5 + [False] * 5
     whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
     none = judged(flights, [0.1] * 5 + [0.9] * 5, truth)
@@ -121,7 +121,7 @@ def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(fi
             assert ("worse than the remaining sensor" in found.missed) == bool(gap)
 
 
-def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(flights, monkeypatch):
+def test_time_of_a_requested_surface_counts_for_its_own_mapper(flights, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(flights.time, "perf_counter", lambda: now[0])
 
@@ -135,7 +135,7 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
     assert told["own"] == 1e3 * now[0] > 0.0
 
 
-def test_half_of_the_returns_are_lost_alike_for_all(flights):
+def test_all_mappers_lose_the_same_half_of_the_returns(flights):
     taken = []
     lossy = flights.with_dropouts(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
@@ -145,7 +145,7 @@ def test_half_of_the_returns_are_lost_alike_for_all(flights):
     assert np.array_equal(taken[0], taken[1], equal_nan=True)
 
 
-def test_rocks_reach_into_footprints_and_stand_above_the_ground(flights):
+def test_rocks_in_the_footprint_and_their_heights(flights):
     xy = np.array([[0.0, 0.0], [3.0, 0.0], [8.0, 0.0]])
     middles, radius = np.array([[4.0, 0.0]]), np.array([0.5])
     assert flights.has_rock_in_footprint(xy, middles, radius, 3.0).tolist() == [False, True, False]
@@ -156,8 +156,8 @@ def test_rocks_reach_into_footprints_and_stand_above_the_ground(flights):
     assert flights.rock_heights(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
 
 
-def test_every_row_can_be_flown(flights):
-    """Each is a scenario that checks, with both cameras in one map and the fused map to decide."""
+def test_every_row_is_a_valid_scenario(flights):
+    """Both cameras build one map, and the fused map decides."""
     for row in flights.ROWS.values():
         scenario = flights.scenario_of(row.world, (1000.0, 100.0))
         assert scenario.start.make().position[2] == pytest.approx(1200.0)
@@ -170,14 +170,14 @@ def test_every_row_can_be_flown(flights):
     ("option", "value", "told"),
     [("--rows", "the Moon", "must be one of"), ("--altitudes", "10", "must be numbers from 50")],
 )
-def test_mistakes_are_named(study, option, value, told):
+def test_invalid_options_are_named(study, option, value, told):
     result = CliRunner().invoke(study.main, [option, value])
     assert result.exit_code == 2
     assert told in result.output
 
 
-def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch):
-    """Flights that are kept are not flown again, and the file is of one seed and code."""
+def test_interrupted_study_resumes(study, flights, tmp_path, monkeypatch):
+    """Stored flights are not repeated, and the file has one seed and code."""
     truth = [True] * 5 + [False] * 5
     counts = judged(flights, [0.9] * 5 + [0.1] * 5, truth, objects=(7.0,))
     flown = []
@@ -211,8 +211,8 @@ def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch)
     assert "is no file of flights" in " ".join(broken.output.split())
 
 
-def test_sites_are_counted_by_two_maps(flights):
-    """Each once, by both probabilities; those that the second has not seen by themselves."""
+def test_joint_site_counts_of_two_maps(flights):
+    """Each site counts once; sites that the second map has not observed are separate."""
     grid = Grid(0.0, 0.0, 1.0, 1, 4)
     seen = np.ones((1, 4), bool)
     p, q = np.float32([[0.9, 0.9, 0.1, 1.0]]), np.float32([[0.6, 0.6, 0.2, 0.0]])
@@ -226,8 +226,8 @@ def test_sites_are_counted_by_two_maps(flights):
     assert counts[0, :, -1].sum() == 0
 
 
-def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
-    """Made flights whose quadtree knows what the fused map does not: it is given a weight."""
+def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path):
+    """If the quadtree has information that the fused map lacks, its weight is not zero."""
     fit = script(".", "eyes_calibration")
     p, q, seen = fit.probability_bins()
     x, y = np.log(p / (1 - p)), np.where(seen, np.log(q / (1 - q)), 0.0)
@@ -255,20 +255,20 @@ def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_flight_is_judged(study, tmp_path):
+def test_flight_is_evaluated(study, tmp_path):
     file = tmp_path / "all.json"
     options = ["--fields", "1", "--rows", "cameras dead from 400 m on", "--altitudes", "120"]
     result = CliRunner().invoke(study.main, [*options, "--json", str(file)])
     assert result.exit_code == 0, result.output
     (kept,) = json.loads(file.read_text())["flights"].values()
     maps = kept["maps"]["120"]
-    # Nothing was seen above 400 m that could have been mapped: the LiDAR's map is what is left.
+    # Above 400 m no image was mapped, so only the LiDAR map remains.
     assert maps["fused"] == maps["dem"]
     assert maps["dem"]["objects"][0] > 20
 
 
-def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
-    """All rocks a step beside their places: the error of the mean, by the filter's own word."""
+def test_rock_position_errors_exclude_shared_errors(script):
+    """All rocks have the same offset: error of the mean and the reported covariance."""
     places = script(".", "eyes_places")
     rng = np.random.default_rng(0)
     level = np.array([0.0, 0.0, 0.0, 1.0])
@@ -290,7 +290,7 @@ def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
     off, claim, nees, count = places.position_errors(simulation)
     assert count == 24
     assert off == pytest.approx(np.sqrt(0.05))
-    # Rocks that are known beforehand share nothing with the lander.
+    # Rocks that are known a priori share no error with the lander.
     variance = 0.2**2 / 24 + 2.0**2
     assert claim == pytest.approx(np.sqrt(variance))
     assert nees == pytest.approx(0.1 / variance)

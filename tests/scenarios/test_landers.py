@@ -1,4 +1,4 @@
-"""The scripts and scenarios of landers, small."""
+"""Lander scripts and scenarios on small cases."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS
 
 
-def test_touchdowns_are_judged_both_ways(script, tmp_path):
+def test_touchdowns_are_evaluated_both_ways(script, tmp_path):
     study = script("landers", "touchdowns")
     out = tmp_path / "touchdowns.json"
     runs = []
@@ -30,12 +30,12 @@ def test_the_lunar_module_can_be_loaded():
     scenario = Scenario.load(SCENARIOS / "landers" / "lunar_module.toml")
     lander = scenario.vehicle.make()
     assert lander.thrusters.count == 16
-    # 550 ft lb a thruster, four of a sense about pitch and roll.
+    # 550 ft lb per thruster, four per direction in pitch and roll.
     assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
     assert lander.engine.gap_from == 28024.0
 
 
-def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
+def test_failed_thruster_with_and_without_detection(script):
     study = script("landers", "dead_thruster")
     blind, seeing = (study.fly("phase-plane", 1, 1, watch) for watch in (False, True))
     assert blind[2] != blind[2]
@@ -59,7 +59,7 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
     assert seeing[1] < blind[1]
 
 
-def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeypatch):
+def test_flights_with_and_without_slosh_are_compared(script, monkeypatch):
     study = script("landers", "slosh")
     still, swinging = (
         study.fly(study.SloshTask("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
@@ -76,7 +76,7 @@ def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeyp
 
 
 @pytest.mark.slow
-def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(script, monkeypatch):
+def test_maps_with_thrusters_and_ideal_attitude_are_compared(script, monkeypatch):
     study = script("landers", "thrusters_and_map")
     world = {**study.WORLD, "terrain": {**study.WORLD["terrain"], "size_m": 160.0}}
     sensors = {**world["sensors"], "flash": {"kind": "flash-lidar", "rows": 48, "cols": 48}}

@@ -1,4 +1,4 @@
-"""The matrix of worlds, and the two calibrations on it."""
+"""Matrix of worlds, and the two calibrations on it."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from tests.made_mapper import Slow
 
 
 def first(module, **changes):
-    """Return a scene of a few metres, seen from near by."""
+    """Return a small scene at short range."""
     scene = next(iter(module.scenes(8, 1)))
     return replace(scene, distance=140.0, angle_deg=0.0, relief="fractal-6", **changes)
 
 
-def test_every_part_of_the_matrix_has_its_turn(script):
+def test_every_part_of_the_matrix_is_used(script):
     worlds = script("lidar_maps", "worlds")
     deck = list(worlds.scenes(240, 3))
     for name, cards in (
@@ -46,7 +46,7 @@ def test_every_part_of_the_matrix_has_its_turn(script):
     assert len({s.seed for s in deck}) == 240
 
 
-def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, monkeypatch):
+def test_time_of_the_requested_surface_counts_for_the_mapper(script, monkeypatch):
     flown = script("lidar_maps", "flown")
     now = [0.0]
     monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
@@ -58,7 +58,7 @@ def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, mon
 
 
 @pytest.mark.parametrize("name", ["calibration", "quadtree_calibration"])
-def test_a_scene_is_judged_the_same_twice(script, name):
+def test_scene_evaluation_is_repeatable(script, name):
     study = script("lidar_maps", name)
     scene = first(study, rocks="golombek-5", lander="small")
     a, b = study.judge(scene), study.judge(scene)
@@ -71,7 +71,7 @@ def test_a_scene_is_judged_the_same_twice(script, name):
     assert done.exit_code == 2
 
 
-def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
+def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
     kept = script("lidar_maps", "kept")
     worlds = script("lidar_maps", "worlds")
     drawn = []
@@ -106,7 +106,7 @@ def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
         kept.evaluated_scenes(judge, deck, file, 1, console)
 
 
-def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
+def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     study = script("lidar_maps", "calibration")
     rng = np.random.default_rng(1)
     deck = list(study.scenes(24, 2))
@@ -136,13 +136,13 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     assert (p <= plain).all()
     assert np.array_equal(p[claimed & (p >= SURE)], plain[claimed & (plain >= SURE)])
     assert not claimed[~sites.known].any()
-    # Sites that may not be called surely unsafe are claimed where they are surely safe alone.
+    # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
     assert not claimed[~sites.doomed & (p < SURE)].any()
     assert study.probability(model, replace(sites, doomed=~sites.doomed))[1][
         claimed & (p >= SURE)
     ].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
-    # A constant has no error of calibration, and no skill.
+    # A constant has no calibration error and no skill.
     flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
@@ -154,7 +154,7 @@ def small_world(script, monkeypatch, tmp_path):
     """The comparison of mappers on one small world."""
     flown = script("lidar_maps", "flown")
     compare = script("lidar_maps", "compare_mappers")
-    # A short way down; as in the study the lander is told its place.
+    # A short descent, with position fixes as in the study.
     small = Scenario.load(SCENARIOS / "golombek.toml").changed(
         terrain={"size_m": 90.0}, target={"scatter_m": [10.0, 10.0]},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
@@ -192,7 +192,7 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeyp
     assert calibrated["first"] != calibrated["last"], "maps grow between decisions"
     assert (tmp_path / "out" / "mappers.png").stat().st_size > 20_000
     shown = (tmp_path / "out" / "figures.json").read_text()
-    monkeypatch.setattr(flown, "fly", None)  # kept: nothing is flown again
+    monkeypatch.setattr(flown, "fly", None)  # stored: no flight is repeated
     again = CliRunner().invoke(compare.main, options)
     assert again.exit_code == 0, again.output
     assert (tmp_path / "out" / "figures.json").read_text() == shown
@@ -208,7 +208,7 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeyp
     assert "Mars" in wrong.output
 
 
-def test_a_flight_that_carries_all_mappers_is_the_one_that_carries_its_own(small_world):
+def test_extra_mappers_do_not_change_a_flight(small_world):
     flown, _ = small_world
     plain = flown.scenario_of("small")
     both = [
@@ -219,7 +219,7 @@ def test_a_flight_that_carries_all_mappers_is_the_one_that_carries_its_own(small
         assert np.array_equal(values, both[1].trajectory[column], equal_nan=True), column
 
 
-def test_maps_are_judged_by_counting_cells(script):
+def test_map_evaluation_counts_cells(script):
     flown = script("lidar_maps", "flown")
     rng = np.random.default_rng(2)
     grid = Grid.centred((0.0, 0.0), 8.0, 0.2)
@@ -246,14 +246,14 @@ def test_maps_are_judged_by_counting_cells(script):
     assert judged.table[:, 0].sum() == judged.claimed[:, 0].sum()
 
 
-def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
+def test_map_is_compared_with_the_terrain_under_it(script):
     flown = script("lidar_maps", "flown")
-    # Safe ground ends 1 m east, and the truth knows none beyond 3 m south.
+    # Safe terrain ends 1 m east; the truth ends 3 m south.
     own = Grid.centred((0.0, 0.0), 12.0, 0.5)
     east, north = own.centres()[..., 0], own.centres()[..., 1]
     flat = np.zeros(own.shape, np.float32)
     truth = SimpleNamespace(safety=SafetyMap(own, flat, flat, east < 1.0, north > -3.0))
-    # The map takes all for 2 m farther east than it is.
+    # The map is shifted by 2 m to the east.
     grid = Grid.centred((2.0, 0.0), 8.0, 0.5)
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
     hazard_map = HazardMap(grid, (x < 3.0).astype(np.float32), np.ones(grid.shape, bool))
@@ -265,7 +265,7 @@ def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
     assert judged.counts[1].tolist() == [(hits & west).sum(), 0, 0, 0]
 
 
-def test_maps_on_grids_of_their_own_are_judged_on_the_same_ground(script):
+def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
     flown = script("lidar_maps", "flown")
     own = Grid.centred((0.0, 0.0), 30.0, 0.5)
     east = own.centres()[..., 0]
@@ -286,7 +286,7 @@ def test_maps_on_grids_of_their_own_are_judged_on_the_same_ground(script):
     assert np.array_equal(judged["one"].counts, judged["other"].counts)
 
 
-def test_ground_is_told_apart_by_slope_and_rocks(script):
+def test_strata_depend_on_slope_and_rocks(script):
     flown = script("lidar_maps", "flown")
     lander = Lander()
     limit = np.tan(lander.slope_limit)

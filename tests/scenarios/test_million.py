@@ -1,4 +1,4 @@
-"""Very many descents: what is printed of few."""
+"""Mass simulation of descents on a small number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import pytest
 
 
-def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys):
+def test_failure_rates_are_printed_also_after_an_interrupt(script, monkeypatch, capsys):
     study = script(".", "million")
     monkeypatch.setattr("sys.argv", ["million.py", "--flights", "150", "--worlds", "1"])
     assert study.main() == 0
@@ -19,7 +19,7 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
     batches = study.batches
 
     def cut(scenario, flights, seed, worlds):
-        if flights == 64:  # by which kernels are compiled
+        if flights == 64:  # the compilation run
             yield from batches(scenario, flights, seed, worlds)
             return
         yield next(batches(scenario, flights, seed, worlds, lanes=70))
@@ -41,7 +41,7 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
         (["--worlds", "0"], "--worlds: must be 1 or more, got 0"),
     ],
 )  # fmt: skip
-def test_bad_input_is_told(script, monkeypatch, capsys, words, says):
+def test_invalid_input_is_rejected(script, monkeypatch, capsys, words, says):
     study = script(".", "million")
     monkeypatch.setattr("sys.argv", ["million.py", *words])
     assert study.main() == 2

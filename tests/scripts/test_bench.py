@@ -1,4 +1,4 @@
-"""Scenarios that the bench makes of those that come along can be flown."""
+"""Scenarios of the benchmark are valid."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
-def test_the_flight_with_two_eyes_is_one(monkeypatch):
+def test_camera_and_lidar_scenario_is_valid(monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS)
     scenario = importlib.import_module("bench_parts.navigation").camera_and_lidar()
     assert set(scenario.mappers) == {"rocks"}
@@ -18,7 +18,7 @@ def test_the_flight_with_two_eyes_is_one(monkeypatch):
 
 
 @pytest.mark.parametrize("both", [False, True])
-def test_the_flight_with_all_eyes_looks_as_often_as_it_says(monkeypatch, both):
+def test_all_sensor_scenario_has_the_stated_rates(monkeypatch, both):
     monkeypatch.syspath_prepend(SCRIPTS)
     scenario = importlib.import_module("bench_parts.eyes").all_sensors(both)
     looks = {name: part.make() for name, part in scenario.tasking.items()}

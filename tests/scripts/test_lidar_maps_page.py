@@ -1,4 +1,4 @@
-"""The tables of the page on LiDAR maps: made of what the study wrote."""
+"""Generated tables of the page on LiDAR maps."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _page(pages):
     return "Words.\n\n" + "\nMore.\n\n".join(out) + "\nEnd.\n"
 
 
-def test_the_page_is_what_is_kept(pages):
+def test_page_matches_the_stored_results(pages):
     shown = pages.PAGE.read_text(encoding="utf-8")
     kept = pages.load()
     assert kept
@@ -70,7 +70,7 @@ def test_the_page_is_what_is_kept(pages):
                 assert " | ".join(row) in shown
 
 
-def test_another_figure_is_another_page(pages):
+def test_changed_metric_changes_the_page(pages):
     shown = pages.PAGE.read_text(encoding="utf-8")
     kept = copy.deepcopy(pages.load())
     world = next(iter(kept.values()))["figures"]
@@ -78,7 +78,7 @@ def test_another_figure_is_another_page(pages):
     assert pages.update_page(shown, kept) != shown
 
 
-def test_rows_hold_figures_intervals_and_dashes(pages):
+def test_rows_contain_metrics_intervals_and_dashes(pages):
     world = pages.finite(_world())
     assert pages.ROWS["landings"](world) == [
         ["one", "10", "1.00 [0.50, 0.75]", "", "12.3", "40.1"],
@@ -97,7 +97,7 @@ def test_rows_hold_figures_intervals_and_dashes(pages):
     assert second[:3] == ["", "quadtree", ""]
 
 
-def test_where_a_world_falls_short_is_told(pages):
+def test_shortfalls_of_a_world_are_listed(pages):
     assert pages.shortfalls(pages.finite(_world())) == [
         "two: 3 of 10 not safe",
         "quadtree: claims with an error of 0.031",
@@ -111,7 +111,7 @@ def test_where_a_world_falls_short_is_told(pages):
     assert pages.shortfalls(claims_nothing) == []
 
 
-def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, monkeypatch):
+def test_new_results_replace_only_the_rows_of_their_world(pages, tmp_path, monkeypatch):
     monkeypatch.setattr(pages, "STORED", tmp_path / "kept")
     monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
     pages.PAGE.write_text(_page(pages))

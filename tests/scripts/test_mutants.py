@@ -1,4 +1,4 @@
-"""Faults put in on purpose: the machinery, on a toy package that compiles nothing."""
+"""Mutation testing on a toy package without compilation."""
 
 import importlib
 import json
@@ -32,7 +32,7 @@ def clipped(a, b, out):
 @pytest.fixture(autouse=True)
 def scripts_on_the_path(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # trials of the toy start sooner
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # faster start of the toy trials
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ CATCHES = "from lunarsim.a_kernels import room\n\n\ndef test_room():\n    assert
 LETS_PASS = CATCHES.replace("room(5, 3) == 2", "room(0, 0) == 0")
 
 
-def test_every_kind_of_fault_is_found_where_it_stands(faults):
+def test_every_kind_of_fault_is_generated_at_its_place(faults):
     found = {f.name: f.line_after(TOY) for f in faults.faults_of("toy.py", TOY)}
     assert found == {
         "toy.py:3:8:constant": "LIMIT = 3.0",
@@ -90,7 +90,7 @@ def test_every_kind_of_fault_is_found_where_it_stands(faults):
     }
 
 
-def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
+def test_every_fault_of_the_package_has_a_unique_name_and_is_valid_python(faults):
     mutants = importlib.import_module("mutants")
     files = mutants.kernel_files()
     assert len(files) >= 28
@@ -103,7 +103,7 @@ def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
             assert (ROOT / test).exists()
 
 
-def test_the_draw_is_of_every_kind_and_does_not_follow_changes_elsewhere(faults):
+def test_sample_covers_every_kind_and_ignores_changes_elsewhere(faults):
     path, text = "lunarsim/x.py", (ROOT / "lunarsim/rocks/_kernels.py").read_text()
     found = faults.faults_of(path, text)
     drawn = faults.sample_faults(found, 15, seed=1)
@@ -117,12 +117,12 @@ def test_the_draw_is_of_every_kind_and_does_not_follow_changes_elsewhere(faults)
     assert faults.sample_faults(found, 15, seed=2) != drawn
 
 
-def test_shares_go_by_lines_with_two_at_least():
+def test_faults_per_file_are_proportional_to_lines_with_a_minimum_of_two():
     mutants = importlib.import_module("mutants")
     assert mutants.faults_per_file({"a": 300, "b": 99, "c": 1}, 40) == {"a": 30, "b": 10, "c": 2}
 
 
-def test_callers_of_a_file_are_found_at_any_hand(tmp_path):
+def test_direct_and_indirect_callers_are_found(tmp_path):
     trial = importlib.import_module("mutant_parts.trial")
     for name, text in (("a", ""), ("b", "from p.a import x"), ("c", "from p.b import y")):
         (tmp_path / "p").mkdir(exist_ok=True)
@@ -133,7 +133,7 @@ def test_callers_of_a_file_are_found_at_any_hand(tmp_path):
 
 
 @pytest.mark.parametrize(("test", "verdict"), [(CATCHES, "caught"), (LETS_PASS, "survived")])
-def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, verdict):
+def test_fault_is_tried_in_a_copy_and_its_result_stored(tmp_path, faults, test, verdict):
     run = importlib.import_module("mutant_parts.run")
     root = tmp_path / "tree"
     toy_package(root, test)
@@ -151,7 +151,7 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
         path,  # without a fault
         fault.name,
     ]
-    # The next run takes it from the file, until the source, or a survivor's test, has changed.
+    # The next run uses the stored result until the source or a survivor's test changes.
     assert run.MutationRun(root, kept, tests).known(fault) == told[0]
     (root / "tests" / "test_room.py").write_text(test + "\n")
     again = run.MutationRun(root, kept, tests).known(fault)
@@ -160,7 +160,7 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
     assert run.MutationRun(root, kept, tests).known(fault) is None
 
 
-def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_path, faults):
+def test_stopped_trial_has_no_result_and_restores_the_file(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     sign = tmp_path / "under way"
     toy_package(
@@ -195,7 +195,7 @@ def test_tests_that_fail_without_a_fault_end_the_run(tmp_path, faults):
         space.run_without_fault("lunarsim/a_kernels.py", ["tests/test_room.py"])
 
 
-def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path, faults):
+def test_kernels_compiled_without_the_fault_are_restored(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     toy_package(
         tmp_path / "tree",
@@ -211,7 +211,7 @@ def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path
     space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
     path = "lunarsim/a_kernels.py"
     fault = faults.faults_of(path, (tmp_path / "tree" / path).read_text())[0]
-    # Of b the kernels hold those of a; c calls neither.
+    # The kernels of b contain those of a; c calls neither.
     assert space.trial(fault, ["tests/test_room.py"], 60.0) == ("survived", "")
     copied = tmp_path / "copy" / "lunarsim" / "__pycache__"
     assert {p.name: p.read_text() for p in copied.glob("*.nbi")} == {
@@ -219,7 +219,7 @@ def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path
     }
 
 
-def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, faults):
+def test_equivalents_are_matched_by_code_and_stale_ones_reported(tmp_path, faults):
     equivalent = importlib.import_module("mutant_parts.equivalent")
     mutants = importlib.import_module("mutants")
     path = tmp_path / "list.toml"
@@ -251,14 +251,14 @@ def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, fault
         ("[[equivalent", "list.toml"),
     ],
 )
-def test_a_bad_list_is_refused(tmp_path, text, message):
+def test_invalid_list_is_rejected(tmp_path, text, message):
     equivalent = importlib.import_module("mutant_parts.equivalent")
     (tmp_path / "list.toml").write_text(text)
     with pytest.raises(equivalent.BrokenListError, match=message):
         equivalent.load_equivalents(tmp_path / "list.toml")
 
 
-def test_the_list_means_faults_that_exist():
+def test_listed_faults_exist():
     equivalent = importlib.import_module("mutant_parts.equivalent")
     mutants = importlib.import_module("mutants")
     known = equivalent.load_equivalents(mutants.EQUIVALENT)
@@ -273,7 +273,7 @@ def test_the_list_means_faults_that_exist():
         (["--results", "RESULTS"], "line 1: must be the result"),
     ],
 )
-def test_bad_input_ends_with_two(tmp_path, arguments, message):
+def test_invalid_input_exits_with_two(tmp_path, arguments, message):
     kept = tmp_path / "kept.jsonl"
     kept.write_text(json.dumps({"fault": "a"}) + "\n")
     arguments = [str(kept) if a == "RESULTS" else a for a in arguments]

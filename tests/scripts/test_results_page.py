@@ -1,4 +1,4 @@
-"""The page of results: made of what studies wrote, and of nothing else."""
+"""Results page, generated from the stored results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def results(monkeypatch):
     return importlib.import_module("results_page")
 
 
-def test_the_page_is_made_of_the_kept_files(results):
+def test_page_is_generated_from_the_stored_files(results):
     shown = (ROOT / "docs" / "results-by-seed.md").read_text(encoding="utf-8")
     assert shown == results.page()
     kept = sorted(results.STORED.glob("*.json"))
@@ -30,7 +30,7 @@ def test_the_page_is_made_of_the_kept_files(results):
         assert max(len(f.values) for f in report.figures) >= 2
 
 
-def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
+def test_metric_on_the_wrong_side_of_the_paper_falls_short(results):
     figure = results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher")
     assert figure.mean == 0.5
     assert figure.falls_short
@@ -41,7 +41,7 @@ def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
     assert not replace(figure, better="").falls_short
 
 
-def test_a_section_tells_mean_spread_and_where_it_is_short(results):
+def test_section_has_mean_range_and_shortfalls(results):
     figures = [
         results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher"),
         results.SeedMetric("error", "m", [1.0, 3.0, 2.0]),
@@ -56,7 +56,7 @@ def test_a_section_tells_mean_spread_and_where_it_is_short(results):
     assert "Worse than the paper: none." in text
 
 
-def test_what_is_taken_of_the_tables_is_by_seed(results):
+def test_gaussian_dem_metrics_are_by_seed(results):
     row = {
         "c": 0.5,
         "precision": [1.0, 0.9],
@@ -83,7 +83,7 @@ def _descent(path, fuel, recall=0.2):
             "levels": {"50.0": {"rates": rates}}}  # fmt: skip
 
 
-def test_what_is_taken_of_two_descents_is_paired(results):
+def test_shadow_metrics_are_paired(results):
     flights = [
         _descent("nominal", 40.0, 0.1), _descent("modified", 41.0),
         _descent("nominal", 50.0, 0.3), _descent("modified", 53.0),
@@ -104,7 +104,7 @@ def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
             "sites": [{"exactly_safe": s, "hazard_m2": h} for s, h in sites]}  # fmt: skip
 
 
-def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
+def test_quadtree_metrics_are_of_the_last_evaluation(results):
     first = _look(9.0, 9.0, 9.0, [])
     flights = [
         {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
@@ -131,7 +131,7 @@ def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
     assert {name for name, f in by.items() if f.falls_short} == {"landing zones with a true hazard"}
 
 
-def test_what_is_taken_of_the_laws_is_over_the_optimum_of_each_start(results):
+def test_guidance_metrics_are_relative_to_the_optimum_of_each_start(results):
     row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
     flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
              {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
@@ -145,7 +145,7 @@ def test_what_is_taken_of_the_laws_is_over_the_optimum_of_each_start(results):
     assert "Worse than the optimum: `apollo`: excess propellant to touchdown (17.5 for 0)." in text
 
 
-def test_what_is_taken_of_navigation_is_by_flight(results):
+def test_navigation_metrics_are_by_flight(results):
     flight = {"nees": {"all nine": 0.8, "position": None}, "nis": {"stars": 1.1},
               "start_error": 40.0, "map_error": 3.0, "lost": False, "safe": True}  # fmt: skip
     other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
@@ -162,7 +162,7 @@ def test_what_is_taken_of_navigation_is_by_flight(results):
     assert "Worse than the paper: no reference values." in results.section(report)
 
 
-def test_what_is_taken_of_real_returns_is_by_split(results):
+def test_real_return_metrics_are_by_split(results):
     heights = {
         name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},
                             {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
@@ -187,7 +187,7 @@ def test_what_is_taken_of_real_returns_is_by_split(results):
     assert [f.unit for f in report.figures] == ["m", "", ""] * 2
 
 
-def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
+def test_report_is_stored_completely(results, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "STORED", tmp_path)
     found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
