@@ -34,7 +34,7 @@ def _descent(rng: Any = None, **changes: Any) -> Any:
 
 
 def _fixed() -> float:
-    """Print solves at a fixed final time; return the cold-start time of Clarabel, ms."""
+    """Print solve times at a fixed final time; return the cold time of Clarabel, ms."""
     from lunarsim.optimal.cone_program import Clarabel, Qoco
     from lunarsim.optimal.transcription import Structure, Transcription
 
@@ -59,12 +59,10 @@ def _fixed() -> float:
         f"{np.median(counts[1]):.0f}"
     )
     print(f"    Clarabel, cold start            {clarabel:7.2f} ms")
-    print(f"    QOCO, cold start                 {anew:7.2f} ms  {anew / clarabel:5.2f} times it")
-    print(
-        f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} times it"
-    )
+    print(f"    QOCO, cold start                {anew:7.2f} ms  {anew / clarabel:5.2f} x")
+    print(f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} x")
     whole = updated + filled
-    print(f"    with setup of the matrices       {whole:7.2f} ms  {whole / clarabel:5.2f} times it")
+    print(f"    with setup of the matrices      {whole:7.2f} ms  {whole / clarabel:5.2f} x")
     return clarabel
 
 
@@ -80,7 +78,7 @@ def _network(clarabel: float) -> None:
             network(reduced(here.gap, here.velocity, here.mass)[0])
 
     took = median_ms(answer, 7) / many
-    print(f"    network of `neural-optimal`      {took:7.3f} ms  {took / clarabel:6.4f} times it")
+    print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} x")
 
 
 def _free(clarabel: float) -> None:
@@ -106,7 +104,7 @@ def _free(clarabel: float) -> None:
     for name, times, counts in (("1 s later", warm, solves), ("cold start", cold, colds)):
         took = float(np.median(times))
         print(
-            f"  free final time, {name:15s}{took:9.2f} ms  {took / clarabel:5.2f} times it; solves "
+            f"  free final time, {name:15s}{took:9.2f} ms  {took / clarabel:5.2f} x; solves "
             f"{np.median(counts):.0f}, maximum {max(counts)}"
         )
 

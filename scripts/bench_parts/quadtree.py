@@ -132,7 +132,7 @@ def resident(way: str, count: int) -> None:
     most = 1024 * int(status.partition("VmHWM:")[2].split()[0]) - before
     print(
         f"    {quadtree.count:10,d} points, {way}: {after / quadtree.count:.0f} bytes per point "
-        f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} maximum;  "
+        f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} maximum; "
         f"{quadtree.nbytes / quadtree.count:.0f} in the arrays of the map)"
     )
 
