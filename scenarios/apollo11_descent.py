@@ -58,12 +58,12 @@ MEASURED: dict[str, Any] = {
 
 @dataclass
 class ApolloDescentRun:
-    """A flight and its results; `told` holds the values of the table and the file."""
+    """A flight and its results; `results` holds the values of the table and the file."""
 
     name: str
     flight: Flight
     sim: Simulation
-    told: dict[str, Any]
+    results: dict[str, Any]
 
 
 def scenario_of(isp: float, ground: str, load: str = apollo11.FLOWN) -> Scenario:
@@ -89,20 +89,20 @@ def fly(name: str, scenario: Scenario, seed: int) -> ApolloDescentRun:
     seconds = time.process_time() - begun
     moon, lander = sim.world.moon, sim.lander
     assert moon is not None
-    told = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_to)
-    told |= {"run": name, "times_real_time": flight.duration / seconds}
-    told |= _record_differences(
+    results = apollo11.flight_summary(flight, moon, lander.com_height, lander.engine.gap_to)
+    results |= {"run": name, "times_real_time": flight.duration / seconds}
+    results |= _record_differences(
         apollo11.track_of(flight, moon, lander.com_height)
     ) | _terrain_and_visibility(sim, flight)
-    return ApolloDescentRun(name, flight, sim, told)
+    return ApolloDescentRun(name, flight, sim, results)
 
 
 def _record_differences(track: apollo11.DescentTrack) -> dict[str, float]:
     """Return the root-mean-square differences from the record for each phase."""
-    told, out = apollo11.record(), {}
+    recorded, out = apollo11.record(), {}
     ends = (apollo11.LOCK_ON, apollo11.P64, apollo11.P66, apollo11.LANDING)
     for name, since, until in zip(("p63", "p64", "p66"), ends, ends[1:], strict=False):
-        b = apollo11.record_difference(track, told, since, until)
+        b = apollo11.record_difference(track, recorded, since, until)
         out |= {f"{name}_altitude_m": b.altitude, f"{name}_pitch_deg": float(np.rad2deg(b.pitch))}
     return out
 
@@ -133,8 +133,8 @@ def look_angles(flight: Flight) -> np.ndarray:
     return np.asarray(np.arctan2(-body[:, 2], body[:, 1]))
 
 
-def _outcome_text(told: dict[str, Any]) -> str:
-    return "safe landing" if told["safe"] else ", ".join(told["failed"])
+def _outcome_text(results: dict[str, Any]) -> str:
+    return "safe landing" if results["safe"] else ", ".join(results["failed"])
 
 
 def table_of(runs: list[ApolloDescentRun]) -> Table:
@@ -173,38 +173,38 @@ def table_of(runs: list[ApolloDescentRun]) -> Table:
         ("simulation speed (times real time)", lambda t: f"{t['times_real_time']:.0f}"),
     ]  # fmt: skip
     for label, of in rows:
-        table.add_row(label, *(of(run.told) for run in runs))
+        table.add_row(label, *(of(run.results) for run in runs))
     return table
 
 
-def _time_and_altitude(told: dict[str, Any], name: str) -> str:
-    return f"{told[f'{name}_s']:.0f} / {told[f'{name}_altitude_m']:.0f}"
+def _time_and_altitude(results: dict[str, Any], name: str) -> str:
+    return f"{results[f'{name}_s']:.0f} / {results[f'{name}_altitude_m']:.0f}"
 
 
-def _rms_text(told: dict[str, Any], unit: str) -> str:
+def _rms_text(results: dict[str, Any], unit: str) -> str:
     digits = 0 if unit.endswith("_m") else 1
-    return " / ".join(f"{told[f'{name}_{unit}']:.{digits}f}" for name in ("p63", "p64"))
+    return " / ".join(f"{results[f'{name}_{unit}']:.{digits}f}" for name in ("p63", "p64"))
 
 
-def _relative_to_report(told: dict[str, Any], reported: float = apollo11.REPORTED) -> str:
-    whole = told["propellant_kg"] + apollo11.INSERTION
+def _relative_to_report(results: dict[str, Any], reported: float = apollo11.REPORTED) -> str:
+    whole = results["propellant_kg"] + apollo11.INSERTION
     return f"{whole:.0f}, {100.0 * (whole / reported - 1.0):+.1f} %"
 
 
-def _relative_to_chart(told: dict[str, Any]) -> str:
-    return _relative_to_report(told, apollo11.CHART)
+def _relative_to_chart(results: dict[str, Any]) -> str:
+    return _relative_to_report(results, apollo11.CHART)
 
 
-def _by_phase(told: dict[str, Any]) -> str:
-    return " / ".join(f"{told[f'{name}_kg']:.0f}" for name in ("braking", "approach", "last"))
+def _by_phase(results: dict[str, Any]) -> str:
+    return " / ".join(f"{results[f'{name}_kg']:.0f}" for name in ("braking", "approach", "last"))
 
 
 def _hover(run: ApolloDescentRun) -> str:
     """Return the propellant for hovering as long as the record exceeds the run."""
-    told, mass = run.told, run.flight.trajectory["mass"]
-    longer = apollo11.LANDING - told["duration_s"]
+    results, mass = run.results, run.flight.trajectory["mass"]
+    longer = apollo11.LANDING - results["duration_s"]
     flow = mass[-1] * run.sim.world.gravity / run.sim.lander.exhaust_velocity
-    whole = told["propellant_kg"] + apollo11.INSERTION + longer * flow
+    whole = results["propellant_kg"] + apollo11.INSERTION + longer * flow
     return (
         f"{run.name}: the record is {longer:.0f} s longer. Hovering for that time uses "
         f"{flow:.2f} kg/s, {longer * flow:.0f} kg; the total is {whole:.0f} kg, "
@@ -273,7 +273,7 @@ def main(
             run.flight.save(out / run.name.replace(",", "").replace(" ", "-"))
         console.print(f"Figure: {draw_descent(runs[:3], look_angles, out / 'descent.png')}")
     if file is not None:
-        file.write_text(json.dumps([run.told for run in runs], indent=1))
+        file.write_text(json.dumps([run.results for run in runs], indent=1))
 
 
 if __name__ == "__main__":

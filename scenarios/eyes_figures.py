@@ -199,8 +199,8 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
         for flight in mine:
             for why, count in flight["refused"].items():
                 refused[why] = refused.get(why, 0) + count
-        told = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
-        console.print(f"Rejected images: {told or 'none'}")
+        counts_text = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
+        console.print(f"Rejected images: {counts_text or 'none'}")
     _show_comparison(comparisons(flights, dead_below), console)
 
 

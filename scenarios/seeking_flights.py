@@ -132,7 +132,7 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
                 simulation.computer.stop_sensors()
     verdict = simulation.verdict
     touched = verdict is not None and verdict.touchdown is not None
-    told = simulation.computer.telemetry
+    events = simulation.computer.telemetry
     return {
         "ground": asdict(task.ground),
         "levels": levels,
@@ -140,8 +140,8 @@ def fly(task: SeekingFlightTask) -> dict[str, Any]:
         "duration": simulation.time,
         "landed": touched,
         "safe": bool(touched and verdict is not None and verdict.safe),
-        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in told),
-        "plans": sum(name == "guidance-planned" for _, name, _ in told),
+        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in events),
+        "plans": sum(name == "guidance-planned" for _, name, _ in events),
     }
 
 

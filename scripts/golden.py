@@ -110,7 +110,7 @@ def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
             yield f"changed: {case}: {name}: {before[name][1]} -> {after[name][1]}"
     added = {name: after[name] for name in sorted(after.keys() - before.keys())}
     for name in sorted(before.keys() - after.keys()):
-        same = next((new for new, told in added.items() if told[0] == before[name][0]), None)
+        same = next((new for new, digest in added.items() if digest[0] == before[name][0]), None)
         if same is None:
             yield f"removed: {case}: {name}: {before[name][1]}"
         else:

@@ -257,9 +257,9 @@ def section(report: StudyReport) -> str:
             f"| {len(f.values)} | {paper} |"
         )
     short = [f"{f.label} ({f.mean:.4g} for {f.paper:.4g})" for f in report.figures if f.falls_short]
-    told = any(f.paper is not None for f in report.figures)
-    said = "; ".join(short) if short else "none" if told else "no reference values"
-    return "\n".join([*out, f"\nWorse than the {report.beside}: {said}.\n"])
+    has_reference = any(f.paper is not None for f in report.figures)
+    shortfalls = "; ".join(short) if short else "none" if has_reference else "no reference values"
+    return "\n".join([*out, f"\nWorse than the {report.beside}: {shortfalls}.\n"])
 
 
 def page() -> str:

@@ -46,11 +46,11 @@ def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, f
     if not watch:
         loop.watch.see = lambda *_: []  # type: ignore[method-assign]
     flight = sim.run()
-    told = [e for e in flight.events if e["name"] == "thruster-failed"]
-    noticed = next((e["time"] for e in told if e["thruster"] == shut), np.nan)
+    detections = [e for e in flight.events if e["name"] == "thruster-failed"]
+    noticed = next((e["time"] for e in detections if e["thruster"] == shut), np.nan)
     touchdown = flight.verdict.touchdown
     tilt = np.nan if touchdown is None else float(np.rad2deg(touchdown.tilt))
-    wrong = sum(e["thruster"] != shut for e in told)
+    wrong = sum(e["thruster"] != shut for e in detections)
     return flight.verdict.safe, tilt, noticed, wrong
 
 

@@ -98,8 +98,8 @@ class StartDistribution:
     @classmethod
     def key(cls, task: DescentShardTask) -> str:
         """Return a digest of the settings and the release, part of a shard's file name."""
-        told = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+        identity = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
+        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
         """Return displacement from the end (3,), m, velocity (3,), m/s, and load."""
@@ -215,10 +215,10 @@ def check_problem(folder: Path, hint: str = "Use another folder for --out.") -> 
     """
     file = folder / PROBLEM
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
+        stored = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise click.UsageError(f"{file} is not a valid file of limits ({error}). {hint}") from None
-    if told != _limits():
+    if stored != _limits():
         raise click.UsageError(
             f"The shards in {folder} were solved under other limits of approach or law "
             f"({file.name}). {hint}"

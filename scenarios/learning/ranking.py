@@ -42,13 +42,13 @@ def is_contradiction(ours: Difference, theirs: Difference) -> bool:
     return side(ours) * side(theirs) < 0
 
 
-def shares(told: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]) -> None:
+def shares(results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]) -> None:
     """Print each agent on both perceptions, and the paired difference."""
     print("| agent | safe, surrogate [95 % interval] | safe, mapper | mapper minus surrogate | "
     "propellant, mean (kg), both |\n"
           "| --- | --- | --- | --- | --- |")  # fmt: skip
     for agent in agents:
-        ours, theirs = (told[agent, perception] for perception in PERCEPTIONS)
+        ours, theirs = (results[agent, perception] for perception in PERCEPTIONS)
         d = share_difference(ours.safe, theirs.safe, PERCEPTIONS)
         both = [str(Proportion(int(one.safe.sum()), len(one.safe))) for one in (ours, theirs)]
         print(f"| `{label(agent)}` | {both[0]} | {both[1]} | {d.value:+.3f} [{d.low:+.3f}, "
@@ -56,14 +56,14 @@ def shares(told: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]) -
 
 
 def pairs(
-    told: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
+    results: dict[tuple[str, str], AgentFlights], agents: tuple[str, ...]
 ) -> dict[str, list[int]]:
     """Return pair counts per metric: contradicting, same order, all."""
     counts = {"safe": [0, 0, 0], "propellant": [0, 0, 0]}
     for pair in combinations(agents, 2):
         both: dict[str, list[Difference]] = {"safe": [], "propellant": []}
         for perception in PERCEPTIONS:
-            a, b = (told[agent, perception] for agent in pair)
+            a, b = (results[agent, perception] for agent in pair)
             rng = np.random.default_rng(1)
             both["safe"].append(share_difference(a.safe, b.safe, pair))
             both["propellant"].append(mean_difference(a.burnt, b.burnt, pair, rng))
@@ -93,13 +93,13 @@ def main() -> int:
             if getattr(args, field) < least:
                 raise InputError(f"--{field}", getattr(args, field), f"must be {least} or more")
         scenario, agents = Scenario.load(found(Path(args.scenario))), tuple(args.agent or AGENTS)
-        told = {}
+        results = {}
         for agent in agents:
             check(agent)
         for agent in agents:
             for perception in PERCEPTIONS:
                 start_s = time.process_time()
-                told[agent, perception] = fly_agent(
+                results[agent, perception] = fly_agent(
                     agent, scenario, perception, args.flights, args.worlds, args.seed
                 )
                 spent = time.process_time() - start_s
@@ -108,9 +108,9 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(f"{scenario.name}: {args.flights} flights over {args.worlds} worlds\n")
-    shares(told, agents)
+    shares(results, agents)
     print()
-    for name, (against, alike, count) in pairs(told, agents).items():
+    for name, (against, alike, count) in pairs(results, agents).items():
         print(f"{name}: {count} pairs of agents; same order in {alike}, contradiction in {against}")
     return 0
 

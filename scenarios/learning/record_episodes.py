@@ -70,9 +70,9 @@ def episode(
         costs.append(info["cost"])
         terms.append(info["reward_terms"])
     ends = np.arange(len(done)) == len(done) - 1
-    told = {"seed": seed, "steps": len(done), "return": sum(rewards)}
+    metadata = {"seed": seed, "steps": len(done), "return": sum(rewards)}
     # The landing outcome, not the reward, because the reward depends on its weights.
-    told |= {"safe": bool(info["safe"])}
+    metadata |= {"safe": bool(info["safe"])}
     return {
         "observations": stack(shown), "actions": stack(done), "rewards": np.array(rewards),
         "terminations": ends & over, "truncations": ends & late,
@@ -82,7 +82,7 @@ def episode(
                 name: np.array([0.0, *(one[name] for one in terms)]) for name in terms[0]
             },
         },
-        "told": told,
+        "told": metadata,
     }  # fmt: skip
 
 
@@ -101,10 +101,10 @@ def record(flown: Study, agent: str, episodes: int, folder: Path) -> int:
         )
         for number in range(episodes):
             shown = episode(env, flies, agent, Streams(flight_seed(flown.seed, number)))
-            told = shown.pop("told")
+            metadata = shown.pop("told")
             storage.update_episodes([EpisodeBuffer(id=number, **shown)])
-            storage.update_episode_metadata([told], [number])
-            safe += told["safe"]
+            storage.update_episode_metadata([metadata], [number])
+            safe += metadata["safe"]
         storage.update_metadata(
             {
                 "dataset_id": f"lunarsim/{folder.name}-v0", "algorithm_name": agent,

@@ -130,11 +130,11 @@ def train_network(
 def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float) -> dict[str, Any]:
     """Return errors on held-out descents and the fraction beyond the limits."""
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
-    told = network(shown)
-    off = told - wanted * OUTPUT_SCALE
+    outputs = network(shown)
+    off = outputs - wanted * OUTPUT_SCALE
     law, lander = NeuralOptimalLaw(), Scenario.from_dict({"name": "descents"}).vehicle.make()
-    force = np.linalg.norm(told[:, :3], axis=1) * shown[:, 5]
-    tilt = np.arctan2(np.hypot(told[:, 0], told[:, 1]), told[:, 2])
+    force = np.linalg.norm(outputs[:, :3], axis=1) * shown[:, 5]
+    tilt = np.arctan2(np.hypot(outputs[:, 0], outputs[:, 1]), outputs[:, 2])
     beyond = np.maximum(force - lander.thrust_max, lander.thrust_min - force)
     broken = (beyond > law.thrust_slack * lander.thrust_max) | (
         tilt > network.problem[5] + law.tilt_slack
@@ -142,7 +142,7 @@ def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float
     push = np.linalg.norm(off[:, :3], axis=1)
     return {
         "descents": len(kept.duration),
-        "infeasible": float(np.mean(broken | (told[:, 3] <= 0.0))),
+        "infeasible": float(np.mean(broken | (outputs[:, 3] <= 0.0))),
         "thrust_m_s2": [float(v) for v in np.percentile(push, (50, 95))],
         "time_to_go_s": [float(v) for v in np.percentile(np.abs(off[:, 3]), (50, 95))],
     }
@@ -181,12 +181,18 @@ def problem_parameters() -> Array:
               help="Output file of the weights (.npz).")  # fmt: skip
 @click.option(
     "--json",
-    "told",
+    "metrics",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Output file of the metrics.",
 )
 def main(
-    descents: Path, epochs: int, minutes: float, width: int, seed: int, out: Path, told: Path | None
+    descents: Path,
+    epochs: int,
+    minutes: float,
+    width: int,
+    seed: int,
+    out: Path,
+    metrics: Path | None,
 ) -> None:
     """Train the network on the shards in the folder DESCENTS."""
     console = plain_console(110, soft_wrap=True)
@@ -199,8 +205,8 @@ def main(
         check_problem(descents / "shards", "Solve the descents again.")
     try:
         check_output("--out", out, ".npz")
-        if told is not None:
-            check_output("--json", told, ".json")
+        if metrics is not None:
+            check_output("--json", metrics, ".json")
     except InputError as error:
         raise click.UsageError(str(error)) from None
     if importlib.util.find_spec("torch") is None:
@@ -223,8 +229,8 @@ def main(
         "bytes": out.stat().st_size, "seed": seed,
     }  # fmt: skip
     console.print(json.dumps(figures))
-    if told is not None:
-        write_text_whole(told, json.dumps(figures, indent=1) + "\n")
+    if metrics is not None:
+        write_text_whole(metrics, json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ def map_rows(world: WorldResults) -> list[TableRow]:
     """Return the rows of map metrics at both decisions, with time and memory."""
     out = []
     for mapper, f in world["maps"].items():
-        told = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
-        for n, (moment, q) in enumerate(told):
+        entries = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
+        for n, (moment, q) in enumerate(entries):
             top = n == 0
             out.append([
                 MAPPERS[mapper] if top else "", moment, interval(q["precision"]),
@@ -61,8 +61,8 @@ def stratum_rows(world: WorldResults) -> list[TableRow]:
     strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
     out = []
     for stratum in strata:
-        told = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
-        for n, (mapper, s) in enumerate(told.items()):
+        entries = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
+        for n, (mapper, s) in enumerate(entries.items()):
             out.append([
                 stratum if n == 0 else "", mapper, number(s["safe"], ".3f") if n == 0 else "",
                 interval(s["precision"]), interval(s["recall"]), number(s["skill"], "+.2f"),

@@ -83,17 +83,17 @@ def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
     found = middles(seen)
     inside = ((found >= low) & (found < high)).all(1)
     found, size = found[inside], seen.q[inside]
-    told = np.array(labels["shadows"])
-    distance = cdist(found, told[:, :2])
+    labelled = np.array(labels["shadows"])
+    distance = cdist(found, labelled[:, :2])
     # The detected center of a large shadow can differ more.
-    gate = np.maximum(MAX_DISTANCE_PX, 0.6 * np.maximum(size[:, None], told[None, :, 2]))
+    gate = np.maximum(MAX_DISTANCE_PX, 0.6 * np.maximum(size[:, None], labelled[None, :, 2]))
     i, j = linear_sum_assignment(np.where(distance <= gate, distance, 1e3))
     good = distance[i, j] <= gate[i, j]
-    hit = np.zeros(len(told), bool)
+    hit = np.zeros(len(labelled), bool)
     hit[j[good]] = True
     return {
-        "finds": len(found), "true": int(good.sum()), "labels": len(told),
-        "width": told[:, 2].astype(int), "hit": hit, "told": told, "found": found,
+        "finds": len(found), "true": int(good.sum()), "labels": len(labelled),
+        "width": labelled[:, 2].astype(int), "hit": hit, "told": labelled, "found": found,
         "matched": np.isin(np.arange(len(found)), i[good]),
     }  # fmt: skip
 
@@ -120,9 +120,9 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
     top, left = window["row"], window["column"]
     dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)
-    told, hit = result["told"], result["hit"]
-    part.plot(told[hit, 0], told[hit, 1], "+", color=COLOURS[2], label="labelled, detected")
-    part.plot(told[~hit, 0], told[~hit, 1], "x", color=COLOURS[1], label="labelled, missed")
+    labelled, hit = result["told"], result["hit"]
+    part.plot(labelled[hit, 0], labelled[hit, 1], "+", color=COLOURS[2], label="labelled, detected")
+    part.plot(labelled[~hit, 0], labelled[~hit, 1], "x", color=COLOURS[1], label="labelled, missed")
     false = result["found"][~result["matched"]]
     part.plot(
         false[:, 0], false[:, 1], "s", fillstyle="none", color=COLOURS[3], label="false detection"

@@ -44,11 +44,11 @@ def worlds(folder: Path) -> None:
             took[name].append(float(cost))
         del world
     cache = opened(folder / "worlds")
-    told = ", ".join(f"{name} {np.median(costs[1:]):.2f} s" for name, costs in took.items())
+    costs_text = ", ".join(f"{name} {np.median(costs[1:]):.2f} s" for name, costs in took.items())
     cold, filled, warm = (_seconds("hard", 4, kept) for kept in (None, cache, cache))
     size = np.mean([p.stat().st_size for p in (folder / "worlds").glob("??/*.npz")])
     print(
-        f"  hard, processor time: {told}; flight {cold:.2f} s without cache, {filled:.2f} s "
+        f"  hard, processor time: {costs_text}; flight {cold:.2f} s without cache, {filled:.2f} s "
         f"with filling it, {warm:.2f} s from it; {2.0 * size / 1e6:.1f} MB per cached world"
     )
 

@@ -181,12 +181,12 @@ def _memory(folder: Path) -> None:
         progress=lambda n: ours.append(_mib()),
     )  # fmt: skip
     theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
-    told = [
+    memory_text = [
         f"{label} {', '.join(f'{at[n - 1]:.0f}' for n in _MEMORY_COUNTS)} MiB"
         for label, at in (("driver", ours), ("worker", theirs))
     ]
     counts = ", ".join(map(str, _MEMORY_COUNTS))
-    print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(told))
+    print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(memory_text))
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _MEMORY_FLIGHTS, "seed": 1})
     plan = _plan(_MEMORY_FLIGHTS, "measured", plan_of(spec).work.study)
