@@ -100,7 +100,7 @@ def test_invalid_requests_are_rejected(small, tmp_path, monkeypatch):
     assert "'--intervals'" in refused("--intervals", "3", "--out", str(tmp_path))
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "mine.txt").write_text("kept")
-    assert "there is one in" in refused("--out", str(tmp_path))
+    assert "without a data set" in refused("--out", str(tmp_path))
     assert (tmp_path / "data" / "mine.txt").read_text() == "kept"
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert "the extra `data`" in refused("--out", str(tmp_path / "new"))
