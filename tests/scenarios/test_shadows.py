@@ -118,7 +118,7 @@ def test_experiment_compares_two_paths(small, tmp_path):
     assert low["difference"].mean == pytest.approx(difference)
     console = Console(record=True, width=140, file=io.StringIO())
     small.show(summary, console)
-    assert "clear ground called clear" in console.export_text()
+    assert "clear area classified as clear" in console.export_text()
     text = json.dumps(small.to_json(summary, results))
     assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
 
