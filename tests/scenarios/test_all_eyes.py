@@ -208,7 +208,7 @@ def test_interrupted_study_resumes(study, flights, tmp_path, monkeypatch):
     file.write_text("[]")
     broken = CliRunner().invoke(study.main, options)
     assert broken.exit_code == 2
-    assert "is no file of flights" in " ".join(broken.output.split())
+    assert "is not a file of flights" in " ".join(broken.output.split())
 
 
 def test_joint_site_counts_of_two_maps(flights):

@@ -72,7 +72,7 @@ def test_consistent_and_inconsistent_flights_are_distinguished(script):
     assert study.inconsistencies(right, 1.0) == []
     assert study.inconsistencies([drawn(study, rng, lost=n == 0) for n in range(50)], 1.0) == []
     (line,) = study.inconsistencies([drawn(study, rng, lost=n < 2) for n in range(50)], 1.0)
-    assert "2 of 50 flights are lost" in line
+    assert "2 of 50 flights ended lost" in line
     bold = study.inconsistencies([drawn(study, rng, scale=1.3) for _ in range(50)], 1.0)
     assert sum("NEES of all nine" in line for line in bold) == len(study.EPOCHS)
     timid = [drawn(study, rng, scale=0.8) for _ in range(50)]
