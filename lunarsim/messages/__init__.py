@@ -1,1 +1,1 @@
-"""What crosses the wall between plant and onboard computer: measurements, commands, briefing."""
+"""Data exchanged between plant and onboard computer: measurements, commands, briefing."""

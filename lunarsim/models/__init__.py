@@ -1,1 +1,1 @@
-"""Figures that both sides know: the lander's, and those of sensors without the world they see."""
+"""Parameters known to plant and onboard computer: lander, gravity and sensor models."""
