@@ -1,1 +1,1 @@
-"""From a wanted thrust acceleration to throttle, attitude and torque."""
+"""Control: converts a commanded thrust acceleration to throttle, attitude and torque."""

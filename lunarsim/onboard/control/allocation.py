@@ -1,9 +1,9 @@
-"""Which thrusters make a torque at the least propellant: a linear programme solved beforehand.
+"""Propellant-optimal thruster allocation by precomputed linear programs.
 
-Of all non-negative thrusts f with B f = tau the least sum is a corner of the programme: three
-thrusters, one basis. A basis is the best one for every torque in the cone of its columns if no
-other column costs less (its reduced costs are not negative), whatever the torque. All such bases
-are found once; a torque is then served by the first whose cone holds it.
+The minimum of the total thrust over non-negative thrusts f with B f = tau lies at a vertex of the
+linear program: three thrusters form a basis. A basis is optimal for every torque in the cone of its
+columns if no reduced cost is negative, independent of the torque. All such bases are found once;
+the first one whose cone contains the torque is then used.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ Array = NDArray[np.float64]
 
 
 class Allocation:
-    """Thrusters of a layout, and the bases that serve torques.
+    """Thrusters of a layout, and the optimal bases of their torques.
 
-    Thrusters whose torques are the same form a group: they share a long firing, and one of them
-    does a short one.
+    Thrusters with equal torques form a group: they share a long firing, and one of them performs a
+    short one.
 
     Parameters
     ----------
     thrusters
-        The layout.
+        Thruster layout.
     without
-        Numbers of thrusters that are not to be used.
+        Indices of thrusters that must not be used.
 
     Attributes
     ----------
     authority
-        Torque about each axis alone that can be held (3,), N m, the lesser of both senses.
+        Maximum sustained torque about each single axis (3,), N m, the smaller of both senses.
     least_impulse
-        Angular impulse about each axis alone of the shortest pulses (3,), N m s, the greater of
+        Angular impulse of the shortest pulses about each single axis (3,), N m s, the larger of
         both senses.
     """
 
@@ -64,7 +64,7 @@ class Allocation:
 
     @property
     def complete(self) -> bool:
-        """Whether every torque can be made."""
+        """Whether every torque can be produced."""
         if len(self._bases) == 0:
             return False
         axes = np.vstack((np.eye(3), -np.eye(3)))
@@ -85,7 +85,7 @@ class Allocation:
         return np.array(bases, dtype=np.int64), np.array(inverses)
 
     def _limits(self, axis: Array) -> tuple[float, float]:
-        """Return greatest torque and least impulse along a unit vector."""
+        """Return maximum torque and minimum impulse along a unit vector."""
         share = self.group_thrust(axis)
         used = share > 1e-12
         if not used.any():
@@ -95,9 +95,9 @@ class Allocation:
         return most, least
 
     def group_thrust(self, torque: Array) -> Array:
-        """Return the thrust of each group (groups,), N, that makes a torque (3,), N m.
+        """Return the thrust of each group (groups,), N, for a torque (3,), N m.
 
-        The least sum of thrusts; no group's limit is kept yet.
+        The sum of the thrusts is minimal; group limits are not applied.
 
         Raises
         ------
@@ -105,24 +105,24 @@ class Allocation:
             If the torque is not finite.
         """
         if not np.isfinite(torque).all():
-            raise InputError("control.torque", np.asarray(torque).tolist(), "a finite torque")
+            raise InputError("control.torque", np.asarray(torque).tolist(), "must be finite")
         thrust = self._inverses @ torque
-        # The first basis that serves; rounding may leave a share a little below zero.
+        # First basis whose cone holds the torque; rounding may leave small negative thrusts.
         best = int(np.argmax(thrust.min(axis=1) >= -1e-9 * max(1.0, float(np.abs(torque).max()))))
         out = np.zeros(len(self._columns))
         out[self._bases[best]] = np.maximum(thrust[best], 0.0)
         return out
 
     def on_times(self, torque: Array, period: float) -> Array:
-        """Return for how long each thruster is to fire in a period (n,), s.
+        """Return the on-time of each thruster in one period (n,), s.
 
-        A torque beyond what the thrusters can hold is made less, its direction kept. What is under
-        half of the least on-time is left out, what is under the least one raised to it.
+        A torque beyond the control authority is scaled down in its direction. On-times below half
+        of the minimum on-time are omitted; other on-times below the minimum are raised to it.
 
         Parameters
         ----------
         torque
-            Mean over the period (3,), N m.
+            Mean torque over the period (3,), N m.
         period
             s.
         """
@@ -137,10 +137,10 @@ class Allocation:
                 continue
             if seconds >= len(jets) * least:
                 out[jets] = seconds / len(jets)
-            else:  # turn about, so that no thruster of a group is used up alone
+            else:  # alternate, so that the thrusters of a group wear equally
                 out[jets[self._turn % len(jets)]] = max(seconds, least)
         return np.minimum(out, period)
 
     def impulse(self, on_times: Array) -> Array:
-        """Return the angular impulse (3,), N m s, of on-times (n,), s."""
+        """Return the angular impulse (3,), N m s, for on-times (n,), s."""
         return np.asarray(on_times @ self.thrusters.torques)

@@ -1,4 +1,4 @@
-"""The fast loop of a lander with on-off thrusters: firings and gimbal between control cycles."""
+"""Fast attitude loop of a lander with on-off thrusters and a gimballed engine."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from lunarsim.onboard.part_results import checked_vector
 
 Array = NDArray[np.float64]
 
-# Between new orders to the thrusters where the law does not say, s.
+# Default time between thruster commands for laws without a `period`, s.
 _PERIOD = 0.1
-# Time in which the gimbal takes over a steady torque of the thrusters, s.
+# Time constant with which the gimbal takes over a steady thruster torque, s.
 _TRIM_TIME = 4.0
 
 
 class JetLoop(AttitudeLoop):
-    """Firings of thrusters by a law, and a gimbal that takes steady torques from them.
+    """Attitude loop that fires thrusters and trims steady torques with the gimbal.
 
-    Where the centre of mass lies beside the engine's line, the engine is swung from the start to
-    push through it, and the body leans by as much the other way.
+    If the centre of mass is off the engine's axis, the initial gimbal angle points the thrust
+    through it, and the body tilts by the same angle in the opposite direction.
 
-    A law that gives torques has them modulated into pulses: what a period's pulses could not give
-    is carried into the next, up to the shortest pulse. A law with `rate_change` orders firings.
+    The torques of a law are modulated into pulses; the remainder of a period, up to the shortest
+    pulse, is carried into the next. A law with `rate_change` commands firings directly.
 
     Parameters
     ----------
     law, lander, step
-        See `AttitudeLoop`.
+        Control law, lander model and gyroscope sample period (s).
 
     Attributes
     ----------
     on_times, gimbal
-        Orders of the present period: (n,), s, and (2,), rad.
+        Commands of the current period: (n,), s, and (2,), rad.
     spent
-        Propellant of the thrusters by what was ordered, kg.
+        Thruster propellant used by the commanded firings, kg.
     watch
-        What is known of the thrusters; one that does not push is no longer ordered.
+        Thruster failure detector; failed thrusters are no longer used.
     """
 
     def __init__(self, law: AttitudeControl, lander: JetLander, step: float) -> None:
@@ -68,42 +68,42 @@ class JetLoop(AttitudeLoop):
 
     @property
     def compiled(self) -> bool:
-        """No: the compiled loop knows torques alone."""
+        """False: the compiled loop supports only torques."""
         return False
 
     @property
     def period(self) -> float:
-        """Between new orders, s."""
+        """Time between thruster commands, s."""
         return self.period_steps * self.step
 
     @property
     def due(self) -> bool:
-        """Whether the next `torque` gives new orders."""
+        """Whether the next call of `torque` computes new thruster commands."""
         return self._step % self.period_steps == 0
 
     def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
+        """Start a control cycle with a command and the estimated attitude (4,) and mass (kg)."""
         super().begin(command, attitude, mass)
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
         self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
         swing = self._through_com()
         if swing.any():
-            # Swung so the engine does not push along body z: the body leans, the thrust does not.
+            # The gimballed engine does not push along body z: tilt the body in return.
             self.target = quat_multiply(self.target, _upright(swing))
             if not self._begun:
                 self.gimbal = swing
         self._begun = True
 
     def torque(self) -> Array:
-        """Return the mean torque of the present period's firings (3,), N m; order them if due."""
+        """Return the mean torque of the current firings (3,), N m; compute them if due."""
         if self.due:
             self._order()
         self._step += 1
         return self.state[7:].copy()
 
     def _through_com(self) -> Array:
-        """Return the swing (2,), rad, with which the engine pushes through the centre of mass."""
+        """Return the gimbal angles (2,), rad, that point the thrust through the centre of mass."""
         east, north = float(self._com[0]), float(self._com[1])
         if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
             return np.zeros(2)
@@ -114,7 +114,7 @@ class JetLoop(AttitudeLoop):
         return np.asarray(np.clip(swing, -limit, limit))
 
     def _look(self) -> None:
-        """Set what has turned in the last period against what was ordered for it."""
+        """Compare the measured rate change of the last period with the commanded one."""
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate
         if before is None:
@@ -156,7 +156,7 @@ class JetLoop(AttitudeLoop):
         self._trim(given)
 
     def _trim(self, impulse: Array) -> None:
-        """Swing the engine so that it takes over what the thrusters are steadily asked for."""
+        """Move the gimbal to take over the steady part of the thruster torque."""
         engine = self.vehicle.engine
         pull = self._thrust * self._arm
         if engine.gimbal_limit == 0.0 or pull <= 0.0:
@@ -167,13 +167,13 @@ class JetLoop(AttitudeLoop):
 
 
 def _upright(swing: Array) -> Array:
-    """Return the turn (4,) that brings a swung engine's push, body axes, onto body z."""
+    """Return the rotation (4,) that maps a gimballed engine's thrust, body axes, onto body z."""
     x, y = swing
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
-    turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # push x z, and half the angle
+    turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # axis push x z, half the angle
     return np.asarray(turn / np.linalg.norm(turn))
 
 
 def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:
-    """Return the fast loop that a lander needs."""
+    """Return the fast attitude loop for a lander."""
     return (JetLoop if isinstance(lander, JetLander) else AttitudeLoop)(law, lander, step)

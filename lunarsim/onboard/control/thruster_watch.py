@@ -1,13 +1,13 @@
-"""A thruster that does not push is noticed by what turns, and left out of the allocation.
+"""Detection of failed thrusters from the measured rotation.
 
-Each period the gyroscopes tell what angular impulse the lander has had; what it should have had
-follows from the orders. A Kalman filter keeps an effectiveness e of each thruster, and a steady
-torque b besides:
+In each period the gyroscopes measure the angular impulse, and the commands predict it. A Kalman
+filter estimates an effectiveness e of each thruster and a steady torque b:
 
     H = sum_j e_j tau_j t_j + (engine) + b T,
 
-with e_j = 1 at first and all free to wander, so that a valve that fails in flight is seen as well.
-A thruster is given up once its effectiveness is below a half by three standard deviations.
+with the initial value e_j = 1 and process noise on all e_j, so that failures in flight are also
+detected. A thruster is declared failed if its effectiveness is below 0.5 by three standard
+deviations.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SPREAD = 0.5  # of an effectiveness before anything is known
-_WANDER = 0.004  # of it in a period
-_HALF, _SURE = 0.5, 3.0
-_GYRO = 2e-4  # of a rate told by one sample, rad/s
-_RATIO = 0.05  # of an expected impulse: moments of inertia, pulses that rise and decay
-_STEADY = 0.02  # steady angular acceleration before anything is known, rad/s^2
-_DRIFT = 0.001  # of it in a period
+_SPREAD = 0.5  # initial standard deviation of an effectiveness
+_WANDER = 0.004  # its process noise per period
+_HALF, _SURE = 0.5, 3.0  # threshold of effectiveness, and confidence in standard deviations
+_GYRO = 2e-4  # noise of the angular rate from one sample, rad/s
+_RATIO = 0.05  # relative error of a predicted impulse: inertia, rise and decay of pulses
+_STEADY = 0.02  # initial standard deviation of the steady angular acceleration, rad/s^2
+_DRIFT = 0.001  # its process noise per period, rad/s^2
 
 
 class ThrusterWatch:
-    """Effectiveness of thrusters by what the gyroscopes tell.
+    """Estimate the effectiveness of thrusters from gyroscope data.
 
     Parameters
     ----------
     count
-        Of the thrusters.
+        Number of thrusters.
 
     Attributes
     ----------
     effectiveness
-        Estimates (n,): 1 pushes, 0 does not.
+        Estimates (n,): 1 for nominal, 0 for no thrust.
     failed
-        Numbers of those that were given up, in the order of it.
+        Indices of the failed thrusters, in order of detection.
     """
 
     def __init__(self, count: int) -> None:
@@ -50,7 +50,7 @@ class ThrusterWatch:
 
     @property
     def effectiveness(self) -> Array:
-        """Estimates (n,)."""
+        """Estimated effectiveness (n,)."""
         return self._x[: self.count].copy()
 
     @property
@@ -59,16 +59,16 @@ class ThrusterWatch:
         return np.asarray(np.sqrt(np.diag(self._p)[: self.count]))
 
     def see(self, change: Array, known: Array, turns: Array, period: float) -> list[int]:
-        """Take in a period; return the thrusters that are given up now.
+        """Update the estimates with one period; return the newly failed thrusters.
 
         Parameters
         ----------
         change
-            Of the rate over the period (3,), rad/s.
+            Change of the angular rate over the period (3,), rad/s.
         known
-            What of it the engine was to do (3,), rad/s.
+            Predicted rate change by the engine (3,), rad/s.
         turns
-            What each thruster was ordered to do (n, 3), rad/s.
+            Predicted rate change by each thruster (n, 3), rad/s.
         period
             s.
         """
@@ -90,7 +90,7 @@ class ThrusterWatch:
         return new
 
     def _held(self) -> None:
-        """Keep what is not seen for long from growing beyond what is known of any thruster."""
+        """Limit the variance of unused thrusters to its initial value."""
         n = self.count
         over = np.sqrt(np.diag(self._p)[:n]) / _SPREAD
         shrink = np.ones(n + 3)
