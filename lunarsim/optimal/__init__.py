@@ -1,7 +1,7 @@
-"""Descents of least propellant: the yardstick of every law, and what the optimal one flies.
+"""Minimum-propellant descents: benchmark of every guidance law, and planner of the optimal one.
 
-`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` holds programs
-that were built once; `least_propellant` and `least_error` search the final time.
+`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
+programs; `least_propellant` and `least_error` search the final time.
 """
 
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError

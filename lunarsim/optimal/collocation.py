@@ -1,9 +1,9 @@
-"""The same descent without any convexification: direct collocation, solved by IPOPT.
+"""Direct collocation of a descent without convexification, solved by IPOPT.
 
-A yardstick that shares nothing with the cone programs: thrust, its limits and its pointing as they
-are, the mass by its own equation, a free final time as a variable. Radau points of degree three,
-thrust constant in each interval. CasADi (Andersson and others 2019) differentiates, IPOPT (Waechter
-and Biegler 2006) solves; it finds a local optimum, and takes a few hundred times as long.
+It is an independent check of the cone programs: thrust with its limits and pointing, the mass
+equation, and a free final time as a variable. Radau points of degree three; thrust is constant in
+each interval. CasADi (Andersson and others 2019) differentiates, IPOPT (Waechter and Biegler 2006)
+solves. It finds a local optimum and takes a few hundred times as long as the cone programs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lunarsim.optimal.units import Units
 
 Array = NDArray[np.float64]
 
-_Row = tuple[Any, Any, Any]  # an expression and its bounds
+_Row = tuple[Any, Any, Any]  # a constraint expression and its bounds
 
 _DEGREE = 3
 _STATES = 7
@@ -32,7 +32,7 @@ _STATES = 7
 
 @dataclass(frozen=True)
 class Collocated:
-    """A path by collocation.
+    """Path computed by collocation.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Collocated:
     thrust
         In the intervals (N, 3), N.
     iterations
-        Of IPOPT.
+        Number of iterations of IPOPT.
     """
 
     duration: float
@@ -60,40 +60,41 @@ class Collocated:
 
 
 def _state(units: Units) -> Array:
-    """Return the units of a state (7,)."""
+    """Return the scales of a state (7,)."""
     return np.array([units.length] * 3 + [units.speed] * 3 + [units.mass])
 
 
 def collocate(
     descent: Descent, intervals: int = 50, *, duration: float | None = None, most: int = 400
 ) -> Collocated:
-    """Return the path of least propellant by direct collocation.
+    """Compute the minimum-propellant path by direct collocation.
 
     Parameters
     ----------
     descent
-        The problem, with neither region, cone, end tilt nor spare thrust.
+        Problem without region, cone, end tilt and spare thrust.
     intervals
         N.
     duration
         Final time, s; None: free.
     most
-        Iterations of IPOPT.
+        Maximum number of iterations of IPOPT.
 
     Raises
     ------
     InputError
-        If the descent has what it may not, the final time is no positive number, or numbers of
-        intervals or iterations are none.
+        If the descent has an unsupported constraint, or an argument is invalid.
     SolverError
         If IPOPT does not converge.
     """
     intervals, most = count("intervals", intervals, 2), count("most", most, 0)
     for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
         if getattr(descent, name) != other:
-            raise InputError(f"optimal.{name}", getattr(descent, name), f"{other}: none but that")
+            raise InputError(
+                f"optimal.{name}", getattr(descent, name), f"must be {other} for collocation"
+            )
     if duration is not None and not (is_number(duration) and duration > 0.0):
-        raise InputError("optimal.duration", duration, "a positive final time in s")
+        raise InputError("optimal.duration", duration, "must be positive and finite")
     guess = duration or 0.9 * first_time(descent)
     units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)
@@ -111,12 +112,15 @@ def collocate(
     got = solver(x0=start, lbg=low, ubg=high)
     stats = solver.stats()
     if not stats["success"]:
-        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+        raise SolverError(
+            f"IPOPT does not converge: {stats['return_status']} after "
+            f"{stats['iter_count']} iterations."
+        )
     return _read(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
 
 
 def _start(descent: Descent, units: Units, n: int) -> Array:
-    """Return a first guess: straight from start to end, hovering thrust."""
+    """Return an initial guess: straight from start to end with hover thrust."""
     share = np.linspace(0.0, 1.0, n + 1)[:, None]
     position = (1.0 - share) * descent.gap
     velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
@@ -183,7 +187,7 @@ def _derivatives(tau: Array) -> Array:
 
 
 def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
-    """Return the limits of size and lean of a thrust."""
+    """Return the limits of thrust and tilt."""
     least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
     rows = [(casadi.sumsqr(thrust), least**2, most**2)]
     if descent.max_tilt is not None:
@@ -193,14 +197,14 @@ def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any,
 
 
 def _above(descent: Descent, units: Units, x: Any) -> _Row:
-    """Return the glideslope at one point."""
+    """Return the glideslope constraint at one point."""
     aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length
     return up - np.tan(descent.glideslope or 0.0) * aside, 0.0, np.inf
 
 
 def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:
-    """Return what the variables stand for."""
+    """Convert the solver's variables to a path."""
     nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * _state(units)
     begin = _STATES * (n + 1) + _STATES * _DEGREE * n
     return Collocated(

@@ -1,10 +1,10 @@
-"""A second-order cone program, and the two solvers that it is given to.
+"""Second-order cone program and its two solvers.
 
     minimise c x   subject to   A x = b,   G x + s = h,   s in the non-negative orthant x cones
 
-QOCO (Chari and Acikmese 2025) is built once and updated: three to five times as fast here as
-Clarabel from nothing (``scripts/bench.py optimal``). It knows no certificate of infeasibility, so
-what it does not solve is given to Clarabel (Goulart and Chen 2024), which has one.
+QOCO (Chari and Acikmese 2025) is set up once and then updated; it is three to five times as fast
+here as Clarabel (``scripts/bench.py optimal``). It gives no certificate of infeasibility; programs
+that it does not solve go to Clarabel (Goulart and Chen 2024), which gives one.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from scipy import sparse
 Array = NDArray[np.float64]
 Status = Literal["solved", "infeasible", "unsolved", "failed"]
 
-_WIDER = 1e-6  # cones that must be widened by more hold nothing: lengths are scaled to about 1
+_WIDER = 1e-6  # minimum widening of the cones that proves infeasibility; lengths are about 1
 
 
 @dataclass(frozen=True)
 class Program:
-    """A cone program.
+    """Second-order cone program.
 
     Attributes
     ----------
@@ -35,9 +35,10 @@ class Program:
     a, g
         Sparse matrices, CSC.
     orthant
-        Number of rows of G that come first and ask for s >= 0.
+        Number of leading rows of G with s >= 0.
     cones
-        Dimensions of the second-order cones of the other rows, the first of a cone its bound.
+        Dimensions of the second-order cones of the other rows; the first row of a cone is its
+        bound.
     """
 
     c: Array
@@ -51,18 +52,18 @@ class Program:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a solver gave.
+    """Result of a solver.
 
     Attributes
     ----------
     status
-        "infeasible" is proven, "unsolved" one or the other of it and "failed".
+        "infeasible" is proven; "unsolved" is either infeasible or failed.
     x, y, z
         Variables, multipliers of the equalities and of the cones.
     iterations
-        Of the solver.
+        Number of iterations of the solver.
     solver
-        Its name.
+        Name of the solver.
     """
 
     status: Status
@@ -74,12 +75,12 @@ class Answer:
 
 
 class Qoco:
-    """A program kept in QOCO: what it holds is overwritten, its structure stays.
+    """Solve programs of one structure with QOCO, updating its data.
 
     Parameters
     ----------
     most
-        Iterations after which it gives up.
+        Maximum number of iterations.
     """
 
     def __init__(self, most: int = 60) -> None:
@@ -87,7 +88,7 @@ class Qoco:
         self._held: Any = None
 
     def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+        """Solve a program with the same structure as the first one."""
         p = program
         if self._held is None:
             self._held = qoco.QOCO()
@@ -99,30 +100,30 @@ class Qoco:
             self._held.update_vector_data(p.c, p.b, p.h)
             self._held.update_matrix_data(None, None, p.g.data)
         got = self._held.solve()
-        # What it calls inaccurate may be the best iterate of a program before.
+        # An "inaccurate" result may be the best iterate of a previous program.
         good = got.status == "QOCO_SOLVED" and bool(np.isfinite(got.x).all())
         status: Status = "solved" if good else "failed"
         x, y, z = (np.array(v, dtype=np.float64) for v in (got.x, got.y, got.z))
         if not good:
-            # What a failed solve leaves behind may be no number: the next one begins anew.
+            # A failed solve may leave NaN behind: set up anew.
             self._held = None
         return Answer(status, x, y, z, int(got.iters), "qoco")
 
 
 class Clarabel:
-    """Programs solved by Clarabel, each from nothing.
+    """Solve programs with Clarabel, without a warm start.
 
     Parameters
     ----------
     most
-        Iterations after which it gives up.
+        Maximum number of iterations.
     """
 
     def __init__(self, most: int = 100) -> None:
         self.most = most
 
     def solve(self, program: Program) -> Answer:
-        """Return the answer to a program."""
+        """Solve a program."""
         p = program
         settings = clarabel.DefaultSettings()
         settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.most
@@ -147,9 +148,9 @@ class Clarabel:
 
 
 def relaxed(program: Program) -> Program:
-    """Return the program of the least t by which all cones have to be widened: t > 0 is infeasible.
+    """Return the program of the minimum widening t of all cones; t > 0 proves infeasibility.
 
-    It has a solution whenever the equalities have one.
+    It has a solution if the equalities have one.
     """
     p = program
     first = p.orthant + np.concatenate(([0], np.cumsum(p.cones)[:-1])).astype(np.int64)
@@ -165,19 +166,19 @@ def relaxed(program: Program) -> Program:
 
 
 class Judged:
-    """QOCO first; what it does not solve goes to Clarabel, which tells why.
+    """Solve with QOCO, and with Clarabel what QOCO does not solve.
 
-    Where Clarabel has no certificate either, the least t of `relaxed` is asked for.
+    If Clarabel gives no certificate either, the minimum t of `relaxed` decides.
 
     Parameters
     ----------
     most
-        Iterations after which QOCO gives up.
+        Maximum number of iterations of QOCO.
 
     Attributes
     ----------
     referred
-        How many programs went to Clarabel.
+        Number of programs that went to Clarabel.
     """
 
     def __init__(self, most: int = 40) -> None:
@@ -185,7 +186,7 @@ class Judged:
         self.referred = 0
 
     def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+        """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
@@ -199,18 +200,18 @@ class Judged:
 
 
 class Unjudged:
-    """QOCO alone: what it does not solve in so many iterations is "unsolved", whatever the reason.
+    """Solve with QOCO only; a program not solved within the iterations is "unsolved".
 
     Parameters
     ----------
     most
-        Iterations after which it gives up.
+        Maximum number of iterations.
     """
 
     def __init__(self, most: int = 30) -> None:
         self.fast = Qoco(most)
 
     def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+        """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

@@ -1,7 +1,7 @@
-"""The best final time: bracketed by the derivative of the cost, which each solve gives for nothing.
+"""Search for the optimal final time, by the derivative of the cost that each solve provides.
 
-Neither solver takes a starting iterate, so that what is saved from the last solution is its final
-time, its masses and the curvature of its cost.
+Neither solver accepts a starting iterate. The information reused from the last solution is its
+final time, its masses and the curvature of its cost.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from lunarsim.optimal.transcription import Walls
 
 Array = NDArray[np.float64]
 
-_WARM, _COLD = 4, 16  # solves at most
-_GAIN = 5e-5  # of the increment that another solve may save at most: then it is not made
-_NEAR = 1e-3  # of an error of a metre
-# Shares of the first final time that are tried until one can be flown.
+_WARM, _COLD = 4, 16  # maximum number of solves, with and without a last solution
+_GAIN = 5e-5  # relative saving of delta-v below which no further solve is made
+_NEAR = 1e-3  # tolerance of the landing error, m
+# Multiples of the first final time, tried until one is feasible.
 _LADDER = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
-_LOSSY = 0.05  # of the greatest thrust by which a path may break its limits
-_STEP = 0.04  # share of the final time that is tried where nothing is known of the slope's change
+_LOSSY = 0.05  # tolerated violation of the thrust limits, as a fraction of the maximum thrust
+_STEP = 0.04  # relative first step of the final time if the curvature is unknown
 
 
 def first_time(descent: Descent) -> float:
-    """Return the final time of the path of least effort, s: a first guess.
+    """Return the final time of the minimum-effort path, s, as an initial guess.
 
-    The least of ``int |a_T|^2 dt`` over paths and final times is at the least positive root of
-    ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, d from end to start
-    (D'Souza 1997).
+    The minimum of ``int |a_T|^2 dt`` over paths and final times is at the smallest positive root of
+    ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, with d from end to
+    start (D'Souza 1997).
     """
     d, v, w = descent.gap, descent.velocity, descent.end_velocity
     squares = float(v @ v + v @ w + w @ w)
@@ -55,20 +55,20 @@ def first_time(descent: Descent) -> float:
 
 @dataclass
 class _Search:
-    """A search for the final time at which a slope is zero.
+    """Search for the final time at which the slope of the cost is zero.
 
     Attributes
     ----------
     limit
-        What the slope tends to where the lander only hovers longer, m/s^2: the slope is about
+        Slope at which the lander only hovers longer, m/s^2. The slope is about
         ``limit (1 - A / (T - T_0)^2)``, so that ``(limit - slope)^(-1/2)`` is about linear in T.
-        inf: the slope is taken for linear itself.
+        inf: the slope itself is assumed linear.
     step
-        Share of the first final time by which it is left at most.
+        Maximum relative step from the first final time.
     bend
-        The slope's derivative in a problem like this one; 0: not known.
+        Derivative of the slope in a similar problem; 0: unknown.
     low, high
-        Final times between which it is.
+        Bracket of the optimal final time.
     known
         Final times and slopes so far.
     """
@@ -81,7 +81,7 @@ class _Search:
     known: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, time: float, slope: float) -> None:
-        """Note a slope."""
+        """Add a slope and update the bracket."""
         self.known.append((time, slope))
         if slope < 0.0:
             self.low = max(self.low, time)
@@ -89,33 +89,33 @@ class _Search:
             self.high = min(self.high, time)
 
     def exclude(self, time: float, flown: float) -> None:
-        """Note a final time that cannot be flown, on one side of one that can."""
+        """Exclude an infeasible final time, on one side of a feasible one."""
         if time < flown:
             self.low = max(self.low, time)
         else:
             self.high = min(self.high, time)
 
     def saves(self, best: Path) -> float:
-        """Return what a final time within the bracket saves at most, the cost being convex."""
+        """Return the maximum saving within the bracket, for a convex cost."""
         to = self.low if best.slope > 0.0 else self.high
         return abs(best.slope) * abs(best.duration - to)
 
     @property
     def curvature(self) -> float:
-        """The slope's derivative by the last two, or a guess."""
+        """Derivative of the slope from the last two values, or a guess."""
         (t1, s1) = self.known[-1]
         (t0, s0) = self.known[-2] if len(self.known) > 1 else (t1, s1)
         found = (s1 - s0) / (t1 - t0) if t1 != t0 else 0.0
         return found if found > 0.0 else self.bend or 2.0 / t1
 
     def _straight(self, slope: float) -> float:
-        """Return what of a slope is about linear in the time, zero with the slope."""
+        """Transform a slope to a value that is about linear in time and keeps its zero."""
         if not np.isfinite(self.limit):
             return slope
         return float((1.05 - min(slope / self.limit, 1.0)) ** -0.5 - 1.05**-0.5)
 
     def next(self) -> float:
-        """Return the time to try next."""
+        """Return the next final time to try."""
         time, slope = self.known[-1]
         by = min(self.step * time, abs(slope) / self.bend if self.bend else np.inf)
         wanted = time - np.copysign(by, slope)
@@ -126,7 +126,7 @@ class _Search:
                 wanted = time - self._straight(slope) * (time - before) / rise
                 wanted = min(max(wanted, 0.8 * time), 1.25 * time)
             elif slope * s0 > 0.0:
-                # Two slopes alike tell nothing of where it is zero, only on which side.
+                # Two equal slopes do not locate the zero; they only give its side.
                 wanted = 0.8 * time if slope > 0.0 else 1.25 * time
         if not self.low < wanted < self.high:
             wanted = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
@@ -142,38 +142,38 @@ def least_propellant(
     walls: Walls | None = None,
     lossy: bool = False,
 ) -> Path:
-    """Return the path of least propellant over all final times.
+    """Find the minimum-propellant path over all final times.
 
-    `Path.settled` tells whether the search came to its end.
+    `Path.settled` states whether the search converged.
 
     Parameters
     ----------
     planner
-        Solves.
+        Planner that solves for one final time.
     descent
-        The problem.
+        Problem.
     last
-        A solution of nearly the same problem, `elapsed` s ago: four solves from there, one more
-        where its masses are off. Where its final time cannot be flown, it is as without it.
+        Solution of a similar problem, `elapsed` s ago: the search starts there with four solves,
+        and one more if its masses deviate. If its final time is infeasible, it is not used.
     elapsed
         s.
     walls
-        Half-spaces in place of the descent's cone.
+        Half-spaces that replace the descent's cone.
     lossy
-        Whether a path that breaks the limits of thrust by more than 5 % of the greatest is welcome
-        as well: a bound of what can be flown, or a first guess.
+        Whether to accept a path that violates the thrust limits by more than 5 % of the maximum,
+        as a bound or as an initial guess.
 
     Raises
     ------
     InputError
-        If the time elapsed is no number, 0 or more.
+        If the elapsed time is negative or not finite.
     InfeasibleError
-        If there is none, with the nearest end found that can be reached.
+        If no path exists, with the nearest reachable end that was found.
     SolverError
-        If the solver fails; a `RelaxationError` where its answer breaks the limits of thrust.
+        If the solver fails; a `RelaxationError` if its solution violates the thrust limits.
     """
     if not (is_number(elapsed) and elapsed >= 0.0):
-        raise InputError("optimal.elapsed", elapsed, "a time in s, 0 or more")
+        raise InputError("optimal.elapsed", elapsed, "must be 0 s or more, and finite")
     before = planner.solves
     path = _warm(planner, descent, last, elapsed, walls) if last is not None else None
     if path is None:
@@ -182,25 +182,25 @@ def least_propellant(
         path = _rescued(planner, descent, walls)
     if not (lossy or flyable(path)):
         raise RelaxationError(
-            f"in the relaxed problem's answer thrust breaks its limits by {100.0 * path.excess:.0f}"
-            f" % of the greatest ({path.duration:.1f} s): relaxing was not lossless"
+            f"The relaxed solution violates the thrust limits by {100.0 * path.excess:.0f} % of "
+            f"the maximum thrust (final time {path.duration:.1f} s), so it cannot be flown."
         )
     return replace(path, solves=planner.solves - before)
 
 
 def flyable(path: Path) -> bool:
-    """Tell whether a path's thrust keeps its limits but for 5 % of the greatest, as they are flown.
+    """Return whether a path's thrust violates its limits by at most 5 % of the maximum.
 
-    Where they are broken by more, relaxing was not lossless: too few intervals about a switch, or a
-    bound on the state that binds for long.
+    A larger violation means that the relaxation is not lossless: too few intervals around a switch,
+    or a state constraint that is active for long.
     """
     return path.excess <= _LOSSY
 
 
 def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
-    """Search about the final time of the least landing error.
+    """Search around the final time of the minimum landing error.
 
-    Where fuel is short few final times can be flown: the error leads to them.
+    If propellant is scarce, few final times are feasible; the landing error leads to them.
     """
     near = nearest(planner, descent, walls=walls)
     if near is not None and near.miss < max(10.0 * _NEAR, descent.region):
@@ -208,16 +208,16 @@ def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
         path = search_about(planner, descent, first, walls=walls, log_mass=near.log_mass)
         if path is not None:
             return path
-    why = "proven infeasible at every final time that was tried"
+    why = "infeasible at every tried final time"
     if near is None:
-        raise InfeasibleError(descent.end_position, why + "; nor is another end at that height")
+        raise InfeasibleError(descent.end_position, why + "; no end at that height is reachable")
     raise InfeasibleError(descent.end_position, why, near.position[-1])
 
 
 def _warm(
     planner: Planner, descent: Descent, last: Path, elapsed: float, walls: Walls | None
 ) -> Path | None:
-    """Search from a last solution; None where its final time cannot be flown."""
+    """Search from the last solution; return None if its final time is infeasible."""
     first = last.duration - elapsed
     if not first > 0.0:
         return None
@@ -229,7 +229,7 @@ def _warm(
 
 
 def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
-    """Return ln(mass / mass now) in the middle of each interval (N,) of what is left of a path."""
+    """Return ln(mass / current mass) at interval centres (N,) of the rest of a path."""
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
     at = now + share * (last.duration - now)
@@ -252,22 +252,22 @@ def search_about(
     step: float = _STEP,
     bend: float = 0.0,
 ) -> Path | None:
-    """Return the best path found from first final times on; None where none of them can be flown.
+    """Find the best path, starting from given final times; None if none of them is feasible.
 
     Parameters
     ----------
     planner, descent, walls
-        See `least_propellant`.
+        Those of `least_propellant`.
     first
-        Final times, s: the next one is tried while none could be flown.
+        Final times, s, tried in order until one is feasible.
     most
-        Solves at most, from the first final time on that can be flown.
+        Maximum number of solves, counted from the first feasible final time.
     log_mass
-        Guess of ln(mass / mass at the start) in the middle of each interval (N,).
+        Guess of ln(mass / initial mass) at the interval centres (N,).
     step
-        Share of the final time by which the first one that can be flown is left at most.
+        Maximum relative first step from the first feasible final time.
     bend
-        `curvature` of the path of a problem like this one; 0: not known.
+        `curvature` of the path of a similar problem; 0: unknown.
     """
     search, best, failure = _Search(descent.gravity, step, bend), None, None
     settled, budget = False, np.inf
@@ -276,13 +276,13 @@ def search_about(
         before = planner.solves
         try:
             path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
-        except SolverError as error:  # another final time may do
+        except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
             if best is None:
                 time = next(first, None)
                 continue
-            # Between what can be flown and what cannot the limit is approached by halves.
+            # Bisect between feasible and infeasible final times.
             search.exclude(time, best.duration)
             if settled := search.saves(best) < _GAIN * best.cost:
                 break
@@ -302,9 +302,9 @@ def search_about(
 
 
 def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> Path | None:
-    """Return a path whose end comes nearest; None: it cannot land anywhere at that height.
+    """Return the path whose end is nearest to the target, or None if it cannot land.
 
-    Spare thrust is had for nothing.
+    Only the height of the end is fixed. Spare thrust has no penalty here.
     """
     if descent.spare > 0.0:
         descent = replace(descent, thrust_max=descent.thrust_max + descent.spare, spare=0.0)
@@ -317,7 +317,7 @@ def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> P
     while time is not None and planner.solves < budget:
         try:
             path = planner.at_time(descent, time, log_mass=log_mass, walls=walls, nearest=True)
-        except SolverError as error:  # another final time may do
+        except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
             if best is not None:
@@ -339,11 +339,11 @@ def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> P
 
 
 def least_error(planner: Planner, descent: Descent) -> Path | None:
-    """Return the path whose end comes nearest, and of these the one of least propellant.
+    """Return a path of minimum landing error, with minimum propellant among those.
 
     Blackmore, Acikmese and Scharf, "Minimum-landing-error powered-descent guidance for Mars landing
-    using convex optimization", Journal of Guidance, Control, and Dynamics 33(4), 2010. The slope of
-    the cone over the end goes where the end goes. None: it cannot land anywhere at that height.
+    using convex optimization", Journal of Guidance, Control, and Dynamics 33(4), 2010. The cone
+    constraint moves with the end. None: no landing is possible at that height.
     """
     near = nearest(planner, descent)
     if near is None:

@@ -1,9 +1,9 @@
-"""From a solver's answer back to a path in metres, and what its multipliers say.
+"""Conversion of a solver's result to a path, and the meaning of its multipliers.
 
-The multiplier of an interval's length is minus the Hamiltonian there, since the cost's derivative
-with the length of an interval is what the program's Lagrangian gives (envelope theorem). Along an
-optimum under autonomous dynamics it is constant, and zero where the final time is free. The
-multipliers of the thrust are the primer vector, linear in time while no bound on the state binds.
+The derivative of the cost by an interval's length follows from the program's Lagrangian (envelope
+theorem); it is minus the Hamiltonian in that interval. Along an optimum under autonomous dynamics
+the Hamiltonian is constant, and zero if the final time is free. The multipliers of the thrust are
+the primer vector, linear in time while no state constraint is active.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 def path_of(
     made: Transcription, program: Program, answer: Answer, descent: Descent, duration: float
 ) -> Path:
-    """Return the path that an answer stands for.
+    """Convert a solver's result to a path.
 
-    Its `slope` and `hamiltonian` are those of what was asked for: increment or landing error.
+    `slope` and `hamiltonian` refer to the minimised quantity: delta-v or landing error.
     """
     units = Scales.of(descent, duration)
     n = made.structure.intervals
@@ -34,7 +34,7 @@ def path_of(
     push = np.diff(velocity, axis=0) * (n / duration) + np.array([0.0, 0.0, descent.gravity])
     spent = -np.diff(nodes[:, 6]) * speed
     s, z = made.rows["thrust"], answer.z
-    # Of the landing error a unit is a length, of the increment a speed.
+    # The unit of the landing error is a length, that of delta-v a speed.
     landing = made.structure.free and program.c[-1] == 1.0
     unit = units.length if landing else speed
     lengths = _lengths(made, program, answer) * unit / duration
@@ -59,7 +59,7 @@ def path_of(
 
 
 def _lengths(made: Transcription, program: Program, answer: Answer) -> Array:
-    """Return the derivative of the cost with the length of each interval (N,), scaled."""
+    """Return the derivative of the cost by the length of each interval (N,), scaled."""
     n, x, z = made.structure.intervals, answer.x, answer.z
     nodes = x[: 7 * (n + 1)].reshape(n + 1, 7)
     speeds = nodes[:, 3:6]
@@ -83,9 +83,9 @@ def _lengths(made: Transcription, program: Program, answer: Answer) -> Array:
 def _stretched(
     made: Transcription, program: Program, answer: Answer, name: str, axes: int
 ) -> Array:
-    """Return what rows on control points add: they move by half the velocity with the length."""
+    """Return the part of rows on control points, which move by half the velocity."""
     n = made.structure.intervals
     rows = program.g[made.rows[name]]
     moving = answer.x.copy()
-    moving[: 7 * (n + 1)].reshape(n + 1, 7)[:, :3] = 0.0  # leaves half V / N of each row
+    moving[: 7 * (n + 1)].reshape(n + 1, 7)[:, :3] = 0.0  # keeps half V / N of each row
     return np.asarray((answer.z[made.rows[name]] * (rows @ moving)).reshape(-1, axes).sum(1) * n)

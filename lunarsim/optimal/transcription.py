@@ -1,18 +1,19 @@
-"""The descent as a cone program: matrices built once for a structure, and what changes filled in.
+"""Transcription of the descent to a cone program with a fixed sparsity pattern.
 
 Acikmese and Ploen, "Convex programming approach to powered descent guidance for Mars landing",
 Journal of Guidance, Control, and Dynamics 30(5), 2007, with pointing as in Acikmese, Carson and
 Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013. `docs/theory/optimal.md`
-derives what is done otherwise here:
+derives the differences from these papers:
 
-- Thrust over mass is constant in each of N intervals, so that it is a difference of velocities and
-  no variable; nor is its bound, a difference of logarithms of mass. Seven variables a node remain.
-- Time is counted in final times: no coefficient of the dynamics depends on the final time.
-- What a path keeps between its nodes: in each interval it is a parabola, within the triangle of its
-  nodes and its control point ``r + v h / 2``. A node is the middle of two control points, so a
-  convex set that holds all of these holds the path.
-- exp(-z) in the bounds of the thrust is linear about the mass of the solution before, not about
-  that of full thrust all the way.
+- Thrust over mass is constant in each of N intervals. It is a difference of velocities, and its
+  bound is a difference of logarithms of mass; neither is a variable. Seven variables per node
+  remain.
+- Time is scaled by the final time: no coefficient of the dynamics depends on the final time.
+- Constraints hold between the nodes: the path over an interval is a parabola within the triangle of
+  its nodes and its control point ``r + v h / 2``. A node is the midpoint of two control points. A
+  convex set that contains all control points therefore contains the path.
+- exp(-z) in the thrust bounds is linearised about the mass of the last solution, not about that of
+  constant full thrust.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ from lunarsim.optimal.problem import Descent
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_NODE = 7  # variables: position, velocity, logarithm of mass, all scaled
+_NODE = 7  # variables per node: position, velocity, logarithm of mass, all scaled
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Which rows a program has.
+    """Types of constraints in a program.
 
     Attributes
     ----------
     intervals
         N.
     tilt, glideslope
-        Whether there are such rows.
+        Whether there are such constraints.
     planes
-        Half-spaces for each control point.
+        Number of half-spaces for each control point.
     free
-        Whether the end lies anywhere in a disc, whose radius is a variable.
+        Whether the end lies in a disc, whose radius is a variable.
     spare
-        Whether more thrust than the greatest may be had at a price; its share is a variable.
+        Whether thrust above the maximum is available at a penalty; its fraction is a variable.
 
     Raises
     ------
@@ -66,9 +67,9 @@ class Structure:
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
-            raise InputError("optimal.intervals", self.intervals, "at least 4")
+            raise InputError("optimal.intervals", self.intervals, "must be at least 4")
         if self.free and self.spare:
-            raise InputError("optimal.spare", True, "a single end where spare thrust may be taken")
+            raise InputError("optimal.spare", True, "must be false if the end is a region")
 
 
 @dataclass(frozen=True)
@@ -80,14 +81,14 @@ class Walls:
     normals
         (N, planes, 3).
     offsets
-        From the end of the descent (N, planes), m.
+        Relative to the end of the descent (N, planes), m.
     moves
-        Whether they go where the end goes, if that lies in a disc: terrain does not.
+        Whether they move with the end if that lies in a disc; terrain does not.
 
     Raises
     ------
     InputError
-        If shapes do not fit, or a figure is not finite.
+        If shapes are inconsistent, or a value is not finite.
     """
 
     normals: Array
@@ -97,13 +98,13 @@ class Walls:
     def __post_init__(self) -> None:
         shape = np.shape(self.normals) if np.ndim(self.normals) == 3 else (1, 1, 3)
         for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
-            found = numbers("walls", getattr(self, name), wanted, f"{name} of finite numbers, "
+            found = numbers("walls", getattr(self, name), wanted, f"must have finite {name}, "
                             "normals (N, planes, 3) and offsets (N, planes)")  # fmt: skip
             object.__setattr__(self, name, found)
 
     @classmethod
     def over(cls, descent: Descent, intervals: int) -> Walls | None:
-        """Return the descent's cone for every interval; None without one."""
+        """Return the descent's cone for every interval; None without a cone."""
         if descent.cone is None:
             return None
         normals = np.broadcast_to(descent.cone.normals, (intervals, *descent.cone.normals.shape))
@@ -112,7 +113,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class Scales:
-    """Units of a program: length and time, and what a unit of Z is in ln(mass)."""
+    """Units of a program: length, time, and ln(mass) per scaled mass variable."""
 
     length: float
     time: float
@@ -120,7 +121,7 @@ class Scales:
 
     @classmethod
     def of(cls, descent: Descent, duration: float) -> Scales:
-        """Return units of which the descent spans a few; the length knows no duration."""
+        """Return units in which the descent is of order 1; the length is independent of duration."""
         fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
         length = float(np.linalg.norm(descent.gap)) + fall + 1.0
         return cls(length, duration, length / (duration * descent.exhaust_velocity))
@@ -132,7 +133,7 @@ class Transcription:
     Parameters
     ----------
     structure
-        Which rows there are.
+        Types of constraints.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -140,7 +141,8 @@ class Transcription:
         n = s.intervals
         self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
         self._node = _NODE * np.arange(n + 1)
-        self.inner = np.arange(1, n - 1)  # control points of the first and last are given
+        self.inner = np.arange(1, n - 1)  # the first and the last control point are fixed by the
+        ends
         self.rows: dict[str, slice] = {}
         self._columns: dict[str, Indices] = {}
         self._lay_out()
@@ -159,7 +161,7 @@ class Transcription:
     # --- structure ------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
-        """Write the columns of each family of rows, those of the orthant first."""
+        """Set the columns of each group of rows, first those of the orthant."""
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
         last = np.full(s.intervals, self.variables - 1)
@@ -183,7 +185,7 @@ class Transcription:
             axes = [self._point(np.array([c])) for c in (2, 0, 1)]
             self._add("glideslope", np.stack(axes, axis=1).reshape(-1, axes[0].shape[1]))
             cones += [3] * len(self.inner)
-            if s.free:  # the end may not leave the start outside of what goes with it
+            if s.free:  # the start must satisfy the glideslope of the chosen end
                 ends = [[node[0] + c, node[-1] + c] for c in (2, 0, 1)]
                 self._add("start", np.array(ends))
                 cones += [3]
@@ -198,7 +200,7 @@ class Transcription:
         self._columns[name] = columns
 
     def _point(self, axes: Indices) -> Indices:
-        """Return the columns of some coordinates of each inner control point, less the end's."""
+        """Return the columns of coordinates of inner control points, relative to the end."""
         node = self._node[self.inner][:, None]
         parts = [node + axes, node + axes + 3]
         if self.structure.free:
@@ -206,7 +208,7 @@ class Transcription:
         return np.concatenate(parts, axis=1)
 
     def _dynamics(self) -> sparse.csc_matrix:
-        """Return the matrix of the equalities: positions from speeds, then both ends."""
+        """Return the matrix of the equalities: positions from velocities, then both ends."""
         n, node, s = self.structure.intervals, self._node, self.structure
         half = 0.5 / n
         row, col, value = [], [], []
@@ -241,16 +243,16 @@ class Transcription:
         Parameters
         ----------
         descent
-            The problem.
+            Problem.
         duration
             Final time, s.
         log_mass
-            z = ln(mass / mass at the start) in the middle of each interval (N,), about which
-            exp(-z) is linear.
+            z = ln(mass / initial mass) at the interval centres (N,), about which exp(-z) is
+            linearised.
         walls
             Half-spaces; as many as the structure has.
         nearest
-            Ask for the least distance of the end from its place, not for the least propellant.
+            Whether to minimise the landing error instead of propellant.
         """
         units = Scales.of(descent, duration)
         families = self._values(descent, units, log_mass, walls, nearest)
@@ -271,7 +273,7 @@ class Transcription:
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
     def _ends(self, descent: Descent, units: Scales) -> Array:
-        """Return both ends of the path, scaled."""
+        """Return initial and final state, scaled."""
         speed = units.time / units.length
         end = np.concatenate((np.zeros(3), descent.end_velocity * speed))
         start = (descent.gap / units.length, descent.velocity * speed, [0.0])
@@ -280,13 +282,13 @@ class Transcription:
     def _values(
         self, d: Descent, units: Scales, log_mass: Array, walls: Walls | None, nearest: bool
     ) -> dict[str, tuple[Array, Array]]:
-        """Return entries and right-hand side of each family of rows."""
+        """Return entries and right-hand side of each group of rows."""
         s, n = self.structure, self.structure.intervals
         out = self._bounds(d, units, log_mass)
         weight = d.gravity * units.time**2 / units.length / n
         drop = d.drop / units.length
         if s.tilt:
-            # The middles of the intervals, where thrust is bounded too.
+            # At interval centres, where thrust is bounded too.
             tilts = d.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
             lean = np.cos(tilts if tilts is not None else np.zeros(n))
             ones = np.ones(n)
@@ -318,13 +320,13 @@ class Transcription:
         return out
 
     def _weighed(self, a: Array) -> Array:
-        """Return entries (n, 2 m or 3 m) of coefficients (n, m) of control points."""
+        """Return entries (n, 2 m or 3 m) for coefficients (n, m) of control points."""
         half = 0.5 / self.structure.intervals
         parts = [a, half * a] + ([-a] if self.structure.free else [])
         return np.concatenate(parts, axis=1)
 
     def _bounds(self, d: Descent, units: Scales, log_mass: Array) -> dict[str, tuple[Array, Array]]:
-        """Return the rows of the greatest and least thrust, in the middle of each interval."""
+        """Return the rows of maximum and minimum thrust, at the interval centres."""
         k = units.kappa
         whole = self._unit_force(d, units) * np.exp(-log_mass)
         out = {}
@@ -336,5 +338,5 @@ class Transcription:
         return out
 
     def _unit_force(self, d: Descent, units: Scales) -> float:
-        """Return what a newton adds to the scaled velocity in an interval at the first mass."""
+        """Return the scaled velocity change per newton in an interval at the initial mass."""
         return units.time**2 / (units.length * self.structure.intervals * d.mass)

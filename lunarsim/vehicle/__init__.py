@@ -1,4 +1,4 @@
-"""The lander: geometry and masses, propulsion, rigid-body motion, touchdown."""
+"""True vehicle: actuators, rigid-body dynamics, faults and touchdown."""
 
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State

@@ -1,7 +1,7 @@
-"""Compiled contact of legs with the ground, on top of the body's one derivative.
+"""Compiled contact of legs with the terrain, added to the rigid-body derivative.
 
-The state of a leg is (5,): crushed length, compression of spring and damper, and the point on the
-ground that its pad holds on to (3,), NaN while the pad is free.
+The state of a leg is (5,): crushed length, compression of spring and damper, and the contact point
+to which its pad sticks (3,), NaN while the pad is free.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from lunarsim.vehicle._touchdown_kernels import height_at
 
 @kernel(inner=True)
 def limit(leg, law):
-    """Return the force at which a leg gives way (N); none once its stroke is spent."""
+    """Return the crush force of a leg (N); infinite once its stroke is used up."""
     return law[2] if leg[0] < law[5] else np.inf
 
 
 @kernel()
 def touch(y, pad, leg, law, ground, frame, out):
-    """Write how a pad meets the ground; return whether it is under it.
+    """Write the contact of a pad with the terrain; return whether it is in contact.
 
     `law` is stiffness, damping, crush force, friction, radius of the pad, stroke. `out` (12,):
     force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper, its
@@ -68,7 +68,7 @@ def touch(y, pad, leg, law, ground, frame, out):
 
 @kernel(inner=True)
 def slide(out, leg, law, n, normal):
-    """Add normal force and friction: the pad holds on to a point with a spring and a damper."""
+    """Add normal force and friction: a spring and a damper hold the pad at its contact point."""
     hold = np.zeros(3)
     if np.isfinite(leg[2]):
         off = np.empty(3)
@@ -89,7 +89,7 @@ def slide(out, leg, law, n, normal):
 
 @kernel(inner=True)
 def loads(y, pads, legs, law, ground, frame, rig, torque, out):
-    """Write the legs' force into `rig` and their torque, body axes; return the power they take."""
+    """Write the legs' force into `rig` and their torque, body axes; return the power absorbed."""
     power = 0.0
     total = np.zeros(3)
     turn = np.zeros(3)
@@ -118,7 +118,7 @@ def loads(y, pads, legs, law, ground, frame, rig, torque, out):
 
 @kernel(inner=True)
 def yielded(y, dt, pads, legs, law, ground, frame, out):
-    """Let legs crush and pads slip after a step."""
+    """Update crushed lengths and slipping contact points after a step."""
     for n in range(pads.shape[0]):
         leg = legs[n]
         if not touch(y, pads[n], leg, law, ground, frame, out):
@@ -128,7 +128,8 @@ def yielded(y, dt, pads, legs, law, ground, frame, out):
         most = limit(leg, law)
         give = 0.0
         if out[11] > most:
-            # At the crush force spring and damper relax towards it; the honeycomb takes the rest.
+            # At the crush force, spring and damper relax towards it; the honeycomb crushes by the
+            # rest.
             level = most / law[0]
             left = level + (leg[1] - level) * np.exp(-dt * law[0] / law[1])
             give = max(out[9] - left, 0.0)
@@ -151,12 +152,12 @@ def yielded(y, dt, pads, legs, law, ground, frame, out):
 
 @kernel()
 def settle(y, steps, dt, pads, legs, law, ground, frame, figures, inertia, rig):
-    """Advance a lander with its engine off by steps on its legs, in place.
+    """Advance a lander with its engine off on its legs, in place.
 
     Returns
     -------
     taken
-        Energy that the legs took, J: what they store included.
+        Energy absorbed by the legs, including stored energy, J.
     """
     work = np.empty((5, 15))
     out = np.empty(12)

@@ -1,10 +1,10 @@
-"""Compiled motion of a body in whose tanks pendulums swing; without tanks nothing of it runs.
+"""Compiled motion of a body with slosh pendulums in its tanks; unused for landers without tanks.
 
-A pendulum of mass w and length L hangs from h; its bob is at r = h + L u, all from the centre of
-mass that the body has with its liquid at rest, in body axes. The rod's pull N = w (L |u'|^2 -
+A pendulum of mass w and length L hangs from h; its bob is at r = h + L u. All are relative to the
+centre of mass of the body with liquid at rest, in body axes. The rod tension N = w (L |u'|^2 -
 u . (a + alpha x r + omega x (omega x r) + 2 omega x L u')) acts on the body at h along u. The
-body's own figures count the bobs where they are at rest, so that those are taken out of it. Of six
-equations for a and alpha come a symmetric matrix and a right-hand side, tank by tank.
+body's mass properties include the bobs at rest; these are subtracted here. The six equations for a
+and alpha form a symmetric matrix and a right-hand side, assembled tank by tank.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _cross(a, b, out):
 
 @kernel(exact=True)
 def pendulum(tank, fill, bob):
-    """Return mass, kg, and length, m, and write where the bob rests (3,); see `Slosh`."""
+    """Return mass, kg, and length, m, and write the bob's rest position (3,), as in `Slosh`."""
     radius, depth = tank[3], fill * tank[5] / tank[3]
     steep = np.tanh(_MODE * depth)
     bob[0] = tank[0]
@@ -41,7 +41,7 @@ def pendulum(tank, fill, bob):
 
 @kernel()
 def _take_out(mass, bob, rate, matrix, right):
-    """Take a bob at rest out of the body's matrix (6, 6) and right-hand side (6,)."""
+    """Subtract a bob at rest from the body's matrix (6, 6) and right-hand side (6,)."""
     square = bob[0] * bob[0] + bob[1] * bob[1] + bob[2] * bob[2]
     for k in range(3):
         matrix[k, k] -= mass
@@ -67,7 +67,7 @@ def _take_out(mass, bob, rate, matrix, right):
 
 @kernel()
 def _own(rate, arm, swing, out):
-    """Write what a bob at `arm` feels without a and alpha: turning and Coriolis (3,)."""
+    """Write the centripetal and Coriolis acceleration of a bob at `arm` (3,)."""
     turn = np.empty(3)
     _cross(rate, arm, turn)
     for k in range(3):
@@ -99,7 +99,7 @@ def _solve(matrix, right):
 
 @kernel()
 def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
-    """Add tank t, swinging, to the equations, in place of what the body counts at rest."""
+    """Add the swinging pendulum of tank t to the equations, and subtract its bob at rest."""
     bob, own, swing, drag, turn = (
         np.empty(3),
         np.empty(3),
@@ -115,15 +115,15 @@ def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
         bob[k] -= com[k]
         swing[k] = length * s[t, 3 + k]
         square += s[t, 3 + k] * s[t, 3 + k]
-        # Of the liquid on the tank: what slows the swing down.
+        # Damping force of the liquid on the tank.
         drag[k] = 2.0 * tanks[t, 6] * np.sqrt(push / length) * m * swing[k]
     _take_out(m, bob, rate, matrix, right)
-    bob[2] += length  # now the hinge
+    bob[2] += length  # the hinge
     _cross(bob, u, turn)
     for k in range(3):
         one[k] = u[k]
         one[3 + k] = turn[k]
-        bob[k] += length * u[k]  # now the bob as it hangs
+        bob[k] += length * u[k]  # the bob at its swing angle
     _own(rate, bob, swing, own)
     pull = length * square - (u[0] * own[0] + u[1] * own[1] + u[2] * own[2])
     _cross(bob, drag, turn)
@@ -135,7 +135,7 @@ def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
 
 @kernel()
 def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
-    """Write how tank t's rod moves when the body's acceleration and turn are `moved` (6,)."""
+    """Write the rod motion of tank t for the body's linear and angular acceleration (6,)."""
     bob, own, swing, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _, length = pendulum(tanks[t], fill, bob)
     slow = 2.0 * tanks[t, 6] * np.sqrt(push / length)
@@ -158,11 +158,11 @@ def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
 
 @kernel()
 def _couple(s, out, felt, rate, mass, moments, com, fill, tanks, sout):
-    """Correct what a body with its liquid at rest would do, and write the swings' rates.
+    """Correct the accelerations of a body with liquid at rest, and write the swing rates.
 
-    `felt` is the acceleration (3,), body axes, without gravity, as if nothing swung, `out` that
-    of the state (15,); both are set to what they are. `s` and `sout` (n, 6): direction u of each
-    rod and its rate in body axes.
+    `felt` is the acceleration (3,), body axes, without gravity; `out` is dy/dt (15,). Both are
+    given for liquid at rest and are corrected in place. `s` and `sout` (n, 6): direction u of each
+    rod and its rate, body axes.
     """
     matrix = np.zeros((6, 6))
     right = np.empty(6)
@@ -213,7 +213,7 @@ def rates(y, s, out, sout, asked, torque, figures, inertia, rig, tanks):
 def advance(y, s, dt, asked, torque, figures, inertia, rig, tanks):
     """Advance the state (15,) and the swings (n, 6) by one Runge-Kutta step in place.
 
-    For the arguments see `advance_body` and `Slosh.table`.
+    The arguments are those of `advance_body`; `tanks` is from `Slosh.table`.
     """
     dry = figures[3]
     if y[13] <= dry - (1.0 - 1e-6) * rig[16]:

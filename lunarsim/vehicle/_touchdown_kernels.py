@@ -1,7 +1,7 @@
-"""Compiled touchdown on ground that is a raster: first contact, and the verdict of `touchdown.py`.
+"""Compiled touchdown on raster terrain: first contact, and landing outcome of `touchdown.py`.
 
-Ground is a raster of heights (rows, cols) with its corner and posting, linear between four posts;
-`frame` (3,) is the coordinates of post (0, 0) and the posting, m. Beyond its posts it is unknown.
+Terrain is a raster of heights (rows, cols), bilinear between posts; `frame` (3,) holds the
+coordinates of post (0, 0) and the posting, m. Terrain outside the posts is unknown.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# What a verdict says, a bit each, in the order of `judge_touchdown`.
+# Bits of the violated limits, in the order of `judge_touchdown`.
 OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
 SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
 
 
 @kernel()
 def height_at(z, frame, x, y):
-    """Return the height of a raster at a point, m; NaN beyond its posts."""
+    """Return the height of a raster at a point, m; NaN outside its posts."""
     rows, cols = z.shape
     u = (x - frame[0]) / frame[2]
     v = (y - frame[1]) / frame[2]
@@ -33,7 +33,7 @@ def height_at(z, frame, x, y):
 
 @kernel()
 def pad_at(y, pad, out):
-    """Write where a point of the body (3,) is, ENU."""
+    """Write the position of a body point (3,), ENU."""
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     cx = qy * pad[2] - qz * pad[1] + qw * pad[0]
     cy = qz * pad[0] - qx * pad[2] + qw * pad[1]
@@ -45,7 +45,7 @@ def pad_at(y, pad, out):
 
 @kernel()
 def highest(z, frame, x, y, disc):
-    """Return the highest ground under a pad that stands at a point, m; NaN where unknown."""
+    """Return the highest terrain under a pad at a point, m; NaN where unknown."""
     best = -np.inf
     for k in range(len(disc)):
         here = height_at(z, frame, x + disc[k, 0], y + disc[k, 1])
@@ -57,11 +57,11 @@ def highest(z, frame, x, y, disc):
 
 @kernel()
 def touches(y, pads, disc, z, frame):
-    """Tell whether a pad is at or below the ground under it."""
+    """Return whether a pad is at or below the terrain under it."""
     at = np.empty(3)
     for k in range(len(pads)):
         pad_at(y, pads[k], at)
-        # Most of the flight is too high for any ground: one look at the middle spares the disc.
+        # Most of the flight is far above the terrain: a check at the centre avoids the disc.
         if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= highest(
             z, frame, at[0], at[1], disc
         ):
@@ -82,9 +82,9 @@ def _plane(a, b, c, out):
 
 @kernel()
 def support(legs, planes):
-    """Write the planes that a lander stands on (2, 3), both the same for three legs.
+    """Write the planes that a lander can stand on (2, 3); equal for three legs.
 
-    See `touchdown.support_planes`.
+    They are those of `touchdown.support_planes`.
     """
     if len(legs) == 3:
         _plane(legs[0], legs[1], legs[2], planes[0])
@@ -99,7 +99,7 @@ def support(legs, planes):
 
 @kernel()
 def _inside(x, y, legs):
-    """Tell whether a point lies in the polygon of the legs, counter-clockwise."""
+    """Return whether a point lies in the counter-clockwise polygon of the legs."""
     n = len(legs)
     for k in range(n):
         a, b = legs[k], legs[(k + 1) % n]
@@ -110,7 +110,7 @@ def _inside(x, y, legs):
 
 @kernel()
 def ground_fit(legs, spacing, z, frame, out):
-    """Write slope (rad) and roughness (m) under the legs; see `touchdown.ground_fit`."""
+    """Write slope (rad) and roughness (m) under the legs, as `touchdown.ground_fit`."""
     planes = np.empty((2, 3))
     support(legs, planes)
     n = len(legs)
@@ -132,7 +132,7 @@ def ground_fit(legs, spacing, z, frame, out):
             ground = height_at(z, frame, x, y)
             for p in range(2):
                 above = ground - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
-                if not above / stretch[p] <= rough:  # so that NaN stays
+                if not above / stretch[p] <= rough:  # NaN must propagate
                     rough = above / stretch[p]
             if np.isnan(rough):
                 out[0], out[1] = slope, rough
@@ -143,7 +143,7 @@ def ground_fit(legs, spacing, z, frame, out):
 
 @kernel()
 def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
-    """Return the least margin over the edges of the legs; see `touchdown.tip_margin`."""
+    """Return the minimum margin over the edges of the legs, as `touchdown.tip_margin`."""
     full = (y[13] - dry) / (wet - dry)
     least = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
@@ -172,23 +172,23 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
 
 @kernel()
 def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, told):
-    """Return the limits that a touchdown fails, a bit each; 0 is a safe landing.
+    """Return the limits that a touchdown violates, one bit each; 0 is a safe landing.
 
     Parameters
     ----------
     y
         State at the touchdown (15,).
     pads, disc, spacing
-        Pads' centres in body axes (n, 3), points of a pad (m, 2), and the distance of points
+        Pad centres in body axes (n, 3), sample points of a pad (m, 2), and spacing of samples
         between the legs, m.
     z, frame
-        The ground.
+        Terrain raster.
     limits
-        Vertical and horizontal speed, tilt, rate, slope, roughness, belly's clearance (7,), SI.
+        Vertical and horizontal speed, tilt, rate, slope, roughness, belly clearance (7,), SI.
     com_height, gravity, dry, wet, inertia
-        Of the lander; `inertia` (2, 3) with tanks empty and full.
+        Lander parameters and gravity; `inertia` (2, 3) with tanks empty and full.
     told
-        Takes vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
+        Output: vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
     """
     n = len(pads)
     legs = np.empty((n, 3))

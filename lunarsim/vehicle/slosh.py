@@ -1,4 +1,4 @@
-"""Propellant that swings in the tanks of one flight."""
+"""Sloshing propellant in the tanks of one flight."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Array = NDArray[np.float64]
 
 
 class Liquid:
-    """Pendulums in the tanks, and the body that they swing in; see `lunarsim.models.slosh`.
+    """Pendulums in the tanks, coupled to the body, by the model of `lunarsim.models.slosh`.
 
     Position and velocity of a state are those of the point that is the centre of mass while the
-    liquid rests. What mass a pendulum has and where it hangs follow the propellant left, as if
-    that did not change within a step.
+    liquid rests. Mass and pivot of a pendulum follow the remaining propellant and are constant
+    within a step.
 
     Parameters
     ----------
     lander
-        Its tanks and masses.
+        Lander with its tanks and masses.
 
     Attributes
     ----------
     swings
         Direction of each rod and its rate of change (n, 6), body axes; at rest along -z.
     most
-        Greatest angle of each rod from body -z so far (n,), rad.
+        Maximum angle of each rod from body -z so far (n,), rad.
     """
 
     def __init__(self, lander: JetLander) -> None:
@@ -41,14 +41,14 @@ class Liquid:
 
     @property
     def angles(self) -> Array:
-        """Of the rods from body -z (n,), rad."""
+        """Angles of the rods from body -z (n,), rad."""
         side = np.hypot(self.swings[:, 0], self.swings[:, 1])
         return np.asarray(np.arctan2(side, -self.swings[:, 2]))
 
     def advance(
         self, dynamics: Dynamics, state: State, thrust: float, torque: Array, rig: Array
     ) -> State:
-        """Return the state a step later; see `Dynamics.advance_rigged`."""
+        """Return the state one step later, with the parameters of `Dynamics.advance_rigged`."""
         y = state.as_vector()
         k.advance(
             y, self.swings, dynamics.step, float(thrust), np.asarray(torque, dtype=np.float64),

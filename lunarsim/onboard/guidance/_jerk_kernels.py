@@ -1,9 +1,9 @@
-"""Compiled search for the least times-to-go whose quartic paths keep limits on jerk and snap.
+"""Compiled search for the minimum time-to-go of quartic paths within limits on jerk and snap.
 
-With u = 1 / T and d the way to the target, a quartic path's jerk at its start and end and its snap
-are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
-``12 u^2 (a_f - (4 v_f + 2 v) u + 6 d u^2)``. Jerk is linear in time, so it is greatest at an end;
-snap is constant. Their squares are polynomials of u, of which targets change three coefficients.
+With u = 1 / T and d the displacement to the target, a quartic path's jerk at its start and end and
+its snap are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
+``12 u^2 (a_f - (4 v_f + 2 v) u + 6 d u^2)``. Jerk is linear in time, so its maximum is at an end;
+snap is constant. Their squares are polynomials of u; three coefficients depend on the target.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-_SIDE = 16  # targets that are refined side by side, so that it is done many at a time
-_HALVINGS = 40  # of a bracket
+_SIDE = 16  # number of targets that are refined together, for SIMD
+_HALVINGS = 40  # bisections of a bracket
 
 
 @kernel(inner=True)
@@ -38,7 +38,7 @@ def _at(c, k, u):
 
 @kernel(inline=True)
 def _keeps(terms, k, u, most):
-    """Tell whether target k keeps both limits; what is no number keeps none.
+    """Return whether target k is within both limits; false for NaN.
 
     `most` (2,): ``(jerk / 6)^2`` and ``(snap / 12)^2``.
     """
@@ -50,7 +50,7 @@ def _keeps(terms, k, u, most):
 
 @kernel(inner=True)
 def _refine(terms, low, high, most):
-    """Halve brackets (16,) whose lower ends break a limit and whose upper ends keep both."""
+    """Bisect brackets (16,) whose lower ends violate a limit and whose upper ends do not."""
     for _ in range(_HALVINGS):
         for k in range(_SIDE):
             middle = 0.5 * (low[k] + high[k])
@@ -61,9 +61,9 @@ def _refine(terms, low, high, most):
 
 @kernel(shared=True)
 def limited_times(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
-    """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
+    """Find the minimum time-to-go within both limits for each target (n, 3), else NaN.
 
-    Times (m,) ascend; the least is bracketed by them and halved 40 times.
+    Times (m,) ascend; the minimum is bracketed by them and bisected 40 times.
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)
     terms, way, still = np.empty((3, 5, _SIDE)), np.empty(3), -a_f

@@ -1,4 +1,4 @@
-"""Compiled measures of the paths of a law."""
+"""Compiled evaluation of the paths of a guidance law."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Columns of a table of samples; rows of `state` and `asked`; places in `figures`.
+# Columns of a sample table; rows of `state` and `asked`; indices of `figures`.
 SHARE, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
@@ -16,7 +16,7 @@ HALVINGS = 5
 
 @kernel(inline=True, inner=True)
 def terms(state, target, asked, big_t, powers, out):
-    """Write what each power gives to the mean acceleration (2, 3): see `paths.PathShape`."""
+    """Write each power's part of the mean acceleration (2, 3), as in `paths.PathShape`."""
     low, high = powers[0], powers[1]
     for k in range(3):
         r, v, v_f, a_f = state[0, k], state[1, k], asked[0, k], asked[1, k]
@@ -28,7 +28,7 @@ def terms(state, target, asked, big_t, powers, out):
 
 @kernel(inline=True, inner=True)
 def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
-    """Return whether a sample keeps above the cone of slope `glide` half a metre under its end."""
+    """Return whether a sample is above the cone of slope `glide`, apex 0.5 m below the end."""
     left = share * big_t
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
     east = left * (left * (0.5 * asked[1, 0] + x[0, 0] * f + x[1, 0] * g) - asked[0, 0])
@@ -41,13 +41,13 @@ def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
 
 @kernel(inline=True, inner=True)
 def measure(state, target, asked, big_t, table, powers, figures, x, out):
-    """Follow one path; return whether it is admissible, and write what it takes.
+    """Evaluate one path; return whether it is admissible, and write its cost.
 
-    Writes increment, time, greatest thrust (N) and greatest tangent of the lean into `out` (4,);
-    `x` (2, 3) is scratch. `state` and `asked` (2, 3): position and velocity now, velocity and
-    acceleration at the end. `table` (samples + 1, 3): share of the time that is left, from 1 to 0,
-    and its two powers. `figures` (7,): gravity, mass, exhaust velocity, least and greatest thrust,
-    tangents of tilt and glideslope.
+    Writes delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt into `out`
+    (4,); `x` (2, 3) is scratch. `state` and `asked` (2, 3): current position and velocity, final
+    velocity and acceleration. `table` (samples + 1, 3): fraction of time-to-go, from 1 to 0, and
+    its two powers. `figures` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust,
+    tangents of maximum tilt and glideslope.
     """
     terms(state, target, asked, big_t, powers, x)
     d, e = powers[0] + 1.0, powers[1] + 1.0
@@ -63,8 +63,9 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
         side = ax * ax + ay * ay
         size = np.sqrt(side + az * az)
         if s > 0:
-            # Trapezia are enough for the mass; the increment below is Simpson's. A step burns a
-            # small share of the mass: three terms of the exponential leave 1e-9 of it.
+            # The trapezoidal rule suffices for the mass; the delta-v uses Simpson's rule. A step
+            # uses a small fraction of the mass: three terms of the exponential leave an error of
+            # 1e-9.
             burnt = 0.5 * (before + size) * step / figures[EXHAUST]
             if burnt < 0.02:
                 mass *= 1.0 - burnt * (1.0 - burnt * (0.5 - burnt / 6.0))
@@ -91,7 +92,7 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
 
 @kernel(inner=True)
 def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
-    """Return the best of so many geometric steps from `first`, -1 without one; some are skipped."""
+    """Return the best of `count` geometric steps from `first`, -1 if none; some are skipped."""
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
@@ -105,14 +106,14 @@ def first_look(state, target, asked, first, step, count, skip, table, powers, fi
 
 @kernel(inline=True)
 def _keep(found, out):
-    """Write one path's figures (4,) over another's."""
+    """Copy the result of a path (4,)."""
     for k in range(4):
         out[k] = found[k]
 
 
 @kernel(inner=True)
 def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
-    """Write the best path (4,) about a time ``first exp(at)``, halving the steps about it."""
+    """Write the best path (4,) around a time ``first exp(at)``, halving the step around it."""
     time = first * np.exp(at)
     if measure(state, target, asked, time, table, powers, figures, x, found):
         _keep(found, out)

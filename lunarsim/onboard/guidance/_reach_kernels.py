@@ -1,7 +1,7 @@
-"""Compiled survey of many sites: times-to-go are tried for sixteen of them side by side.
+"""Compiled search over many sites: times-to-go are tried for sixteen sites at once by SIMD.
 
-What is tried is told from what is not by single precision; what is kept is measured again in double
-precision, so that only which of two equally good times is taken can depend on the rounding.
+Trials use single precision; the selected path is evaluated again in double precision. Rounding can
+therefore only affect the choice between two equally good times.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from lunarsim.onboard.guidance._kernels import (
     measure,
 )
 
-# Places of lanes in scratch: east, north and up of the sites, times, what they cost.
+# Scratch indices of the lanes: east, north and up of the sites, times, costs.
 _EAST, _NORTH, _UP, _TIME, _COST = 0, LANES, 2 * LANES, 3 * LANES, 4 * LANES
 _SCRATCH = 5 * LANES
-_NOTHING = 1e30  # stands for an infinite cost
+_NOTHING = 1e30  # represents an infinite cost
 
 
 @kernel(inline=True)
 def along(w, place, state, asked, axis, powers, inverse):
-    """Return what the lower power gives to the mean acceleration, and what both do."""
+    """Return the lower power's part of the mean acceleration, and the sum of both parts."""
     p = (asked[0, axis] - state[1, axis]) * inverse - asked[1, axis]
     q = ((state[0, axis] - load(w, place)) * inverse + asked[0, axis]) * inverse
     q = q - 0.5 * asked[1, axis]
@@ -44,9 +44,9 @@ def along(w, place, state, asked, axis, powers, inverse):
 
 @kernel(inline=True)
 def sixteen(w, state, asked, table, powers, figures):
-    """Write what sixteen paths cost, the times of which stand in scratch; see `measure`.
+    """Write the costs of sixteen paths whose times are in scratch, as `measure`.
 
-    Those that break a limit cost `_NOTHING`.
+    Inadmissible paths cost `_NOTHING`.
     """
     time = load(w, _TIME)
     inverse = 1.0 / time
@@ -63,7 +63,7 @@ def sixteen(w, state, asked, table, powers, figures):
     d, e = powers[0] + 1.0, powers[1] + 1.0
     nought = spread(0.0)
     mass, before, total = spread(figures[MASS]), nought, nought
-    worst = spread(-1.0)  # above nought once a limit is broken
+    worst = spread(-1.0)  # positive once a limit is violated
     for s in range(samples + 1):
         low, high = table[s, LOW], table[s, HIGH]
         f, g = d * low, e * high
@@ -100,7 +100,7 @@ def sixteen(w, state, asked, table, powers, figures):
 
 @kernel(inner=True)
 def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
-    """Write the best of so many geometric steps (16,), -1 without one, where none is found yet.
+    """Write the best of `count` geometric steps (16,), -1 if none, for lanes without one yet.
 
     `spans` (3, 16): first time, its logarithmic span, step.
     """
@@ -119,7 +119,7 @@ def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
 
 @kernel(inner=True)
 def closed_in(w, state, asked, spans, table, powers, figures, at):
-    """Move places on the logarithm of time (16,) to the best about them, halving the steps."""
+    """Move logarithmic times (16,) to the best nearby, halving the steps."""
     least = np.empty(LANES)
     for k in range(LANES):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
@@ -146,7 +146,7 @@ def closed_in(w, state, asked, spans, table, powers, figures, at):
 
 @kernel(inner=True)
 def one(state, target, asked, start, span, coarse, rough, table, powers, figures, out):
-    """Search for one target in double precision, and write what the best takes (4,)."""
+    """Search for one target in double precision, and write the best result (4,)."""
     found, x = np.empty(4), np.empty((2, 3))
     step = span / max(coarse - 1, 1)
     best = first_look(
@@ -167,13 +167,13 @@ def one(state, target, asked, start, span, coarse, rough, table, powers, figures
 
 @kernel(shared=True)
 def survey(share, state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
-    """Find for each target the admissible time-to-go that takes the least velocity increment.
+    """Find the admissible time-to-go with minimum delta-v for each target.
 
-    Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
-    (N) and the greatest tangent of its lean (see `measure`). `coarse` times a target are tried in
-    geometric steps from `first` to `last` (n,) on the samples of `rough`, and where none of them
-    will do those between, three to a step. Then the steps about the best are halved on the samples
-    of `table`, which finds an edge of what is admissible as well as a dip. NaN for no time.
+    Writes (n, 4): delta-v (inf if no time is admissible), time, maximum thrust (N) and maximum
+    tangent of the tilt, as `measure`; NaN if no time. Per target, `coarse` times in geometric steps
+    from `first` to `last` (n,) are tried with the samples of `rough`; if none is admissible, two
+    more between each pair. Then the steps around the best time are halved with the samples of
+    `table`, which finds a limit of admissibility as well as a minimum.
     """
     count = targets.shape[0]
     blocks = (count + LANES - 1) // LANES
@@ -217,7 +217,7 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
             n = here + k
             time = spans[0, k] * np.exp(at[k])
             if not measure(state, targets[n], asked, time, table, powers, figures, x, out[n]):
-                # Within rounding of a limit.
+                # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan
                 one(

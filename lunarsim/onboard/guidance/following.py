@@ -1,4 +1,4 @@
-"""A law in flight: lag made up for, the end flown out, and an answer to whatever it is asked."""
+"""Guidance along paths of one shape, with lag compensation and an open-loop end."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# From position, velocity, end and time-to-go to the acceleration wanted now, gravity included.
+# Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
 Feedback = Callable[[Array, Array, PhaseEnd, float], Array]
 
 
 class Answering:
-    """How the vehicle answers commands: through a first-order lag, as far as guidance knows.
+    """First-order model of the vehicle's response to acceleration commands.
 
     Parameters
     ----------
     lead
-        The lag, s.
+        Time constant, s.
     """
 
     def __init__(self, lead: float) -> None:
@@ -35,47 +35,47 @@ class Answering:
         self._time: float | None = None
 
     def follow(self, time: float) -> None:
-        """Let the modelled acceleration follow the last command up to `time`."""
+        """Propagate the modelled acceleration to `time`, s."""
         if self.lead > 0.0 and self._time is not None:
             keep = np.exp(-(time - self._time) / self.lead)
             self._lagged = self._command + keep * (self._lagged - self._command)
         self._time = time
 
     def ask(self, acceleration: Array) -> None:
-        """Note what the vehicle is asked for (3,), gravity included, m/s^2."""
+        """Store the commanded acceleration (3,), gravity included, m/s^2."""
         self._command = acceleration
 
     def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Return position and velocity (3,) a lag from now, when the next command takes effect."""
+        """Predict position and velocity (3,) one lag ahead, when the next command takes effect."""
         a, lead = self._lagged, self.lead
         position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
         return position, estimate.velocity + lead * a
 
 
 class PathGuidance:
-    """A law whose paths are of one shape, in flight.
+    """Guidance law whose paths have one shape.
 
-    The vehicle answers a command with a lag, so the boundary value problem is solved from where
-    the lander will be a `lead` from now. The acceleration until then is that of the commands so
-    far through a first-order lag. Near the target the gains would grow without bound; below
-    `least_time_to_go` the last path is flown out open loop.
+    The vehicle responds to a command with a lag. The boundary value problem is therefore solved
+    from the state predicted a `lead` ahead with a first-order model of the past commands. Near the
+    target the gains would grow without bound; below `least_time_to_go` the last path is flown open
+    loop.
 
     Parameters
     ----------
     shape
-        Of its paths.
+        Shape of the paths.
     gravity
         Downward acceleration, m/s^2.
     lead
-        Lag of attitude and engine that is made up for, s.
+        Lag of attitude and engine that is compensated, s.
     least_time_to_go
-        Below this time-to-go the loop is open, s.
+        Time-to-go below which the loop is open, s.
     feedback
-        The law's own formula; None: the start of the path.
+        Feedback formula of the law; None: initial acceleration of the path.
     answering
-        How the vehicle answers, where another law flies it as well; it has the lead then.
+        Response model shared with another law; it replaces `lead`.
     field
-        Gravity by place, and a turning frame, to be made up for; None: `gravity` everywhere.
+        Non-uniform gravity and rotating frame to compensate; None: uniform `gravity`.
 
     Raises
     ------
@@ -106,12 +106,12 @@ class PathGuidance:
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        While there is no path to fly out, a time-to-go under the least one is taken for that.
+        If no path exists yet, time-to-go is raised to the minimum.
         """
         self._answering.follow(time)
         left = time_to_go - self.lead
         if not np.isfinite(left):
-            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
         if left >= self.least_time_to_go or self._last is None:
             position, velocity = self._answering.ahead(estimate)
             left = max(left, self.least_time_to_go)

@@ -1,12 +1,12 @@
-"""The law of least propellant as a network has learnt it: no solver on board.
+"""Minimum-propellant guidance by a trained network; no onboard solver.
 
-What it was taught are descents of `lunarsim.optimal` under the limits of the default lander and
-approach, begun 15 deg or more over their end, up to 800 m above it, up to 10 m/s across. Each cycle
-it tells thrust and time-to-go from where the lander will be once attitude and engine have answered.
-Where it is asked what it was not taught, or its answer breaks the limits of thrust or tilt, the
-Apollo law flies, and the network is asked again an interval later. The last seconds are flown by
-E-guidance, whose thrust may be anything at the end, as an optimal descent's is: a network ends near
-the place, a path at it.
+The training data are descents from `lunarsim.optimal` under the limits of the default lander and
+approach. They begin at an elevation of 15 deg or more over their end, up to 800 m above it, with
+crossrange speeds up to 10 m/s. In each cycle the network gives thrust and time-to-go for the state
+predicted at the response of attitude and engine. If the state is outside the training domain, or
+the output violates the limits of thrust or tilt, the Apollo law flies, and the network is tried
+again after an interval. E-guidance flies the last seconds, because its final thrust is free like
+that of an optimal descent: a network ends near the target, a path exactly at it.
 """
 
 from __future__ import annotations
@@ -33,63 +33,68 @@ from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
-_MOVED = 1.0  # of the end, m: a divert
-# Where descents that it was taught begin: over the end, rad and m, and speed across the way, m/s.
+_MOVED = 1.0  # horizontal move of the end that counts as a divert, m
+# Domain of the initial states of training: elevation over the end, rad; height, m; crossrange
+# speed, m/s.
 LEAST_ELEVATION, MOST_HEIGHT, MOST_ACROSS = np.deg2rad(15.0), 800.0, 10.0
-_SAME = 1e-3  # share by which figures of the problem may differ from those it was taught
+_SAME = 1e-3  # maximum relative difference of problem parameters from those of training
 
 
 @cache
 def shipped() -> OptimalNetwork:
-    """Return the network that comes along."""
+    """Return the network that is part of the package."""
     return OptimalNetwork.load()
 
 
 @dataclass(frozen=True)
 class NeuralOptimalLaw(PathLaw):
-    """Least propellant as a network tells it; the Apollo law where it cannot.
+    """Minimum propellant by a trained network, with the Apollo law as fallback.
 
-    What it costs to reach a site is told by the paths of the Apollo law, which it falls back to.
+    The cost of reaching a site is that of the Apollo law's paths.
 
     Attributes
     ----------
     least_time_to_go
-        Below this time-to-go the last path of E-guidance is flown out open loop, s.
+        Time-to-go below which the last path of E-guidance is flown open loop, s.
     handover
-        Below this time-to-go E-guidance flies to the end, s.
+        Time-to-go below which E-guidance flies to the end, s.
     interval
-        After which a network that was left is asked again, s.
+        Time after a fallback until the network is tried again, s.
     thrust_slack, tilt_slack
-        By how much its answer may break the limits and be cut back: a share of the greatest thrust,
-        and rad. Beyond, it is not feasible.
+        Limit violations that are clipped instead of rejected: fraction of the maximum thrust,
+        and tilt, rad.
     """
 
     handover: float = quantity(3.0, "s", gt=0, help="time-to-go below which E-guidance flies")
-    interval: float = quantity(1.0, "s", gt=0, le=60, help="until the network is asked again")
-    thrust_slack: float = quantity(0.05, ge=0, le=1, help="of the greatest thrust, cut back")
-    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="over the greatest tilt, cut back")
+    interval: float = quantity(
+        1.0, "s", gt=0, le=60, help="time after a fallback until the network is tried again"
+    )
+    thrust_slack: float = quantity(
+        0.05, ge=0, le=1, help="thrust violation that is clipped, fraction of the maximum"
+    )
+    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="tilt violation that is clipped")
 
     @property
     def shape(self) -> PathShape:
-        """Of the paths that reach is told by."""
+        """Shape of the paths that give the cost of a site."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> NeuralGuidance:  # type: ignore[override]
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         return NeuralGuidance(self, briefing, lag, shipped())
 
 
 class NeuralGuidance:
-    """The law in flight; see `NeuralOptimalLaw`.
+    """Network guidance for one flight, with the settings of `NeuralOptimalLaw`.
 
     Attributes
     ----------
     arrival
-        When it means to be at the end, s; None before the first command.
+        Planned time of arrival at the end, s; None before the first command.
     events
-        What happened: time (s), name ("guidance-fallback", "guidance-planned"), details.
+        Events: time (s), name ("guidance-fallback", "guidance-planned"), details.
     asked, infeasible
-        How often the network was asked, and answered with what breaks the limits.
+        Number of network evaluations, and of outputs that violate the limits.
     """
 
     def __init__(
@@ -127,7 +132,7 @@ class NeuralGuidance:
         """
         refuse_unknown(estimate, end)
         if not np.isfinite(time_to_go):
-            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
         self._answering.follow(time)
         if self._end is None or _apart(self._end, end) > _MOVED:
             self._end, self._next, self._ending = end, -np.inf, False
@@ -147,13 +152,13 @@ class NeuralGuidance:
         return np.asarray(moves - self._field.felt(estimate.position, estimate.velocity))
 
     def _told(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
-        """Return the network's thrust over mass (3,), m/s^2; None: a path flies."""
+        """Return the network's thrust over mass (3,), m/s^2, or None if a path law flies."""
         if not self._taught(end):
             self._fall_back(estimate, end, time, "another problem")
             return None
         position, velocity = self._answering.ahead(estimate)
         shown, axes = reduced(position - end.position, velocity, estimate.mass)
-        # Later on a taught path may lie lower than where any of them begins, or higher.
+        # On a followed path the state may leave the domain of initial states.
         if not (self.network.knows(shown) and (self._followed or _begins(shown))):
             self._fall_back(estimate, end, time, "outside what it was taught")
             return None
@@ -164,7 +169,8 @@ class NeuralGuidance:
         if push is None or not left > 0.0:
             self.infeasible += 1
         if push is None and self._followed and not np.isfinite(self._apollo_time(estimate, end)):
-            # Near the end an optimal descent is at its limits: no other law has a path from there.
+            # Near the end an optimal descent is at its limits, and no other law has a path: clip
+            # instead.
             push = self._cut_back(wanted, estimate.mass)
         if push is None or not left > 0.0:
             self._fall_back(estimate, end, time, "infeasible")
@@ -172,13 +178,13 @@ class NeuralGuidance:
         if self._fallen:
             self.events.append((time, "guidance-planned", {}))
         self._fallen, self._followed = False, True
-        # The lag is made up for by commanding that much ahead, and the end comes the sooner.
+        # The command is issued one lag ahead, so that the end comes earlier by the lag.
         self.arrival = time + self._answering.lead + left
         self._ending = left < self.settings.handover
         return None if self._ending else push
 
     def _taught(self, end: PhaseEnd) -> bool:
-        """Tell whether this is the problem that the network was taught."""
+        """Return whether the problem is the one of the training."""
         lander, limits = self.lander, self.limits
         margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
         mine = np.array(
@@ -191,7 +197,7 @@ class NeuralGuidance:
         return level and np.allclose(mine, self.network.problem, rtol=_SAME, atol=1e-9)
 
     def _within_limits(self, push: Array, mass: float) -> Array | None:
-        """Return a thrust over mass cut back to the limits; None where it breaks them by more."""
+        """Return thrust over mass clipped to the limits, or None if the violation is too large."""
         lander, slack = self.lander, self.settings.thrust_slack * self.lander.thrust_max
         force = float(np.linalg.norm(push)) * mass
         tilt = float(np.arctan2(np.hypot(push[0], push[1]), push[2]))
@@ -202,7 +208,7 @@ class NeuralGuidance:
         return self._cut_back(push, mass)
 
     def _cut_back(self, push: Array, mass: float) -> Array:
-        """Return a thrust over mass cut back to the limits, by however much it breaks them."""
+        """Return thrust over mass clipped to the limits."""
         lander, aside = self.lander, float(np.hypot(push[0], push[1]))
         force = float(np.linalg.norm(push)) * mass
         if float(np.arctan2(aside, push[2])) > self.limits.max_tilt:
@@ -213,13 +219,13 @@ class NeuralGuidance:
         return np.asarray(push * (wanted / force))
 
     def _apollo_time(self, estimate: Estimate, end: PhaseEnd) -> float:
-        """Return the time-to-go of the cheapest path of the Apollo law, s; NaN: there is none."""
+        """Return the optimal time-to-go of the Apollo law, s; NaN if no path is admissible."""
         one = replace(end, position=end.position[None, :])
         cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
         return float(cost.time_to_go[0])
 
     def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
-        """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
+        """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
         self._next = time + self.settings.interval
         if not self._fallen:
             self.events.append((time, "guidance-fallback", {"reason": why}))
@@ -230,7 +236,7 @@ class NeuralGuidance:
 
 
 def _begins(shown: Array) -> bool:
-    """Tell whether descents that were taught begin at such a height and speed across (6,)."""
+    """Return whether reduced inputs (6,) are in the domain of the training's initial states."""
     low = shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
     return not (low or shown[1] > MOST_HEIGHT or shown[3] > MOST_ACROSS)
 

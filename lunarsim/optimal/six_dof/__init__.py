@@ -1,7 +1,7 @@
-"""Descents of least propellant of a rigid body, by the simulator's own equations, in two ways.
+"""Minimum-propellant descents of a rigid body, with the simulator's equations of motion.
 
-`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of quadratic programs.
-Both hold thrust and torques over intervals, so that what they find is flown as it is
+`shoot` uses direct multiple shooting and IPOPT, `Successive` a sequence of quadratic programs.
+Both hold thrust and torques constant over intervals, so that the result can be flown open loop
 (`lunarsim.evaluation.open_loop`).
 """
 

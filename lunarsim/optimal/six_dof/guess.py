@@ -1,4 +1,4 @@
-"""Where a search for a rigid body's path begins: the optimum of a point mass, with a body to it."""
+"""Initial guess of a rigid body's path: the optimum of a point mass, with an attitude."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Guess:
-    """States and commands that need not fit each other.
+    """States and commands that need not be consistent with each other.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Guess:
     torque: Array
 
     def on(self, intervals: int) -> Guess:
-        """Return it on another number of intervals."""
+        """Resample to another number of intervals."""
         count = len(self.thrust)
         if count == intervals:
             return self
@@ -49,16 +49,16 @@ class Guess:
 
 
 def guess_of(descent: RigidDescent, intervals: int) -> Guess:
-    """Return the optimum of a point mass with an attitude along its thrust.
+    """Return the optimum of a point mass with attitudes along its thrust.
 
-    Yaw stays that of the start. Rates and torques are differences of the attitude.
+    Yaw is that of the start. Rates and torques are differences of the attitude.
 
     Raises
     ------
     InfeasibleError
         If a point mass cannot land.
     SolverError
-        If its solver fails.
+        If the solver for the point mass fails.
     """
     d = descent
     path = least_propellant(Planner(intervals), d.as_point(), lossy=True)
@@ -83,7 +83,7 @@ def guess_of(descent: RigidDescent, intervals: int) -> Guess:
 
 
 def carried_on(path: RigidPath, elapsed: float) -> Guess:
-    """Return what is left of a path some time (s) after its start, in as many intervals.
+    """Return the rest of a path after a time (s), resampled to the same number of intervals.
 
     Raises
     ------
@@ -92,7 +92,9 @@ def carried_on(path: RigidPath, elapsed: float) -> Guess:
     """
     n, left = len(path.thrust), path.duration - elapsed
     if not 0.0 <= elapsed < path.duration:
-        raise InputError("optimal.elapsed", elapsed, f"0 to less than {path.duration:.1f} s")
+        raise InputError(
+            "optimal.elapsed", elapsed, f"must be 0 or more and less than {path.duration:.1f} s"
+        )
     old = np.linspace(0.0, path.duration, n + 1)
     new = np.linspace(elapsed, path.duration, n + 1)
     states = np.column_stack([np.interp(new, old, column) for column in path.states.T])
@@ -102,7 +104,7 @@ def carried_on(path: RigidPath, elapsed: float) -> Guess:
 
 
 def _along(push: Array, start: Rotation) -> Rotation:
-    """Return attitudes whose body z lies along (K, 3), the first as given, all with its yaw."""
+    """Return attitudes with body z along vectors (K, 3) and the yaw of the first attitude."""
     up = push / np.linalg.norm(push, axis=1, keepdims=True)
     heading = start.apply([1.0, 0.0, 0.0])
     y = np.cross(up, heading)
@@ -113,6 +115,6 @@ def _along(push: Array, start: Rotation) -> Rotation:
 
 
 def _same_side(q: Array) -> Array:
-    """Return quaternions each on the side of the one before."""
+    """Choose quaternion signs so that consecutive quaternions are near each other."""
     signs = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.asarray(q * np.concatenate(([1.0], np.cumprod(signs)))[:, None])

@@ -1,8 +1,7 @@
-"""The simulator's equations of motion over one interval of held commands, for CasADi.
+"""Simulator's equations of motion over one interval of constant commands, for CasADi.
 
-The same equations as `lunarsim.vehicle.dynamics.Dynamics`, without thrusters' forces and round
-Moon, in units of the problem (`Units`), so that one compiled program serves every lander and
-descent.
+The equations are those of `lunarsim.vehicle.dynamics.Dynamics`, without thruster forces and round
+Moon, in scaled units (`Units`), so that one compiled program serves every lander and descent.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from lunarsim.optimal.units import Units
 Array = NDArray[np.float64]
 
 STATES, CONTROLS = 15, 4
-# Steps of an interval, as shares of it: the engine answers within the first ones.
+# Fractions of an interval for its integration steps: the engine responds within the first ones.
 SHARES = (0.06, 0.10, 0.17, 0.27, 0.40)
-_LEAST_LAG = 1e-6  # s: divided by
+_LEAST_LAG = 1e-6  # s; the lag is a divisor
 
 
 def state_units(units: Units) -> Array:
-    """Return the units of a state vector (15,)."""
+    """Return the scales of a state vector (15,)."""
     u = units
     return np.array(
         [u.length] * 3 + [u.speed] * 3 + [1.0] * 4 + [1.0 / u.time] * 3 + [u.mass, u.force]
@@ -34,12 +33,12 @@ def state_units(units: Units) -> Array:
 
 
 def control_units(units: Units) -> Array:
-    """Return the units of thrust and torques (4,)."""
+    """Return the scales of thrust and torques (4,)."""
     return np.array([units.force] + [units.force * units.length] * 3)
 
 
 def figures_of(descent: RigidDescent, units: Units) -> Array:
-    """Return gravity, exhaust velocity, lag, dry and full mass, and moments, in units (11,)."""
+    """Return gravity, exhaust velocity, lag, dry and wet mass, and moments, scaled (11,)."""
     v = descent.lander
     moment = units.mass * units.length**2
     return np.concatenate(
@@ -82,8 +81,8 @@ def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
 def interval() -> Any:
     """Return the function (state, control, length, figures) -> states after each step (15, 5).
 
-    Classical Runge-Kutta steps, in each of which the thrust is the mean of what the engine's lag
-    makes of what is asked.
+    It takes classical Runge-Kutta steps; the thrust of a step is the mean response of the engine's
+    lag to the command.
     """
     x, u = casadi.SX.sym("x", STATES), casadi.SX.sym("u", CONTROLS)
     length, p = casadi.SX.sym("h"), casadi.SX.sym("p", 11)
@@ -107,9 +106,9 @@ def interval() -> Any:
 
 @cache
 def limits() -> Any:
-    """Return the function (state, limits) -> what has to be 0 or more (4,).
+    """Return the function (state, limits) -> constraint values that must be 0 or more (4,).
 
-    Tilt, rate, glideslope and sight of the site, from `limit_figures`; positions are from the end.
+    They are tilt, rate, glideslope and sight of the site; positions are relative to the end.
     """
     x, p = casadi.SX.sym("x", STATES), casadi.SX.sym("p", 8)
     qx, qy, qz, qw = (x[6 + k] for k in range(4))

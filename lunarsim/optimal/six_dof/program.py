@@ -1,8 +1,8 @@
-"""The structure of the programs of successive convexification, and what fills it.
+"""Quadratic programs of successive convexification: structure and values.
 
 Variables: states at nodes 1 to N, commands, the length of an interval, virtual controls.
-Equalities: tangents of the motion, and the end. Inequalities: bounds of commands, mass and time,
-tangents of the limits. All matrices keep their pattern, so that a solver may be updated.
+Equalities: linearised motion, and the final state. Inequalities: bounds of commands, mass and time,
+and linearised constraints. All matrices keep their sparsity pattern, so that a solver is updated.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from lunarsim.optimal.six_dof.scale import EFFORT, LIMITS, Scale
 
 Array = NDArray[np.float64]
 
-# Price of virtual controls, against the mass at the end as a share of the start's.
+# Penalty on virtual controls, relative to the final mass as a fraction of the initial mass.
 _VIRTUAL = 1e6
-# Mass and thrust have none: they follow commands by themselves, and mass is what counts.
+# States without virtual control: mass and thrust follow the commands, and mass is the objective.
 _EXEMPT = (13, 14)
 
 _STEPS = len(SHARES)
-_END = (0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12)  # upright, at rest: heading and thrust are free
-_FAR = 1e3  # a bound that never binds, in units
+_END = (0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12)  # upright and at rest; heading and thrust are free
+_FAR = 1e3  # bound that is never active, scaled
 
 
 @dataclass(frozen=True)
 class Filled:
-    """A quadratic program: ``x P x / 2 + c x``, ``A x = b``, ``G x <= h``."""
+    """Quadratic program: ``x P x / 2 + c x``, ``A x = b``, ``G x <= h``."""
 
     p: Any
     c: Array
@@ -43,7 +43,7 @@ class Filled:
 
 
 class _Pattern:
-    """A sparse matrix whose entries are given in another order than it keeps them."""
+    """Sparse matrix whose entries are given in a different order than CSC."""
 
     def __init__(self, rows: Array, columns: Array, shape: tuple[int, int]) -> None:
         order = sparse.coo_matrix(
@@ -53,18 +53,18 @@ class _Pattern:
         self._matrix = order
 
     def filled(self, data: Array) -> Any:
-        """Return the matrix with these entries, CSC."""
+        """Return the CSC matrix with these entries."""
         m = self._matrix
         return sparse.csc_matrix((data[self._order], m.indices, m.indptr), shape=m.shape)
 
 
 class Layout:
-    """Where everything stands, for N intervals.
+    """Arrangement of variables and constraints for N intervals.
 
     Parameters
     ----------
     n
-        Intervals.
+        Number of intervals.
     """
 
     def __init__(self, n: int) -> None:
@@ -78,7 +78,7 @@ class Layout:
         self._a, self._g = self._equalities(), self._inequalities()
 
     def _columns(self) -> Array:
-        """Return the variables that each interval depends on (n, 20); -1: the start."""
+        """Return the variables of each interval (n, 20); -1 for the fixed initial state."""
         n = self.n
         states = np.arange(-STATES, STATES * (n - 1)).reshape(n, STATES)
         states[0] = -1
@@ -86,7 +86,7 @@ class Layout:
         return np.column_stack((states, controls, np.full(n, self.length)))
 
     def _blocks(self, rows: int) -> tuple[Any, Any, Any]:
-        """Return rows, columns and which are kept of a block of rows an interval."""
+        """Return rows, columns and a mask of kept entries for blocks of `rows` per interval."""
         n = self.n
         r = np.broadcast_to(np.arange(rows * n).reshape(n, rows, 1), (n, rows, 20)).ravel()
         c = np.broadcast_to(self._inputs[:, None, :], (n, rows, 20)).ravel()
@@ -116,22 +116,22 @@ class Layout:
         )
 
     def fill(self, scale: Scale, point: Point, step: float) -> Filled:
-        """Return the program at a path.
+        """Return the program linearised at a path.
 
         Parameters
         ----------
         scale
-            The descent.
+            Scaling of the descent.
         point
-            The path and its tangents.
+            Path with its linearisation.
         step
-            Price of steps, of the kind of `_VIRTUAL`.
+            Penalty on steps, in the unit of `_VIRTUAL`.
         """
         x, v, length, tangents = point.x, point.v, point.length, point.tangents
         n = self.n
         keep = self._inputs >= 0
         known = np.column_stack((x[:-1], v, np.full(n, length)))
-        # At its own path a tangent has its value; the start does not move.
+        # The linearisation is exact at its own path; the initial state is fixed.
         rest = point.values - np.einsum("nij,nj->ni", tangents, np.where(keep, known, 0.0))
         low_x, low_v, _ = Scale.split(scale.bounds(n)[0], n)
         some = np.broadcast_to(keep[:, None, :], tangents.shape)
@@ -156,7 +156,7 @@ class Layout:
         return Filled(*self._cost(x, v, length, step), a, b, g, h)
 
     def _cost(self, x: Array, v: Array, length: float, step: float) -> tuple[Any, Array]:
-        """Return P and c: the mass at the end, torques, steps and virtual controls."""
+        """Return P and c: final mass, torques, steps and virtual controls."""
         n = self.n
         weight = np.full(self.count, step)
         weight[self.virtual] = _VIRTUAL
@@ -170,7 +170,7 @@ class Layout:
         return sparse.diags(weight, format="csc"), c
 
     def read(self, z: Array, start: Array) -> tuple[Array, Array, float]:
-        """Return scaled states (n + 1, 15), shares of commands (n, 4), length of an interval."""
+        """Return scaled states (n + 1, 15), scaled commands (n, 4), length of an interval."""
         n = self.n
         states = np.vstack((start, z[: STATES * n].reshape(n, STATES)))
         return states, z[self.first_control : self.length].reshape(n, CONTROLS), z[self.length]

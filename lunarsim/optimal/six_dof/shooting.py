@@ -1,8 +1,8 @@
-"""Direct multiple shooting: the states at all nodes are variables, joined by the motion between.
+"""Direct multiple shooting: states at all nodes are variables, linked by the motion between them.
 
-One nonlinear program a number of intervals, whose descent is a parameter, solved by IPOPT (Waechter
-and Biegler 2006) with derivatives by CasADi (Andersson and others 2019), begun at the path of a
-point mass. Limits are asked for after every step of an interval, not at its ends alone.
+There is one nonlinear program per number of intervals, with the descent as a parameter. IPOPT
+(Waechter and Biegler 2006) solves it with derivatives by CasADi (Andersson and others 2019), from
+the path of a point mass. Constraints apply after every step of an interval, not only at its ends.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STEPS = len(SHARES)
 _OPTIONS: dict[str, Any] = {
     "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-6,
     "ipopt.acceptable_tol": 1e-5, "ipopt.mu_strategy": "adaptive", "error_on_fail": False,
-    # A start that is worth something stays what it is.
+    # Small pushes keep the initial guess.
     "ipopt.bound_push": 1e-4, "ipopt.bound_frac": 1e-4,
 }  # fmt: skip
 
@@ -40,27 +40,27 @@ def shoot(
     most: int = 300,
     compiled: bool = False,
 ) -> RigidPath:
-    """Return the path of least propellant of a rigid body.
+    """Compute the minimum-propellant path of a rigid body.
 
     Parameters
     ----------
     descent
-        The problem.
+        Problem.
     intervals
-        N, of held thrust and torques.
+        N, with constant thrust and torques in each.
     guess
-        Where to begin; None: at the optimum of a point mass.
+        Initial guess; None: the optimum of a point mass.
     most
-        Iterations of IPOPT.
+        Maximum number of iterations of IPOPT.
     compiled
-        True: through C code, compiled once and kept; see `compiled_library`.
+        Whether to use compiled C code from `compiled_library`.
 
     Raises
     ------
     InputError
-        If there are under 4 intervals, or C code is asked for where no compiler is.
+        If there are fewer than 4 intervals, or compilation is requested without a compiler.
     InfeasibleError
-        If a point mass cannot land either.
+        If not even a point mass can land.
     SolverError
         If IPOPT does not converge.
     """
@@ -76,7 +76,10 @@ def shoot(
     )  # fmt: skip
     stats = solver.stats()
     if not stats["success"]:
-        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+        raise SolverError(
+            f"IPOPT does not converge: {stats['return_status']} after "
+            f"{stats['iter_count']} iterations."
+        )
     x = np.asarray(got["x"]).ravel()
     states, controls, duration = scale.read(x, intervals)
     return RigidPath(

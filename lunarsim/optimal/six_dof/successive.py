@@ -1,11 +1,10 @@
-"""Successive convexification: the same descent by a row of quadratic programs.
+"""Successive convexification of the rigid-body descent, by a sequence of quadratic programs.
 
-Motion and limits are replaced by their tangents at the last path, what they miss is taken up by
-virtual controls at a high price, and steps are kept short by a quadratic price (penalised trust
-region; Szmuk, Reynolds and Acikmese 2020). Limits are asked for after every step of an interval, by
-their tangents there, so that they hold between the nodes (as the continuous-time form of Elango and
-others 2024 has it, at points in place of an integral). The programs have one structure: built once
-and updated, solved by QOCO.
+Motion and constraints are linearised at the last path. Virtual controls with a high penalty absorb
+the defects, and a quadratic penalty limits the steps (penalised trust region; Szmuk, Reynolds and
+Acikmese 2020). Constraints apply after every step of an interval, so that they hold between the
+nodes (like the continuous-time form of Elango and others 2024, with points instead of an integral).
+The programs have one structure: QOCO is set up once and updated.
 """
 
 from __future__ import annotations
@@ -28,35 +27,35 @@ from lunarsim.optimal.six_dof.scale import Scale
 
 Array = NDArray[np.float64]
 
-# Prices of steps, against the mass at the end as a share of the start's: at first, and bounds.
+# Penalties on steps, relative to the final mass as a fraction of the initial mass: initial value,
+# bounds, and value of the final joining programs.
 _FIRST, _CHEAPEST, _DEAREST, _JOINING = 1e-5, 1e-5, 1e-1, 1e-2
-# Of what a program foresees to gain, the share below which its path is not taken, and above which
-# steps may be longer.
+# Ratio of actual to predicted gain below which a path is rejected, and above which the penalty
+# decreases.
 _POOR, _GOOD = 0.1, 0.5
-# Gains are counted from the worst of so many last paths.
+# Gains are relative to the worst of this number of last paths.
 _MEMORY = 3
-# Two paths burn alike when they differ by less than this share of the propellant, and are nearly
-# joined when no interval ends farther than this from the next one's start, in units. Then a program
-# with dear steps joins them, unless steps were dear before.
+# A search settles if the relative change of propellant is below the first value and the maximum
+# defect below the second (scaled). A joining program with a high step penalty then closes the
+# defects, unless the penalty was already above the third value.
 _SAVED, _NEAR, _LONG = 5e-4, 5e-3, 1e-4
-# Joined: gaps, and limits passed in all, are no more than these.
-_JOINED, _PASSED = 2e-5, 5e-3
+# Maximum defect, and maximum sum of constraint violations, of a joined path.
 
 
 class Successive:
-    """Programs of one structure, kept and updated.
+    """Solver that keeps and updates programs of one structure.
 
     Parameters
     ----------
     intervals
-        N, of held thrust and torques.
+        N, with constant thrust and torques in each.
     most
-        Programs after which it gives up.
+        Maximum number of programs.
 
     Raises
     ------
     InputError
-        If there are under 4 intervals, or no program.
+        If there are fewer than 4 intervals, or no program.
     """
 
     def __init__(self, intervals: int = 30, most: int = 40) -> None:
@@ -65,21 +64,21 @@ class Successive:
         self._held: Any = None
 
     def solve(self, descent: RigidDescent, guess: Guess | None = None) -> RigidPath:
-        """Return the path of least propellant of a rigid body.
+        """Compute the minimum-propellant path of a rigid body.
 
         Parameters
         ----------
         descent
-            The problem.
+            Problem.
         guess
-            Where to begin; None: at the optimum of a point mass.
+            Initial guess; None: the optimum of a point mass.
 
         Raises
         ------
         InfeasibleError
-            If a point mass cannot land either.
+            If not even a point mass can land.
         SolverError
-            If a program has no solution, or the row of them does not settle.
+            If a program has no solution, or the sequence does not converge.
         """
         n, begun = self.intervals, time.perf_counter()
         guess = guess_of(descent, n) if guess is None else guess.on(n)
@@ -95,7 +94,7 @@ class Successive:
         )  # fmt: skip
 
     def settled(self, scale: Scale, point: Point) -> tuple[Point, int]:
-        """Return the path at which programs save no more, and how many there were."""
+        """Return the converged path and the number of programs."""
         price, joining = _FIRST, False
         merits = [point.merit]
         for programs in range(1, self.most + 1):
@@ -121,12 +120,12 @@ class Successive:
             point = new
             merits.append(new.merit)
         raise SolverError(
-            f"not settled in {self.most} programs: intervals {point.apart:.1e} apart, limits "
-            f"passed by {point.passed:.1e}"
+            f"Successive convexification does not converge in {self.most} programs: defect "
+            f"{point.apart:.1e}, constraint violation {point.passed:.1e}."
         )
 
     def _solved(self, filled: Filled) -> Array | None:
-        """Return the variables of a program; None if QOCO fails."""
+        """Return the variables of a program, or None if QOCO fails."""
         f = filled
         if self._held is None:
             self._held = qoco.QOCO()
@@ -140,6 +139,6 @@ class Successive:
         got = self._held.solve()
         x = np.array(got.x, dtype=np.float64)
         if not str(got.status).startswith("QOCO_SOLVED") or not np.isfinite(x).all():
-            self._held = None  # what a failed solve leaves behind may be no number
+            self._held = None  # a failed solve may leave NaN behind
             return None
         return x
