@@ -121,7 +121,7 @@ class Scales:
 
     @classmethod
     def of(cls, descent: Descent, duration: float) -> Scales:
-        """Return units in which the descent is of order 1; the length is independent of duration."""
+        """Return units in which the descent is of order 1; length does not depend on time."""
         fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
         length = float(np.linalg.norm(descent.gap)) + fall + 1.0
         return cls(length, duration, length / (duration * descent.exhaust_velocity))
@@ -141,8 +141,7 @@ class Transcription:
         n = s.intervals
         self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
         self._node = _NODE * np.arange(n + 1)
-        self.inner = np.arange(1, n - 1)  # the first and the last control point are fixed by the
-        ends
+        self.inner = np.arange(1, n - 1)  # the ends fix the first and last control point
         self.rows: dict[str, slice] = {}
         self._columns: dict[str, Indices] = {}
         self._lay_out()

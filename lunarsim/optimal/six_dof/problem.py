@@ -85,9 +85,7 @@ class Sight:
                 "optimal.sight.half_angle", self.half_angle, "must be from 0 to 90 deg, in rad"
             )
         if not (is_number(self.share) and 0.0 < self.share <= 1.0):
-            raise InputError(
-                "optimal.sight.share", self.share, "must be more than 0 and at most 1"
-            )
+            raise InputError("optimal.sight.share", self.share, "must be more than 0 and at most 1")
 
 
 @dataclass(frozen=True)
@@ -161,10 +159,10 @@ class RigidDescent:
         try:
             state = self.start_vector
         except (AttributeError, TypeError, ValueError):
-                raise InputError(
-                    "optimal.start", type(self.start).__name__, "must be a State"
-                ) from None
-            numbers("start", state, (15,), "must be a state of finite numbers")
+            raise InputError(
+                "optimal.start", type(self.start).__name__, "must be a State"
+            ) from None
+        numbers("start", state, (15,), "must be a state of finite numbers")
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
                 "optimal.start.attitude",
@@ -194,7 +192,9 @@ class RigidDescent:
             )
         for name in ("drop", "reserve"):
             if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"optimal.{name}", getattr(self, name), "must be 0 or more, and finite")
+                raise InputError(
+                    f"optimal.{name}", getattr(self, name), "must be 0 or more, and finite"
+                )
         for name in ("max_tilt", "glideslope"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 < angle < 0.5 * np.pi):

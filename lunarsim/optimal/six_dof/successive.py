@@ -40,6 +40,7 @@ _MEMORY = 3
 # defects, unless the penalty was already above the third value.
 _SAVED, _NEAR, _LONG = 5e-4, 5e-3, 1e-4
 # Maximum defect, and maximum sum of constraint violations, of a joined path.
+_JOINED, _PASSED = 2e-5, 5e-3
 
 
 class Successive:
