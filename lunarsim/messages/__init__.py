@@ -1,1 +1,1 @@
-"""Data exchanged between plant and onboard computer: measurements, commands, briefing."""
+"""Messages between plant and computer: measurements, commands, briefing."""

@@ -1,4 +1,4 @@
-"""Elevation map known before the flight: coarser than the terrain, noisy, partly outdated."""
+"""Elevation map known before the flight: coarse, noisy, partly outdated."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Parameters known to plant and onboard computer: lander, gravity and sensor models."""
+"""Lander, gravity and sensor models known to plant and onboard computer."""

@@ -115,7 +115,7 @@ class CameraModel:
 
     @property
     def tangents(self) -> tuple[Array, Array]:
-        """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
+        """Undistorted line-of-sight tangents, right and down (height, width)."""
         return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 

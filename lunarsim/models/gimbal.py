@@ -18,7 +18,7 @@ _REST = np.array([0.0, 0.0, -1.0])
 
 
 def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi) -> Array:
-    """Return the rotation (3, 3), sensor to body, that points the sensor within its limit.
+    """Return the mount (3, 3), sensor to body, that points a sensor within its limit.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ class UniformGravity:
 
 @dataclass(frozen=True)
 class RoundMoon:
-    """Rotating sphere with central gravity, tangent to the site's horizontal plane at the origin.
+    """Rotating sphere with central gravity, tangent to the site's horizontal plane.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class CentralGravity:
         return np.asarray(-self.magnitude * self.radius**2 * r / distance**3)
 
     def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return the sum of gravity, Coriolis and centrifugal acceleration (..., 3), m/s^2."""
+        """Return gravity plus Coriolis and centrifugal acceleration (..., 3), m/s^2."""
         about = np.cross(self.spin, self.from_centre(position))
         v = np.asarray(velocity, dtype=np.float64)
         turning = 2.0 * np.cross(self.spin, v) + np.cross(self.spin, about)

@@ -1,4 +1,4 @@
-"""Error parameters of inertial measurement units, shared by sensor and navigation filter."""
+"""Error parameters of inertial units, shared by sensor and navigation filter."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class TriadErrors:
-    """Error model of three gyroscopes or accelerometers; u is rad or m/s, respectively.
+    """Error model of three gyroscopes (u = rad) or accelerometers (u = m/s).
 
     Attributes
     ----------

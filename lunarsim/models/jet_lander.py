@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Engine:
-    """Geometry, gimbal and throttle of the descent engine; `Lander` has its range and lag.
+    """Geometry, gimbal and throttle of the engine; `Lander` has its range and lag.
 
     Attributes
     ----------

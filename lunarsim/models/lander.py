@@ -144,7 +144,7 @@ class Lander:
 
     @property
     def pads(self) -> NDArray[np.float64]:
-        """Pad centres in body axes (legs, 3), m; the first is 45 deg (3 legs: 0) from body x."""
+        """Pad centres, body axes (legs, 3), m; first 45 deg (3 legs: 0) from body x."""
         first = np.pi / 4 if self.legs == 4 else 0.0
         angle = first + 2.0 * np.pi * np.arange(self.legs) / self.legs
         return np.column_stack(

@@ -59,7 +59,7 @@ class Pinhole(NamedTuple):
         return out
 
     def tangents(self, width: int, height: int) -> tuple[Array, Array]:
-        """Return the tangents of all pixels' lines of sight, right and down (height, width)."""
+        """Return the line-of-sight tangents of pixels, right and down (height, width)."""
         u = (np.arange(width) - self.cx) / self.fx
         v = (np.arange(height) - self.cy) / self.fy
         right, down = np.meshgrid(u, v)

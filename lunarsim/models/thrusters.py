@@ -77,7 +77,7 @@ class Thrusters:
 
     @property
     def layout(self) -> tuple[Array, Array]:
-        """Position (n, 3), m, and unit vector of the force (n, 3) of each thruster, body axes."""
+        """Positions (n, 3), m, and unit force vectors (n, 3), body axes."""
         if self.positions:
             d = np.asarray(self.directions, dtype=np.float64)
             unit = d / np.linalg.norm(d, axis=1, keepdims=True)

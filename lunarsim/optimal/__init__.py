@@ -1,4 +1,4 @@
-"""Minimum-propellant descents: benchmark of every guidance law, and planner of the optimal one.
+"""Minimum-propellant descents: benchmark of laws, planner of the optimal law.
 
 `docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
 programs; `least_propellant` and `least_error` search the final time.

@@ -148,7 +148,7 @@ class Clarabel:
 
 
 def relaxed(program: Program) -> Program:
-    """Return the program of the minimum widening t of all cones; t > 0 proves infeasibility.
+    """Return the program of the minimum widening t of cones; t > 0: infeasible.
 
     It has a solution if the equalities have one.
     """

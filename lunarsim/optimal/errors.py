@@ -11,7 +11,7 @@ from lunarsim.errors import InputError
 
 
 class InfeasibleError(InputError):
-    """Report that no feasible path exists, proven by the solver for every tried final time.
+    """Report that no feasible path exists, proven for every tried final time.
 
     Other final times are not examined.
 

@@ -1,4 +1,4 @@
-"""Search for the optimal final time, by the derivative of the cost that each solve provides.
+"""Search for the optimal final time by the derivative of the cost.
 
 Neither solver accepts a starting iterate. The information reused from the last solution is its
 final time, its masses and the curvature of its cost.
@@ -189,7 +189,7 @@ def least_propellant(
 
 
 def flyable(path: Path) -> bool:
-    """Return whether a path's thrust violates its limits by at most 5 % of the maximum.
+    """Return whether the thrust limits are violated by at most 5 % of the maximum.
 
     A larger violation means that the relaxation is not lossless: too few intervals around a switch,
     or a state constraint that is active for long.
@@ -252,7 +252,7 @@ def search_about(
     step: float = _STEP,
     bend: float = 0.0,
 ) -> Path | None:
-    """Find the best path, starting from given final times; None if none of them is feasible.
+    """Find the best path from given final times; None if none is feasible.
 
     Parameters
     ----------

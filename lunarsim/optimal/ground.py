@@ -1,4 +1,4 @@
-"""Terrain constraint of optimal paths: a convex majorant, then successive linearisation.
+"""Terrain constraint of optimal paths: convex majorant, then linearisation.
 
 The space above terrain is not convex. A cone of half-spaces over the end, one per azimuth sector,
 is convex. Each sector's slope is the minimum with which its plane is above all terrain of the
@@ -89,7 +89,7 @@ class Relief:
         return np.where(inside, (1.0 - t) * low + t * high, np.nan)
 
     def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
-        """Return half-spaces over an end (3,) that contain all terrain plus clearance below them.
+        """Return half-spaces over an end (3,) above all terrain plus clearance.
 
         Terrain below the end is not constrained: no slope is negative.
 
@@ -136,7 +136,7 @@ class Relief:
         return float((points[:, 2] - height).min())
 
     def walls(self, path: Path, clearance: float) -> Walls:
-        """Return three planes for each control point: over its terrain and that of its neighbours.
+        """Return three planes per control point: its own and its neighbours'.
 
         The path over an interval lies in the hull of its own control point and its neighbours';
         all three are therefore above the plane of that interval.
@@ -158,7 +158,7 @@ class Relief:
 
     @staticmethod
     def _plane(posts: Array, about: Array, reach: float) -> Array:
-        """Return slopes and height at the origin (3,) of a plane above all posts within reach."""
+        """Return slopes and height at the origin (3,) of a plane above nearby posts."""
         near = posts[np.hypot(*(posts[:, :2] - about[:2]).T) <= reach]
         if len(near) < 3:
             raise InputError(
@@ -234,7 +234,7 @@ def least_propellant_over(
 
 
 def _starts(planner: Planner, descent: Descent, kept: Path | None) -> list[Path]:
-    """Return the first paths for linearisation: over flat terrain, and over the majorant.
+    """Return initial paths for linearisation: over flat terrain and majorant.
 
     A majorant that is steep at a near rim leads to a vertical path. Linearisation about that path
     never finds the short path, but linearisation about the path over flat terrain does.
@@ -274,7 +274,7 @@ def _linearised(
     rounds: int,
     alone: bool,
 ) -> Path | None:
-    """Linearise the terrain about the last path until both agree; None if no path is above it.
+    """Linearise the terrain until it agrees with the path; None if no path is found.
 
     A path outside the posts raises an error if it is `alone`: no other path or start is left.
     """

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Cone:
-    """Half-spaces ``normals @ (r - end) >= -drop`` that contain a path: a cone over its end.
+    """Cone of half-spaces over a path's end: ``normals @ (r - end) >= -drop``.
 
     The first and the last interval are exempt: the start may be below a majorant of terrain.
 

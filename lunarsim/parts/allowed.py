@@ -43,7 +43,7 @@ def check_allowed(field: str, kind: str, module: str) -> None:
 
 
 def allow_modules(*names: str) -> None:
-    """Allow files to name classes of these modules, in this process and in child processes.
+    """Allow files to name classes of these modules, also in child processes.
 
     Parameters
     ----------

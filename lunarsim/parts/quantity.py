@@ -89,7 +89,7 @@ class Quantity:
         return (" and ".join(words) or "a finite number") + unit
 
     def allows(self, value: float) -> bool:
-        """Return whether a number, in the unit of the scenario, is finite and within the bounds."""
+        """Return whether a number in the scenario's unit is finite and within bounds."""
         return bool(
             np.isfinite(value)
             and (self.gt is None or value > self.gt)
@@ -107,7 +107,7 @@ class Quantity:
         return value
 
     def from_si(self, value: Any) -> Any:
-        """Convert a part's value to the unit of the scenario; return the default unrounded."""
+        """Convert a part's value to the scenario's unit, and keep the default exact."""
         if value == self.to_si(self.default):
             return self.default
         if self.unit in ("deg", "deg/s"):

@@ -1,4 +1,4 @@
-"""Registry of the parts of every contract, with the modules that define their classes.
+"""Registry of the parts of every contract.
 
 A new part takes one file and one line here. Another package can add a name by an entry point of the
 group ``lunarsim.CONTRACT``, or a scenario can give ``kind = "module:Class"`` if the user allows the
@@ -161,7 +161,7 @@ CONTRACTS: dict[str, Contract] = {
 
 
 def kinds(contract: str) -> dict[str, str]:
-    """Return name and "module:Class" of all parts of a contract, including entry points.
+    """Return name and "module:Class" of all parts, including entry points.
 
     Raises
     ------

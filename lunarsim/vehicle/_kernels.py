@@ -19,7 +19,7 @@ def rates(
     y, at, out, into, n, width, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet,
     rig,
 ):  # fmt: skip
-    """Write dy/dt of body n of `width`, by the equations of `Dynamics` with a `rig_of`.
+    """Write dy/dt of body n of `width`, by the equations of `Dynamics`.
 
     States lie flat in y from `at` on, row by row with bodies side by side, and so does the result
     in `out` from `into` on. If `width` is a constant, the compiler sees that rows do not overlap
@@ -117,7 +117,7 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 
 @kernel(exact=True)
 def _flat_step(y, dt, asked, torque, figures, inertia, rig, work, width):
-    """Advance bodies by one step in place; all arrays except `inertia` and `rig` are flat."""
+    """Advance bodies by one step in place; arrays of bodies are flat."""
     size = 15 * width
     i_dry = (inertia[0, 0], inertia[0, 1], inertia[0, 2])
     i_wet = (inertia[1, 0], inertia[1, 1], inertia[1, 2])
@@ -181,7 +181,7 @@ def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
 
 @kernel()
 def advance_bodies(y, dt, asked, torque, figures, inertia, rig, work):
-    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N) in place.
+    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N).
 
     The commanded thrust of an engine without propellant becomes 0. `figures` (5, N) are the
     parameters of each body; the others are those of `advance_body`; `work` is scratch (5, 15, N).
@@ -217,7 +217,7 @@ def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
 
 @kernel()
 def advance_ideal(y, steps, dt, thrust, target, slew, figures, inertia, rig):
-    """Advance y by `steps` steps with an ideal attitude actuator; return every state (steps, 15).
+    """Advance y with an ideal attitude actuator; return every state (steps, 15).
 
     The attitude follows the great circle to `target` at `slew` (rad/s) or less.
     """

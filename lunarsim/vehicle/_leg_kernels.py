@@ -68,7 +68,7 @@ def touch(y, pad, leg, law, ground, frame, out):
 
 @kernel(inner=True)
 def slide(out, leg, law, n, normal):
-    """Add normal force and friction: a spring and a damper hold the pad at its contact point."""
+    """Add normal force and friction from a spring and damper at the contact point."""
     hold = np.zeros(3)
     if np.isfinite(leg[2]):
         off = np.empty(3)
@@ -89,7 +89,7 @@ def slide(out, leg, law, n, normal):
 
 @kernel(inner=True)
 def loads(y, pads, legs, law, ground, frame, rig, torque, out):
-    """Write the legs' force into `rig` and their torque, body axes; return the power absorbed."""
+    """Write the legs' force into `rig`, and their torque; return absorbed power."""
     power = 0.0
     total = np.zeros(3)
     turn = np.zeros(3)

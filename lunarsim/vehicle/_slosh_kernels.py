@@ -1,4 +1,4 @@
-"""Compiled motion of a body with slosh pendulums in its tanks; unused for landers without tanks.
+"""Compiled motion of a body with slosh pendulums in its tanks.
 
 A pendulum of mass w and length L hangs from h; its bob is at r = h + L u. All are relative to the
 centre of mass of the body with liquid at rest, in body axes. The rod tension N = w (L |u'|^2 -
@@ -29,7 +29,7 @@ def _cross(a, b, out):
 
 @kernel(exact=True)
 def pendulum(tank, fill, bob):
-    """Return mass, kg, and length, m, and write the bob's rest position (3,), as in `Slosh`."""
+    """Return mass, kg, and length, m, and write the bob's rest position (3,)."""
     radius, depth = tank[3], fill * tank[5] / tank[3]
     steep = np.tanh(_MODE * depth)
     bob[0] = tank[0]
@@ -99,7 +99,7 @@ def _solve(matrix, right):
 
 @kernel()
 def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
-    """Add the swinging pendulum of tank t to the equations, and subtract its bob at rest."""
+    """Add the pendulum of tank t to the equations, in place of its bob at rest."""
     bob, own, swing, drag, turn = (
         np.empty(3),
         np.empty(3),
@@ -135,7 +135,7 @@ def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
 
 @kernel()
 def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
-    """Write the rod motion of tank t for the body's linear and angular acceleration (6,)."""
+    """Write the rod motion of tank t for the body's acceleration (6,)."""
     bob, own, swing, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _, length = pendulum(tanks[t], fill, bob)
     slow = 2.0 * tanks[t, 6] * np.sqrt(push / length)
@@ -158,7 +158,7 @@ def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
 
 @kernel()
 def _couple(s, out, felt, rate, mass, moments, com, fill, tanks, sout):
-    """Correct the accelerations of a body with liquid at rest, and write the swing rates.
+    """Correct accelerations of a body with liquid at rest; write swing rates.
 
     `felt` is the acceleration (3,), body axes, without gravity; `out` is dy/dt (15,). Both are
     given for liquid at rest and are corrected in place. `s` and `sout` (n, 6): direction u of each

@@ -1,4 +1,4 @@
-"""Compiled touchdown on raster terrain: first contact, and landing outcome of `touchdown.py`.
+"""Compiled touchdown on raster terrain: first contact and landing outcome.
 
 Terrain is a raster of heights (rows, cols), bilinear between posts; `frame` (3,) holds the
 coordinates of post (0, 0) and the posting, m. Terrain outside the posts is unknown.

@@ -61,7 +61,7 @@ class Actuators:
         self.liquid = Liquid(lander) if lander.slosh.tanks else None
 
     def order(self, on_times: Array, gimbal: Array) -> None:
-        """Set on-times of the thrusters (n,), s, and the commanded gimbal angles (2,), rad."""
+        """Set on-times of the thrusters (n,), s, and gimbal commands (2,), rad."""
         least = self.lander.thrusters.minimum_on
         wanted = np.where(on_times > 0.0, np.maximum(on_times, least), 0.0)
         # A valve that has just opened cannot close before its minimum on-time.
@@ -97,7 +97,7 @@ class Actuators:
         return thrust
 
     def advance(self, dynamics: Dynamics, state: State, throttle: float) -> State:
-        """Return the state one step later, with the commanded valves and a throttle setting, N."""
+        """Return the state one step later for a throttle setting, N."""
         share = self._shares()
         limit = self.step * self.lander.engine.gimbal_rate
         self.gimbal = self.gimbal + np.clip(self._target - self.gimbal, -limit, limit)

@@ -29,7 +29,7 @@ def rig_of(
     radius: float = 0.0,
     spin: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
-    """Return forces and geometry, other than thrust along body z and torques, for kernels (21,).
+    """Return forces and geometry for kernels (21,), other than torques.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class Faults:
-    """Thrusters stuck shut or open, and a stuck throttle, unknown to the onboard computer.
+    """Stuck thrusters and a stuck throttle, unknown to the onboard computer.
 
     Attributes
     ----------

@@ -142,7 +142,7 @@ class Patch:
 
 
 def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> float:
-    """Return the minimum height of the belly's plane above the terrain between the legs (m)."""
+    """Return the minimum height of the belly above the terrain, m."""
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
     if lift[2] < 0.3:

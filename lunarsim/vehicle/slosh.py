@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Liquid:
-    """Pendulums in the tanks, coupled to the body, by the model of `lunarsim.models.slosh`.
+    """Pendulums in the tanks, coupled to the body (`lunarsim.models.slosh`).
 
     Position and velocity of a state are those of the point that is the centre of mass while the
     liquid rests. Mass and pivot of a pendulum follow the remaining propellant and are constant
@@ -48,7 +48,7 @@ class Liquid:
     def advance(
         self, dynamics: Dynamics, state: State, thrust: float, torque: Array, rig: Array
     ) -> State:
-        """Return the state one step later, with the parameters of `Dynamics.advance_rigged`."""
+        """Return the state one step later, like `Dynamics.advance_rigged`."""
         y = state.as_vector()
         k.advance(
             y, self.swings, dynamics.step, float(thrust), np.asarray(torque, dtype=np.float64),

@@ -1,4 +1,4 @@
-"""Domain randomization: random vehicle parameters, sensing errors and failures per flight."""
+"""Domain randomization of vehicle, sensing and failures per flight."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DRAWN = (
 
 @dataclass(frozen=True)
 class Variation:
-    """Domain randomization of ``Guidance-v0`` and ``Control-v0``, drawn for every flight.
+    """Domain randomization of ``Guidance-v0`` and ``Control-v0``, per flight.
 
     Vehicle parameters are uniform within plus or minus the half range; noise is normal.
 

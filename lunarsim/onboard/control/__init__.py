@@ -1,1 +1,1 @@
-"""Control: converts a commanded thrust acceleration to throttle, attitude and torque."""
+"""Control: from a commanded acceleration to throttle, attitude and torque."""

@@ -51,7 +51,7 @@ class ProportionalDerivative:
 
 @dataclass(frozen=True)
 class IdealAttitude:
-    """Ideal actuator that turns along the shortest arc (shadow EKF paper, section IV.A.3).
+    """Ideal actuator on the shortest arc (shadow EKF paper, section IV.A.3).
 
     Attributes
     ----------

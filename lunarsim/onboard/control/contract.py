@@ -28,7 +28,7 @@ class AttitudeControl(Protocol):
         ...
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the commanded torque (3,), body axes, N m; it is clipped to the thrusters' range.
+        """Return the commanded torque (3,), body axes, N m, before clipping.
 
         Parameters
         ----------

@@ -82,7 +82,7 @@ class JetLoop(AttitudeLoop):
         return self._step % self.period_steps == 0
 
     def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Start a control cycle with a command and the estimated attitude (4,) and mass (kg)."""
+        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
         super().begin(command, attitude, mass)
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
@@ -103,7 +103,7 @@ class JetLoop(AttitudeLoop):
         return self.state[7:].copy()
 
     def _through_com(self) -> Array:
-        """Return the gimbal angles (2,), rad, that point the thrust through the centre of mass."""
+        """Return gimbal angles (2,), rad, for thrust through the centre of mass."""
         east, north = float(self._com[0]), float(self._com[1])
         if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
             return np.zeros(2)
@@ -167,7 +167,7 @@ class JetLoop(AttitudeLoop):
 
 
 def _upright(swing: Array) -> Array:
-    """Return the rotation (4,) that maps a gimballed engine's thrust, body axes, onto body z."""
+    """Return the rotation (4,) from a gimballed engine's thrust onto body z."""
     x, y = swing
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
     turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # axis push x z, half the angle

@@ -1,4 +1,4 @@
-"""Fast attitude loop of the onboard computer, run on gyroscopes between control cycles."""
+"""Fast attitude loop on gyroscopes between control cycles."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class AttitudeLoop:
         return self.law.gains
 
     def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Start a control cycle with a command and the estimated attitude (4,) and mass (kg)."""
+        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
         self.state[:4] = attitude
         self.inertia = self.lander.inertia(mass)
         self.target = np.ascontiguousarray(command.attitude, dtype=np.float64)
@@ -80,7 +80,7 @@ class AttitudeLoop:
         k.follow(self.state, increment, self.step)
 
     def replay(self, increments: Array) -> Array:
-        """Return the torques (n, 3) for recorded increments (n, 3), bit-identical to the flight."""
+        """Return torques (n, 3) for recorded increments (n, 3), bit-identical."""
         if self.compiled:
             return np.asarray(
                 k.replay(

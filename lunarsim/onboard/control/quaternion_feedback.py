@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class QuaternionFeedback:
-    """Quaternion feedback: rate-limited eigenaxis rotation with gyroscopic compensation.
+    """Rate-limited eigenaxis quaternion feedback with gyroscopic compensation.
 
     The commanded rate points along the rotation vector of the error. Its magnitude is the minimum
     of the linear feedback, the slew limit, and the rate from which `braking` can still stop the

@@ -1,4 +1,4 @@
-"""Compiled search for the minimum time-to-go of quartic paths within limits on jerk and snap.
+"""Compiled search for the minimum time-to-go within limits on jerk and snap.
 
 With u = 1 / T and d the displacement to the target, a quartic path's jerk at its start and end and
 its snap are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
@@ -23,7 +23,7 @@ def _dot(a, b):
 
 @kernel(inner=True)
 def _squared(a, b, c, way, out, k):
-    """Write the coefficients of ``|a + b u + c way u^2|^2`` into column k (5, 16), u^0 first."""
+    """Write coefficients of ``|a + b u + c way u^2|^2`` to (5, 16), u^0 first."""
     out[0, k] = _dot(a, a)
     out[1, k] = 2.0 * _dot(a, b)
     out[2, k] = _dot(b, b) + 2.0 * c * _dot(a, way)
@@ -50,7 +50,7 @@ def _keeps(terms, k, u, most):
 
 @kernel(inner=True)
 def _refine(terms, low, high, most):
-    """Bisect brackets (16,) whose lower ends violate a limit and whose upper ends do not."""
+    """Bisect brackets (16,) of which only the lower ends violate a limit."""
     for _ in range(_HALVINGS):
         for k in range(_SIDE):
             middle = 0.5 * (low[k] + high[k])

@@ -16,7 +16,7 @@ HALVINGS = 5
 
 @kernel(inline=True, inner=True)
 def terms(state, target, asked, big_t, powers, out):
-    """Write each power's part of the mean acceleration (2, 3), as in `paths.PathShape`."""
+    """Write each power's part of the mean acceleration (2, 3), as `PathShape`."""
     low, high = powers[0], powers[1]
     for k in range(3):
         r, v, v_f, a_f = state[0, k], state[1, k], asked[0, k], asked[1, k]
@@ -28,7 +28,7 @@ def terms(state, target, asked, big_t, powers, out):
 
 @kernel(inline=True, inner=True)
 def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
-    """Return whether a sample is above the cone of slope `glide`, apex 0.5 m below the end."""
+    """Return whether a sample is above the glideslope, apex 0.5 m below the end."""
     left = share * big_t
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
     east = left * (left * (0.5 * asked[1, 0] + x[0, 0] * f + x[1, 0] * g) - asked[0, 0])
@@ -92,7 +92,7 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
 
 @kernel(inner=True)
 def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
-    """Return the best of `count` geometric steps from `first`, -1 if none; some are skipped."""
+    """Return the best of `count` geometric steps from `first`, or -1."""
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
@@ -113,7 +113,7 @@ def _keep(found, out):
 
 @kernel(inner=True)
 def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
-    """Write the best path (4,) around a time ``first exp(at)``, halving the step around it."""
+    """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
     time = first * np.exp(at)
     if measure(state, target, asked, time, table, powers, figures, x, found):
         _keep(found, out)

@@ -1,4 +1,4 @@
-"""Compiled search over many sites: times-to-go are tried for sixteen sites at once by SIMD.
+"""Compiled search over many sites, sixteen at once by SIMD.
 
 Trials use single precision; the selected path is evaluated again in double precision. Rounding can
 therefore only affect the choice between two equally good times.
@@ -35,7 +35,7 @@ _NOTHING = 1e30  # represents an infinite cost
 
 @kernel(inline=True)
 def along(w, place, state, asked, axis, powers, inverse):
-    """Return the lower power's part of the mean acceleration, and the sum of both parts."""
+    """Return the lower power's part of the mean acceleration, and both parts' sum."""
     p = (asked[0, axis] - state[1, axis]) * inverse - asked[1, axis]
     q = ((state[0, axis] - load(w, place)) * inverse + asked[0, axis]) * inverse
     q = q - 0.5 * asked[1, axis]
@@ -100,7 +100,7 @@ def sixteen(w, state, asked, table, powers, figures):
 
 @kernel(inner=True)
 def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
-    """Write the best of `count` geometric steps (16,), -1 if none, for lanes without one yet.
+    """Write the best of `count` geometric steps (16,) for lanes without one yet.
 
     `spans` (3, 16): first time, its logarithmic span, step.
     """

@@ -1,4 +1,6 @@
-"""Apollo polynomial guidance (Klumpp, "Apollo lunar descent guidance", Automatica 10, 1974).
+"""Apollo polynomial guidance.
+
+Klumpp, "Apollo lunar descent guidance", Automatica 10, 1974.
 
 Given current position and velocity, and position, velocity and acceleration at the target after a
 time-to-go T, exactly one acceleration quadratic in time solves the boundary value problem. The law
@@ -36,7 +38,7 @@ def jerk_time_to_go(
     *,
     guess: float,
 ) -> float:
-    """Return the time-to-go (s) whose quartic path ends with a given jerk along one axis.
+    """Return the time-to-go (s) of a quartic path with a given final jerk.
 
     It is the root of ``J T^3 - 6 A T^2 + (18 V_f + 6 V) T - 24 (R_f - R) = 0`` nearest to the
     guess (Klumpp's cubic, which counts T negative); NaN if no root is positive.

@@ -1,6 +1,7 @@
-"""Augmented Apollo guidance (Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019).
+"""Augmented Apollo guidance.
 
-One gain varies the path from E-guidance (6) over the Apollo law (12) to larger values.
+Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019. One gain varies the path from
+E-guidance (6) over the Apollo law (12) to larger values.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ def _searched(
     estimate: Estimate, targets: Array, asked: Array, first: Array, last: Array, shape: PathShape,
     figures: Array,
 ) -> Array:  # fmt: skip
-    """Return the kernel's result for the best path to each target between two times (n, 4)."""
+    """Return kernel results for the best path to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.survey(
@@ -198,7 +198,7 @@ def _measured(
 
 
 def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
-    """Convert kernel results (delta-v, time, thrust, tangent of tilt; (n, 4)) to costs."""
+    """Convert kernel results (n, 4) to costs."""
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     good = propellant <= estimate.mass - lander.dry_mass - reserve
     return DivertCost(

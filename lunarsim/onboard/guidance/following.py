@@ -46,7 +46,7 @@ class Answering:
         self._command = acceleration
 
     def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Predict position and velocity (3,) one lag ahead, when the next command takes effect."""
+        """Predict position and velocity (3,) one lag ahead."""
         a, lead = self._lagged, self.lead
         position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
         return position, estimate.velocity + lead * a

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def shape_of(gamma: float, gain: float) -> PathShape:
-    """Return the path shape with powers `gamma` and ``gain / (gamma + 2) - 2`` of time-to-go.
+    """Return the shape with powers `gamma` and ``gain / (gamma + 2) - 2``.
 
     The powers may come in either order. Equal powers need a logarithm and are rejected.
 

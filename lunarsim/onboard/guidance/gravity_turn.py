@@ -1,4 +1,4 @@
-"""Gravity turn: thrust opposite to the velocity, so that speed and height vanish together.
+"""Gravity turn: thrust opposes velocity; speed and height vanish together.
 
 With thrust acceleration N g opposite to the velocity, c the cosine of the angle between velocity
 and down, and uniform g, the height loss until the lander stops is

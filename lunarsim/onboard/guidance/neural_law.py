@@ -197,7 +197,7 @@ class NeuralGuidance:
         return level and np.allclose(mine, self.network.problem, rtol=_SAME, atol=1e-9)
 
     def _within_limits(self, push: Array, mass: float) -> Array | None:
-        """Return thrust over mass clipped to the limits, or None if the violation is too large."""
+        """Return thrust over mass clipped to the limits; None if far outside them."""
         lander, slack = self.lander, self.settings.thrust_slack * self.lander.thrust_max
         force = float(np.linalg.norm(push)) * mass
         tilt = float(np.arctan2(np.hypot(push[0], push[1]), push[2]))
@@ -219,7 +219,7 @@ class NeuralGuidance:
         return np.asarray(push * (wanted / force))
 
     def _apollo_time(self, estimate: Estimate, end: PhaseEnd) -> float:
-        """Return the optimal time-to-go of the Apollo law, s; NaN if no path is admissible."""
+        """Return the optimal time-to-go of the Apollo law, s; NaN if there is none."""
         one = replace(end, position=end.position[None, :])
         cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
         return float(cost.time_to_go[0])
@@ -236,7 +236,7 @@ class NeuralGuidance:
 
 
 def _begins(shown: Array) -> bool:
-    """Return whether reduced inputs (6,) are in the domain of the training's initial states."""
+    """Return whether inputs (6,) are in the domain of training's initial states."""
     low = shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
     return not (low or shown[1] > MOST_HEIGHT or shown[3] > MOST_ACROSS)
 

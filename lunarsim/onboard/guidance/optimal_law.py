@@ -1,4 +1,4 @@
-"""Minimum-propellant guidance: a cone program solved once a second and tracked in between.
+"""Minimum-propellant guidance by cone programs, solved about once a second.
 
 The lossless convexification of `lunarsim.optimal` is solved, with free final time, from the state
 predicted at the response of attitude and engine. A minimum-propellant path brakes as late as
@@ -222,7 +222,7 @@ class OptimalGuidance:
         return "solver" if found else "infeasible"
 
     def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
-        """Return the planning problem; the upper throttle margin is available at a penalty."""
+        """Return the problem; the upper throttle margin is available at a penalty."""
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
         margin, spare = (m * throttle for m in (limits.throttle_margin, self._spare))

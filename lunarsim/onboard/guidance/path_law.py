@@ -37,7 +37,7 @@ class GuidancePart(Protocol):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return the cost of reaching each of n ends under this law, as `divert_cost` does.
+        """Return the cost of reaching each of n ends, as `divert_cost` does.
 
         `times` (n,), s, are given only if a decision stretches the time-to-go.
         """
@@ -64,7 +64,7 @@ class PathLaw(ABC):
         """Shape of the paths under perfect actuation."""
 
     def feedback(self, gravity: float) -> Feedback | None:
-        """Return the feedback formula for a gravity (m/s^2); None: use the path's acceleration."""
+        """Return the feedback formula for a gravity (m/s^2); None: follow the path."""
         return None
 
     def build(self, briefing: Briefing, lag: float) -> PathGuidance:

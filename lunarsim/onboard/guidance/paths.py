@@ -1,4 +1,4 @@
-"""Paths that meet final position and velocity, with two power terms in the acceleration.
+"""Paths to a final state with two power terms in the acceleration.
 
 With tau the time-to-go, the acceleration (gravity included) is
 ``a = a_f + k1 tau^p + k2 tau^q`` with ``0 <= p < q``: the family of Lu, "Theory of

@@ -1,9 +1,9 @@
-"""P66: the computer holds a rate of descent set by the pilot's clicks; the pilot controls attitude.
+"""P66: rate of descent held by the computer, set by a pilot's clicks.
 
-The vertical channel is first order, ``a = g + (v_wanted - v) / tau``. A click of the switch changes
-the commanded rate by 1 ft/s. The pilot model wants a rate proportional to height between two
-limits and clicks at most once a second. It tilts the lander to correct the horizontal velocity, at
-sampled times.
+The pilot also controls attitude. The vertical channel is first order, ``a = g + (v_wanted - v) /
+tau``. A click of the switch changes the commanded rate by 1 ft/s. The pilot model wants a rate
+proportional to height between two limits and clicks at most once a second. It tilts the lander to
+correct the horizontal velocity, at sampled times.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 @dataclass
 class SteadyPlace:
-    """Horizontal position for guidance, with limited correction rates near the end of a path.
+    """Limit the rate of position corrections near the end of a path.
 
     A navigation filter corrects its position in steps, sometimes by a metre. A path with a
     time-to-go T responds to a step d with an acceleration of 6 d / T^2: 1.5 m/s^2 for 1 m and 2 s.

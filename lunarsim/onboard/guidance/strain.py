@@ -1,4 +1,4 @@
-"""Detection of paths that exceed the limits of the lander, so that they are replanned."""
+"""Detection of paths that exceed the lander's limits and need replanning."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class VelocityNull:
-    """Descent at the phase's rate with zero horizontal velocity, independent of the site (P65).
+    """Descent at the phase's rate with zero horizontal velocity (P65).
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ class DescentLaw(Protocol):
 
 @dataclass(frozen=True)
 class VerticalDescent:
-    """Hold the descent speed and the position over the target (shadow EKF paper, section IV.B).
+    """Hold descent speed and position (shadow EKF paper, section IV.B).
 
     If the lander drifts faster than it can stop before touchdown, it descends more slowly until it
     can.
@@ -106,7 +106,7 @@ class VerticalDescent:
         return float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
 
     def _slowed(self, velocity: NDArray[np.float64], height: float, planned: float) -> float:
-        """Return the vertical speed, m/s, reduced while the lander drifts too fast to stop."""
+        """Return the vertical speed, m/s, reduced while the lander drifts too fast."""
         excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
         # The maximum tilt decreases with height: plan with half of the value at this height.
         stopping = excess / (0.5 * self.gravity * self._leaning(height, self.lean_height))

@@ -1,4 +1,4 @@
-"""Minimum-propellant descents of a rigid body, with the simulator's equations of motion.
+"""Minimum-propellant descents of a rigid body, with the simulator's dynamics.
 
 `shoot` uses direct multiple shooting and IPOPT, `Successive` a sequence of quadratic programs.
 Both hold thrust and torques constant over intervals, so that the result can be flown open loop

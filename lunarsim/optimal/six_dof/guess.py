@@ -1,4 +1,4 @@
-"""Initial guess of a rigid body's path: the optimum of a point mass, with an attitude."""
+"""Initial guess of a rigid body's path from the optimum of a point mass."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def guess_of(descent: RigidDescent, intervals: int) -> Guess:
 
 
 def carried_on(path: RigidPath, elapsed: float) -> Guess:
-    """Return the rest of a path after a time (s), resampled to the same number of intervals.
+    """Return the rest of a path after a time (s), on as many intervals.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def carried_on(path: RigidPath, elapsed: float) -> Guess:
 
 
 def _along(push: Array, start: Rotation) -> Rotation:
-    """Return attitudes with body z along vectors (K, 3) and the yaw of the first attitude."""
+    """Return attitudes with body z along vectors (K, 3) and the initial yaw."""
     up = push / np.linalg.norm(push, axis=1, keepdims=True)
     heading = start.apply([1.0, 0.0, 0.0])
     y = np.cross(up, heading)

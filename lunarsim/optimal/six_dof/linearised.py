@@ -73,7 +73,7 @@ class Point:
 
 @cache
 def _shot() -> Any:
-    """Return (state, control, length; parameters) -> end, limits (35,) and derivatives (35, 20)."""
+    """Return (inputs, parameters) -> end, limits (35,) and derivatives (35, 20)."""
     z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
     x, v, length = z[:STATES], z[STATES:-1], z[-1]
     states = interval()(x, v * p[11:15], length, p[:11])
@@ -84,7 +84,7 @@ def _shot() -> Any:
 
 
 def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Array]:
-    """Return ends and constraint values of all intervals (n, 35), and derivatives (n, 35, 20).
+    """Return ends and constraint values (n, 35), and derivatives (n, 35, 20).
 
     The last column is the derivative by the length of an interval.
     """

@@ -1,4 +1,4 @@
-"""Simulator's equations of motion over one interval of constant commands, for CasADi.
+"""Simulator's equations of motion over one control interval, for CasADi.
 
 The equations are those of `lunarsim.vehicle.dynamics.Dynamics`, without thruster forces and round
 Moon, in scaled units (`Units`), so that one compiled program serves every lander and descent.
@@ -38,7 +38,7 @@ def control_units(units: Units) -> Array:
 
 
 def figures_of(descent: RigidDescent, units: Units) -> Array:
-    """Return gravity, exhaust velocity, lag, dry and wet mass, and moments, scaled (11,)."""
+    """Return gravity, exhaust velocity, lag, masses and moments, scaled (11,)."""
     v = descent.lander
     moment = units.mass * units.length**2
     return np.concatenate(
@@ -79,7 +79,7 @@ def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
 
 @cache
 def interval() -> Any:
-    """Return the function (state, control, length, figures) -> states after each step (15, 5).
+    """Return the map (state, control, length, parameters) -> states (15, 5).
 
     It takes classical Runge-Kutta steps; the thrust of a step is the mean response of the engine's
     lag to the command.
@@ -106,7 +106,7 @@ def interval() -> Any:
 
 @cache
 def limits() -> Any:
-    """Return the function (state, limits) -> constraint values that must be 0 or more (4,).
+    """Return the map (state, limits) -> constraint values, 0 or more (4,).
 
     They are tilt, rate, glideslope and sight of the site; positions are relative to the end.
     """
@@ -134,7 +134,7 @@ def limits() -> Any:
 
 
 def limit_figures(descent: RigidDescent, units: Units) -> Array:
-    """Return cosine of tilt, square of rate, slope, drop, axis and cosine of sight (8,)."""
+    """Return tilt cosine, squared rate, slope, drop, sight axis and cosine (8,)."""
     d = descent
     axis = np.array([0.0, 0.0, -1.0]) if d.sight is None else d.sight.axis
     return np.array(

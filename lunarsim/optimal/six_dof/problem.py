@@ -90,7 +90,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class RigidDescent:
-    """Powered descent of a rigid body under uniform gravity, with the simulator's equations.
+    """Powered descent of a rigid body, with the simulator's equations.
 
     The engine pushes along body z, responds with its lag, and cannot be shut down before touchdown;
     torques turn the body (`Dynamics`). At the end the body is upright and does not rotate.

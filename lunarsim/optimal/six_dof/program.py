@@ -86,7 +86,7 @@ class Layout:
         return np.column_stack((states, controls, np.full(n, self.length)))
 
     def _blocks(self, rows: int) -> tuple[Any, Any, Any]:
-        """Return rows, columns and a mask of kept entries for blocks of `rows` per interval."""
+        """Return rows, columns and a mask of kept entries, `rows` per interval."""
         n = self.n
         r = np.broadcast_to(np.arange(rows * n).reshape(n, rows, 1), (n, rows, 20)).ravel()
         c = np.broadcast_to(self._inputs[:, None, :], (n, rows, 20)).ravel()

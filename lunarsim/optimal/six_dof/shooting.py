@@ -1,4 +1,4 @@
-"""Direct multiple shooting: states at all nodes are variables, linked by the motion between them.
+"""Direct multiple shooting: node states are variables, linked by the motion.
 
 There is one nonlinear program per number of intervals, with the descent as a parameter. IPOPT
 (Waechter and Biegler 2006) solves it with derivatives by CasADi (Andersson and others 2019), from

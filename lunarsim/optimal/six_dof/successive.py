@@ -1,10 +1,11 @@
-"""Successive convexification of the rigid-body descent, by a sequence of quadratic programs.
+"""Successive convexification of the rigid-body descent.
 
-Motion and constraints are linearised at the last path. Virtual controls with a high penalty absorb
-the defects, and a quadratic penalty limits the steps (penalised trust region; Szmuk, Reynolds and
-Acikmese 2020). Constraints apply after every step of an interval, so that they hold between the
-nodes (like the continuous-time form of Elango and others 2024, with points instead of an integral).
-The programs have one structure: QOCO is set up once and updated.
+The method solves a sequence of quadratic programs. Motion and constraints are linearised at the
+last path. Virtual controls with a high penalty absorb the defects, and a quadratic penalty limits
+the steps (penalised trust region; Szmuk, Reynolds and Acikmese 2020). Constraints apply after every
+step of an interval, so that they hold between the nodes (like the continuous-time form of Elango
+and others 2024, with points instead of an integral). The programs have one structure: QOCO is set
+up once and updated.
 """
 
 from __future__ import annotations
