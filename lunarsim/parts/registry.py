@@ -257,8 +257,7 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     where = kind if ":" in kind else known.get(kind)
     if where is None:
         near = suggestion(kind, known)
-        remedy = near[0].upper() + near[1:] + ("" if near.endswith("?") else ".")
-        raise InputError(field, kind, 'must be a known kind or "module:Class"', remedy)
+        raise InputError(field, kind, f'must be a known kind or "module:Class" ({near})')
     module, _, name = where.partition(":")
     try:
         found = getattr(imported(module), name)

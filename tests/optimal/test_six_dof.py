@@ -232,7 +232,7 @@ def test_failures_of_solvers_are_told():
     d = descent(np.random.default_rng(1))
     with pytest.raises(SolverError, match="IPOPT"):
         shoot(d, N, most=2)
-    with pytest.raises(SolverError, match="not settled in 1 programs"):
+    with pytest.raises(SolverError, match="does not converge in 1 programs"):
         Successive(N, most=1).solve(d)
 
 

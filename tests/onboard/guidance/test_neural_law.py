@@ -341,7 +341,7 @@ def broken(**changes):
         ({"format": "lunarsim optimal network 0"}, "format"),
         ({"weight_1": np.zeros((3, 5))}, "a layer of shape"),
         ({"bias_0": np.full(96, np.nan)}, "not finite"),
-        ({"scale": np.ones(3)}, "another shape"),
+        ({"scale": np.ones(3)}, "wrong shape"),
         ({"far": np.ones(5)}, "missing"),
         ({"more": np.random.default_rng(1).random(200_000)}, "more than 1 MB"),
         ({"low": np.array([None])}, "pickle"),
