@@ -203,7 +203,7 @@ def test_infeasible_errors_travel_between_processes():
     error = InfeasibleError(np.zeros(3), "why", np.array([3.0, 4.0, 0.0]))
     again = pickle.loads(pickle.dumps(error))
     assert (again.miss, str(again)) == (5.0, str(error))
-    assert "(3.0, 4.0, 0.0), 5.0 m off" in str(again)
+    assert "(3.0, 4.0, 0.0), 5.0 m away" in str(again)
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
 
 
 def test_what_is_no_sensor_is_refused():
-    with pytest.raises(InputError, match=r"optimal\.sight = 'int'"):
+    with pytest.raises(InputError, match=r"optimal\.sight: must be a Sight or None"):
         descent(np.random.default_rng(1), sight=3)
 
 
