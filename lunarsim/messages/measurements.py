@@ -16,7 +16,7 @@ from lunarsim.models.camera import CameraModel
 Array = NDArray[np.float64]
 
 # Tangent of the terrain slope assumed for height errors.
-_MODERATE = 0.1
+_ASSUMED_SLOPE = 0.1
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class LidarScan:
         rotation = quat_to_matrix(attitude) @ self.mount
         down = np.einsum("j,...j->...", rotation[2], self.direction)
         across = np.sqrt(np.maximum(1.0 - down**2, 0.0))
-        return np.asarray(self.sigma * np.hypot(down, _MODERATE * across))
+        return np.asarray(self.sigma * np.hypot(down, _ASSUMED_SLOPE * across))
 
     def spacing(self, attitude: Array) -> Array:
         """Return the spacing of neighbouring points on flat terrain (rows * cols,), m.

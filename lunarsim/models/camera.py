@@ -17,7 +17,7 @@ from lunarsim.models.pose import Pose
 Array = NDArray[np.float64]
 
 # Number of test points per image side, and maximum error (pixels) of the inverse distortion.
-_CHECKED, _OFF = 17, 0.5
+_TEST_POINTS_PER_SIDE, _MAX_INVERSION_ERROR_PX = 17, 0.5
 # Body z points up through the lander: the camera looks straight down, its x along body -y.
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -83,17 +83,17 @@ class CameraModel:
         if not any(self.distortion):
             return
         u, v = np.meshgrid(
-            np.linspace(0.0, self.width - 1.0, _CHECKED),
-            np.linspace(0.0, self.height - 1.0, _CHECKED),
+            np.linspace(0.0, self.width - 1.0, _TEST_POINTS_PER_SIDE),
+            np.linspace(0.0, self.height - 1.0, _TEST_POINTS_PER_SIDE),
         )
         pixels = np.stack((u, v), -1).reshape(-1, 2)
-        ideal = _undistorted(pixels, self.pinhole, tuple(self.distortion))
+        ideal = _undistort(pixels, self.pinhole, tuple(self.distortion))
         back, _ = cv2.projectPoints(
             np.column_stack((ideal, np.ones(len(ideal)))), np.zeros(3), np.zeros(3),
             self.pinhole.matrix, np.array(self.distortion),
         )  # fmt: skip
-        off = np.hypot(*(back.reshape(-1, 2) - pixels).T)
-        if not (off <= _OFF).all():
+        error = np.hypot(*(back.reshape(-1, 2) - pixels).T)
+        if not (error <= _MAX_INVERSION_ERROR_PX).all():
             raise InputError(
                 "camera.distortion", tuple(self.distortion),
                 "must be invertible over the complete image",
@@ -119,11 +119,11 @@ class CameraModel:
         return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 
-def _undistorted(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
+def _undistort(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
     """Return the undistorted line-of-sight tangents of pixels (n, 2)."""
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
     ideal = cv2.undistortPoints(
-        pixels[:, None], pinhole.matrix, np.array(distortion), criteria=stop
+        pixels[:, None], pinhole.matrix, np.array(distortion), criteria=criteria
     )
     return np.asarray(ideal.reshape(-1, 2))
 
@@ -137,5 +137,5 @@ def _tangents(
         return pinhole.tangents(width, height)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     pixels = np.stack((u, v), axis=-1).reshape(-1, 2)
-    ideal = _undistorted(pixels, pinhole, distortion).reshape(height, width, 2)
+    ideal = _undistort(pixels, pinhole, distortion).reshape(height, width, 2)
     return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

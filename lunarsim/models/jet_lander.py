@@ -124,13 +124,13 @@ class JetLander(Lander):
                 field, com, f"must be above the engine's pivot at {-engine.pivot_depth} m"
             )
         # An offset along y causes torque about body x, and one along x causes torque about body y.
-        swung = abs(arm) * np.tan(engine.gimbal_limit)
-        for aside, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
-            most = swung + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
-            if abs(aside) > most:
+        gimbal_authority = abs(arm) * np.tan(engine.gimbal_limit)
+        for offset, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
+            limit = gimbal_authority + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
+            if abs(offset) > limit:
                 raise InputError(
                     field, com,
-                    f"must be within {most:.3g} m of the engine's axis on that side",
+                    f"must be within {limit:.3g} m of the engine's axis on that side",
                     "Beyond it gimbal and thrusters cannot balance the engine at minimum thrust.",
                 )  # fmt: skip
 
@@ -142,15 +142,15 @@ class JetLander(Lander):
         points = bobs - com
         rest = mass - swinging.sum()
         middle = -(swinging @ points) / rest
-        whole = np.diag(self.inertia(mass))
-        still = whole - sum(
+        total = np.diag(self.inertia(mass))
+        remaining = total - sum(
             (
                 m * (p @ p * np.eye(3) - np.outer(p, p))
                 for m, p in zip(swinging, points, strict=True)
             ),
             rest * (middle @ middle * np.eye(3) - np.outer(middle, middle)),
         )
-        least = float(np.linalg.eigvalsh(still)[0])
+        least = float(np.linalg.eigvalsh(remaining)[0])
         if not least > 0.0:
             raise InputError(
                 "vehicle.slosh.tanks_m", self.slosh.tanks,

@@ -107,7 +107,7 @@ class Lander:
                 "vehicle.thrust_min", self.thrust_min,
                 f"must be less than thrust_max, which is {self.thrust_max} N",
             )  # fmt: skip
-        self._follow_mass()
+        self._set_default_inertia()
         for name in ("inertia_dry", "inertia_full"):
             a, b, c = sorted(getattr(self, name))
             if a + b < c:
@@ -122,7 +122,7 @@ class Lander:
                 f"must be less than leg_radius, which is {self.leg_radius} m",
             )  # fmt: skip
 
-    def _follow_mass(self) -> None:
+    def _set_default_inertia(self) -> None:
         """Compute omitted moments of inertia from the masses."""
         if self.inertia_dry is None:
             dry = tuple(round(self.dry_mass * k, 9) for k in _DRY_GYRATION)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_OWN = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 class Pinhole(NamedTuple):
@@ -45,7 +45,7 @@ class Pinhole(NamedTuple):
         x, y, z = points.T
         return np.column_stack((x / z * self.fx + self.cx, y / z * self.fy + self.cy))
 
-    def jacobian(self, points: Array, axes: Array = _OWN) -> Array:
+    def jacobian(self, points: Array, axes: Array = _IDENTITY) -> Array:
         """Return the derivatives (n, 2, k) of the pixels of points (n, 3).
 
         `axes` (3, k) holds the derivatives of a point's sensor coordinates with respect to k

@@ -24,7 +24,7 @@ Points = tuple[tuple[float, float, float], ...]
 
 FIRST_MODE = 1.841183781340659  # first zero of the derivative of J1
 # Fill fraction below which slosh is neglected.
-LEAST_FILL = 1e-3
+MIN_FILL = 1e-3
 
 
 @dataclass(frozen=True)

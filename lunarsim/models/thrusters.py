@@ -68,7 +68,7 @@ class Thrusters:
         for d in self.directions:
             if not np.linalg.norm(d) > 0.0:
                 raise InputError("thrusters.directions", d, "must not be zero")
-        if not _turns_every_way(self.torques):
+        if not _spans_all_torques(self.torques):
             raise InputError(
                 "thrusters.positions",
                 self.positions,
@@ -82,12 +82,12 @@ class Thrusters:
             d = np.asarray(self.directions, dtype=np.float64)
             unit = d / np.linalg.norm(d, axis=1, keepdims=True)
             return np.asarray(self.positions, dtype=np.float64), unit
-        where, along = [], []
+        positions, directions = [], []
         for sx, sy in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
             arm = self.cluster_radius / np.sqrt(2.0)
-            where += [(sx * arm, sy * arm, self.cluster_height)] * 4
-            along += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-sx, 0.0, 0.0), (0.0, -sy, 0.0)]
-        return np.array(where), np.array(along)
+            positions += [(sx * arm, sy * arm, self.cluster_height)] * 4
+            directions += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-sx, 0.0, 0.0), (0.0, -sy, 0.0)]
+        return np.array(positions), np.array(directions)
 
     @property
     def count(self) -> int:
@@ -110,7 +110,7 @@ class Thrusters:
         return self.force / (self.specific_impulse * STANDARD_GRAVITY)
 
 
-def _turns_every_way(torques: Array) -> bool:
+def _spans_all_torques(torques: Array) -> bool:
     """Return whether non-negative combinations of torques (n, 3) give every torque.
 
     They do if they span space and a strictly positive combination of them is zero.

@@ -261,7 +261,7 @@ def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
-                f"{what} must be on the posts, {clearance} m or more above the height {height:.2f} m",
+                f"{what} must be on the posts, {clearance} m above the terrain at {height:.2f} m",
             )  # fmt: skip
 
 

@@ -13,14 +13,14 @@ from contextlib import contextmanager
 
 from lunarsim.errors import InputError
 
-VARIABLE = "LUNARSIM_ALLOW_MODULES"
-_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
-_PART = re.compile(r"([^\W\d][\w.]*):[^\W\d]")
+ALLOW_MODULES_VARIABLE = "LUNARSIM_ALLOW_MODULES"
+_MODULE_PATTERN = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*")
+_PART_PATTERN = re.compile(r"([^\W\d][\w.]*):[^\W\d]")
 
 
 def allowed_modules() -> tuple[str, ...]:
     """Return the modules and packages whose classes files may name in this process."""
-    names = (name.strip() for name in os.environ.get(VARIABLE, "").split(","))
+    names = (name.strip() for name in os.environ.get(ALLOW_MODULES_VARIABLE, "").split(","))
     return tuple(dict.fromkeys(name for name in names if name))
 
 
@@ -32,7 +32,7 @@ def check_allowed(field: str, kind: str, module: str) -> None:
     InputError
             Error for `field` with `kind` as its value.
     """
-    if not _NAME.fullmatch(module):
+    if not _MODULE_PATTERN.fullmatch(module):
         raise InputError(field, kind, 'must be a registered part or "module:Class"')
     if not any(module == name or module.startswith(f"{name}.") for name in allowed_modules()):
         raise InputError(
@@ -56,24 +56,24 @@ def allow_modules(*names: str) -> None:
             If a name is not a valid module name.
     """
     for name in names:
-        if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        if not (isinstance(name, str) and _MODULE_PATTERN.fullmatch(name)):
             raise InputError("allow_modules", name, "must be a module name, such as my_package")
     if names:
-        os.environ[VARIABLE] = ",".join(dict.fromkeys((*allowed_modules(), *names)))
+        os.environ[ALLOW_MODULES_VARIABLE] = ",".join(dict.fromkeys((*allowed_modules(), *names)))
 
 
 @contextmanager
 def allowing(names: Iterable[str]) -> Iterator[None]:
     """Allow modules within a `with` statement."""
-    before = os.environ.get(VARIABLE)
+    before = os.environ.get(ALLOW_MODULES_VARIABLE)
     try:
         allow_modules(*names)
         yield
     finally:
         if before is None:
-            os.environ.pop(VARIABLE, None)
+            os.environ.pop(ALLOW_MODULES_VARIABLE, None)
         else:
-            os.environ[VARIABLE] = before
+            os.environ[ALLOW_MODULES_VARIABLE] = before
 
 
 def modules_in(texts: Iterable[str | None]) -> list[str]:
@@ -84,5 +84,5 @@ def modules_in(texts: Iterable[str | None]) -> list[str]:
     >>> modules_in(["policy=my_package.own:Mine", "rocks.cover=0.1", None])
     ['my_package.own']
     """
-    found = [module for text in texts if text is not None for module in _PART.findall(text)]
-    return [module for module in found if _NAME.fullmatch(module)]
+    found = [module for text in texts if text is not None for module in _PART_PATTERN.findall(text)]
+    return [module for module in found if _MODULE_PATTERN.fullmatch(module)]

@@ -39,7 +39,7 @@ _SUFFIXES = {
     "N s/m": "_n_s_m1",
     "1/s": "_per_s",
 }
-_KEY = "lunarsim"
+_METADATA_KEY = "lunarsim"
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ class Quantity:
     def to_si(self, value: Any) -> Any:
         """Convert a scenario value to the unit of the part: angles to radians."""
         if self.unit in ("deg", "deg/s"):
-            return _each(lambda v: float(np.deg2rad(v)), value)
+            return _map_nested(lambda v: float(np.deg2rad(v)), value)
         if self.unit == "mrad":
-            return _each(lambda v: 1e-3 * v, value)
+            return _map_nested(lambda v: 1e-3 * v, value)
         return value
 
     def from_si(self, value: Any) -> Any:
@@ -111,15 +111,15 @@ class Quantity:
         if value == self.to_si(self.default):
             return self.default
         if self.unit in ("deg", "deg/s"):
-            return _each(lambda v: round(float(np.rad2deg(v)), 12), value)
+            return _map_nested(lambda v: round(float(np.rad2deg(v)), 12), value)
         if self.unit == "mrad":
-            return _each(lambda v: 1e3 * v, value)
+            return _map_nested(lambda v: 1e3 * v, value)
         return value
 
 
-def _each(function: Any, value: Any) -> Any:
+def _map_nested(function: Any, value: Any) -> Any:
     if isinstance(value, list | tuple):
-        return tuple(_each(function, v) for v in value)
+        return tuple(_map_nested(function, v) for v in value)
     return None if value is None else function(value)
 
 
@@ -150,17 +150,17 @@ def quantity(
     if unit not in _SUFFIXES:
         raise ValueError(f"unit {unit!r} must be one of {', '.join(map(repr, _SUFFIXES))}")
     q = Quantity(default, unit, gt, ge, lt, le, help)
-    return field(default=q.to_si(default), metadata={_KEY: q})
+    return field(default=q.to_si(default), metadata={_METADATA_KEY: q})
 
 
 def hidden(default: Any) -> Any:
     """Declare a dataclass field that scenarios cannot set."""
-    return field(default=default, metadata={_KEY: Quantity(default, hidden=True)})
+    return field(default=default, metadata={_METADATA_KEY: Quantity(default, hidden=True)})
 
 
 def quantity_of(metadata: Any) -> Quantity | None:
     """Return the declaration of a field, or None if it has none."""
-    found = metadata.get(_KEY)
+    found = metadata.get(_METADATA_KEY)
     return found if isinstance(found, Quantity) else None
 
 

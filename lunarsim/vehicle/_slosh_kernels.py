@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.models.slosh import FIRST_MODE, LEAST_FILL
+from lunarsim.models.slosh import FIRST_MODE, MIN_FILL
 from lunarsim.vehicle._kernels import derivative
 
-_LEAST_FILL = LEAST_FILL
+_MIN_FILL = MIN_FILL
 _MODE = FIRST_MODE
 
 
@@ -192,7 +192,7 @@ def rates(y, s, out, sout, asked, torque, figures, inertia, rig, tanks):
     )  # fmt: skip
     sout[:] = 0.0
     fill = (y[13] + rig[16] - dry) / (wet - dry)
-    if fill < _LEAST_FILL:
+    if fill < _MIN_FILL:
         return
     full = (y[13] - dry) / (wet - dry)
     felt, moments, com, before = np.empty(3), np.empty(3), np.empty(3), np.empty(3)

@@ -12,12 +12,12 @@ from lunarsim._jit import kernel
 
 
 @kernel(exact=True)
-def limited_torque(error, rate, inertia, frequency, damping, slew, most):
+def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
     """Return the torque of the proportional-derivative law about an axis, N m."""
     # Large errors saturate the commanded rate as well as the torque.
     wanted = min(max(frequency / (2.0 * damping) * error, -slew), slew)
     torque = inertia * 2.0 * damping * frequency * (wanted - rate)
-    return min(max(torque, -most), most)
+    return min(max(torque, -max_torque), max_torque)
 
 
 @kernel()
@@ -59,11 +59,11 @@ def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitud
 
     The limits are those of `thrust.thrust_to_command`.
     """
-    most = thrust_max / mass
-    up = min(max(acceleration[2], 1e-3), most)
+    max_torque = thrust_max / mass
+    up = min(max(acceleration[2], 1e-3), max_torque)
     east, north = acceleration[0], acceleration[1]
     size = np.hypot(east, north)
-    limit = min(np.sqrt(max(most * most - up * up, 0.0)), up * np.tan(max_tilt))
+    limit = min(np.sqrt(max(max_torque * max_torque - up * up, 0.0)), up * np.tan(max_tilt))
     if size > limit:
         east *= limit / size
         north *= limit / size

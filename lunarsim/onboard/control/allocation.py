@@ -20,7 +20,7 @@ from lunarsim.models.thrusters import Thrusters
 Array = NDArray[np.float64]
 
 
-class Allocation:
+class ThrusterAllocation:
     """Thrusters of a layout, and the optimal bases of their torques.
 
     Thrusters with equal torques form a group: they share a long firing, and one of them performs a
@@ -37,7 +37,7 @@ class Allocation:
     ----------
     authority
         Maximum sustained torque about each single axis (3,), N m, the smaller of both senses.
-    least_impulse
+    min_impulse
         Angular impulse of the shortest pulses about each single axis (3,), N m s, the larger of
         both senses.
     """
@@ -53,14 +53,14 @@ class Allocation:
         self._groups = [used[group.ravel() == g] for g in range(len(first))]
         self._columns = torques[used[first]] / thrusters.force  # per newton, (groups, 3)
         self._sizes = np.array([len(g) for g in self._groups])
-        self._bases, self._inverses = self._best_bases()
-        self._turn = 0
+        self._bases, self._inverses = self._find_optimal_bases()
+        self._alternation = 0
         if len(self._bases) == 0:
-            self.authority = self.least_impulse = np.zeros(3)
+            self.authority = self.min_impulse = np.zeros(3)
             return
         both = np.array([[self._limits(s * axis) for axis in np.eye(3)] for s in (1.0, -1.0)])
         self.authority = both[:, :, 0].min(axis=0)
-        self.least_impulse = both[:, :, 1].max(axis=0)
+        self.min_impulse = both[:, :, 1].max(axis=0)
 
     @property
     def complete(self) -> bool:
@@ -71,27 +71,29 @@ class Allocation:
         made = [self._columns.T @ self.group_thrust(axis) for axis in axes]
         return bool(np.allclose(made, axes, atol=1e-6))
 
-    def _best_bases(self) -> tuple[NDArray[np.int64], Array]:
+    def _find_optimal_bases(self) -> tuple[NDArray[np.int64], Array]:
         bases, inverses = [], []
         for chosen in combinations(range(len(self._columns)), 3):
             basis = self._columns[list(chosen)].T
             if abs(np.linalg.det(basis)) < 1e-9:
                 continue
             inverse = np.linalg.inv(basis)
-            price = np.ones(3) @ inverse
-            if np.all(1.0 - self._columns @ price > -1e-9):
+            dual_prices = np.ones(3) @ inverse
+            if np.all(1.0 - self._columns @ dual_prices > -1e-9):
                 bases.append(chosen)
                 inverses.append(inverse)
         return np.array(bases, dtype=np.int64), np.array(inverses)
 
     def _limits(self, axis: Array) -> tuple[float, float]:
         """Return maximum torque and minimum impulse along a unit vector."""
-        share = self.group_thrust(axis)
-        used = share > 1e-12
+        thrust_per_torque = self.group_thrust(axis)
+        used = thrust_per_torque > 1e-12
         if not used.any():
             return 0.0, 0.0
-        most = float(np.min(self._sizes[used] * self.thrusters.force / share[used]))
-        least = float(self.thrusters.minimum_on * self.thrusters.force / share[used].min())
+        most = float(np.min(self._sizes[used] * self.thrusters.force / thrust_per_torque[used]))
+        least = float(
+            self.thrusters.minimum_on * self.thrusters.force / thrust_per_torque[used].min()
+        )
         return most, least
 
     def group_thrust(self, torque: Array) -> Array:
@@ -128,17 +130,17 @@ class Allocation:
         """
         force, least = self.thrusters.force, self.thrusters.minimum_on
         thrust = self.group_thrust(torque)
-        over = float((thrust / (self._sizes * force)).max(initial=0.0))
-        total = thrust / max(over, 1.0) / force * period
+        overload = float((thrust / (self._sizes * force)).max(initial=0.0))
+        total = thrust / max(overload, 1.0) / force * period
         out = np.zeros(self.thrusters.count)
-        self._turn += 1
+        self._alternation += 1
         for jets, seconds in zip(self._groups, total, strict=True):
             if seconds < 0.5 * least:
                 continue
             if seconds >= len(jets) * least:
                 out[jets] = seconds / len(jets)
             else:  # alternate, so that the thrusters of a group wear equally
-                out[jets[self._turn % len(jets)]] = max(seconds, least)
+                out[jets[self._alternation % len(jets)]] = max(seconds, least)
         return np.minimum(out, period)
 
     def impulse(self, on_times: Array) -> Array:

@@ -62,7 +62,7 @@ class PhasePlane:
         """
         return angle / self.slew_limit
 
-    def rate_change(self, error: Array, rate: Array, authority: Array, least: Array) -> Array:
+    def rate_change(self, error: Array, rate: Array, authority: Array, min_change: Array) -> Array:
         """Return the commanded rate change about each axis (3,), rad/s.
 
         Parameters
@@ -73,37 +73,37 @@ class PhasePlane:
             Angular rate measured by the gyroscopes (3,), rad/s.
         authority
             Maximum sustained angular acceleration (3,), rad/s^2.
-        least
+        min_change
             Rate change of the shortest pulse (3,), rad/s.
         """
         return np.array(
             [
-                self._axis(-float(e), *map(float, rest))
-                for e, *rest in zip(error, rate, authority, least, strict=True)
+                self._axis_rate_change(-float(e), *map(float, rest))
+                for e, *rest in zip(error, rate, authority, min_change, strict=True)
             ]
         )
 
-    def _axis(self, angle: float, rate: float, a: float, least: float) -> float:
+    def _axis_rate_change(self, angle: float, rate: float, a: float, min_change: float) -> float:
         """Return the rate change about one axis for an attitude error `angle`."""
         if angle < 0.0 or (angle == 0.0 and rate < 0.0):
-            return -self._axis(-angle, -rate, a, least)
+            return -self._axis_rate_change(-angle, -rate, a, min_change)
         band = self.dead_band
-        stop = angle + rate * abs(rate) / (2.0 * a)
+        stopping_angle = angle + rate * abs(rate) / (2.0 * a)
         if angle <= band:
-            if rate > 0.0 and stop > band and rate > 0.5 * least:
+            if rate > 0.0 and stopping_angle > band and rate > 0.5 * min_change:
                 return -max(
-                    rate + 0.5 * least, least
+                    rate + 0.5 * min_change, min_change
                 )  # the point leaves the band: reverse the rate
             if abs(rate) > self.rate_band:
-                return -float(np.sign(rate)) * max(abs(rate) - 0.5 * least, least)
+                return -float(np.sign(rate)) * max(abs(rate) - 0.5 * min_change, min_change)
             return 0.0
         # Plan with half of the authority, to allow for model errors. Just outside the band one
         # shortest pulse suffices.
-        back = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
-        if rate > -max(back, 0.1 * least):
-            return -max(rate + back + 0.5 * least, least)
-        if -rate > back + self.rate_band:
-            return max(-rate - back - 0.5 * least, least)
+        return_rate = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
+        if rate > -max(return_rate, 0.1 * min_change):
+            return -max(rate + return_rate + 0.5 * min_change, min_change)
+        if -rate > return_rate + self.rate_band:
+            return max(-rate - return_rate - 0.5 * min_change, min_change)
         return 0.0
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:

@@ -57,10 +57,10 @@ class QuaternionFeedback:
         """Return the commanded torque (3,), body axes, N m."""
         size = float(np.linalg.norm(error))
         wanted = self.frequency / (2.0 * self.damping) * error
-        most = min(self.slew_limit, np.sqrt(2.0 * self.braking * size))
-        asked = float(np.linalg.norm(wanted))
-        if asked > most:
-            wanted = wanted * (most / asked)
+        max_rate = min(self.slew_limit, np.sqrt(2.0 * self.braking * size))
+        commanded = float(np.linalg.norm(wanted))
+        if commanded > max_rate:
+            wanted = wanted * (max_rate / commanded)
         gyroscopic = np.cross(rate, inertia * rate)
         return np.asarray(
             inertia * 2.0 * self.damping * self.frequency * (wanted - rate) + gyroscopic

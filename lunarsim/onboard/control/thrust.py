@@ -61,14 +61,16 @@ def thrust_along(
     size = float(np.linalg.norm(acceleration))
     if size == 0.0:
         return Command(lander.thrust_min, attitude_from_thrust([0.0, 0.0, 1.0], heading))
-    along = acceleration / size
-    aside = float(np.hypot(along[0], along[1]))
-    if np.arctan2(aside, along[2]) > max_tilt:
-        ahead = np.array([np.sin(heading), np.cos(heading)])
-        east, north = np.sin(max_tilt) * (along[:2] / aside if aside > 0.0 else ahead)
-        along = np.array([east, north, np.cos(max_tilt)])
+    direction = acceleration / size
+    lateral = float(np.hypot(direction[0], direction[1]))
+    if np.arctan2(lateral, direction[2]) > max_tilt:
+        heading_direction = np.array([np.sin(heading), np.cos(heading)])
+        east, north = np.sin(max_tilt) * (
+            direction[:2] / lateral if lateral > 0.0 else heading_direction
+        )
+        direction = np.array([east, north, np.cos(max_tilt)])
     thrust = min(max(size * mass, lander.thrust_min), lander.thrust_max)
-    return Command(thrust, attitude_from_thrust(along, heading))
+    return Command(thrust, attitude_from_thrust(direction, heading))
 
 
 def thrust_lift_first(
@@ -86,10 +88,10 @@ def thrust_lift_first(
     `thrust_to_command` the tilt from the site's vertical may exceed 90 deg, which is necessary
     beyond the horizon. The parameters are those of `thrust_to_command`.
     """
-    most = lander.thrust_max / mass
-    up = min(max(float(acceleration[2]), -most), most)
+    max_acceleration = lander.thrust_max / mass
+    up = min(max(float(acceleration[2]), -max_acceleration), max_acceleration)
     # A small horizontal part remains to define the azimuth if `max_tilt` rotates the thrust.
-    left = max(float(np.sqrt(most**2 - up**2)), 1e-15 * most)
+    horizontal_limit = max(float(np.sqrt(max_acceleration**2 - up**2)), 1e-15 * max_acceleration)
     size = float(np.hypot(*acceleration[:2]))
-    kept = acceleration[:2] * min(1.0, left / max(size, 1e-12))
+    kept = acceleration[:2] * min(1.0, horizontal_limit / max(size, 1e-12))
     return thrust_along(np.array([*kept, up]), mass, lander, heading, max_tilt)

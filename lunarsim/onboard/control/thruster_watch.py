@@ -17,16 +17,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SPREAD = 0.5  # initial standard deviation of an effectiveness
-_WANDER = 0.004  # its process noise per period
-_HALF, _SURE = 0.5, 3.0  # threshold of effectiveness, and confidence in standard deviations
-_GYRO = 2e-4  # noise of the angular rate from one sample, rad/s
-_RATIO = 0.05  # relative error of a predicted impulse: inertia, rise and decay of pulses
-_STEADY = 0.02  # initial standard deviation of the steady angular acceleration, rad/s^2
-_DRIFT = 0.001  # its process noise per period, rad/s^2
+_INITIAL_SIGMA = 0.5  # initial standard deviation of an effectiveness
+_PROCESS_SIGMA = 0.004  # its process noise per period
+_FAILURE_THRESHOLD, _CONFIDENCE_SIGMAS = (
+    0.5,
+    3.0,
+)  # threshold of effectiveness, and confidence in standard deviations
+_RATE_NOISE_RAD_S = 2e-4  # noise of the angular rate from one sample, rad/s
+_IMPULSE_RELATIVE_ERROR = (
+    0.05  # relative error of a predicted impulse: inertia, rise and decay of pulses
+)
+_INITIAL_DISTURBANCE_RAD_S2 = (
+    0.02  # initial standard deviation of the steady angular acceleration, rad/s^2
+)
+_DISTURBANCE_PROCESS_RAD_S2 = 0.001  # its process noise per period, rad/s^2
 
 
-class ThrusterWatch:
+class ThrusterFailureDetector:
     """Estimate the effectiveness of thrusters from gyroscope data.
 
     Parameters
@@ -45,7 +52,9 @@ class ThrusterWatch:
     def __init__(self, count: int) -> None:
         self.count = count
         self._x = np.concatenate((np.ones(count), np.zeros(3)))
-        self._p = np.diag(np.repeat([_SPREAD**2, _STEADY**2], (count, 3)))
+        self._p = np.diag(
+            np.repeat([_INITIAL_SIGMA**2, _INITIAL_DISTURBANCE_RAD_S2**2], (count, 3))
+        )
         self.failed: list[int] = []
 
     @property
@@ -58,41 +67,43 @@ class ThrusterWatch:
         """Standard deviations of the estimates (n,)."""
         return np.asarray(np.sqrt(np.diag(self._p)[: self.count]))
 
-    def see(self, change: Array, known: Array, turns: Array, period: float) -> list[int]:
+    def update(
+        self, rate_change: Array, engine_change: Array, thruster_changes: Array, period: float
+    ) -> list[int]:
         """Update the estimates with one period; return the newly failed thrusters.
 
         Parameters
         ----------
-        change
+        rate_change
             Change of the angular rate over the period (3,), rad/s.
-        known
+        engine_change
             Predicted rate change by the engine (3,), rad/s.
-        turns
+        thruster_changes
             Predicted rate change by each thruster (n, 3), rad/s.
         period
             s.
         """
         n = self.count
-        self._p[np.arange(n), np.arange(n)] += _WANDER**2
+        self._p[np.arange(n), np.arange(n)] += _PROCESS_SIGMA**2
         steady = np.arange(n, n + 3)
-        self._p[steady, steady] += _DRIFT**2
-        h = np.hstack((turns.T, period * np.eye(3)))
-        expected = np.abs(turns).sum(axis=0)
-        noise = np.diag(2.0 * _GYRO**2 + (_RATIO * expected) ** 2)
+        self._p[steady, steady] += _DISTURBANCE_PROCESS_RAD_S2**2
+        h = np.hstack((thruster_changes.T, period * np.eye(3)))
+        expected = np.abs(thruster_changes).sum(axis=0)
+        noise = np.diag(2.0 * _RATE_NOISE_RAD_S**2 + (_IMPULSE_RELATIVE_ERROR * expected) ** 2)
         gain = self._p @ h.T @ np.linalg.inv(h @ self._p @ h.T + noise)
-        self._x += gain @ (change - known - h @ self._x)
+        self._x += gain @ (rate_change - engine_change - h @ self._x)
         self._p -= gain @ h @ self._p
         self._p = 0.5 * (self._p + self._p.T)
-        self._held()
-        low = self._x[:n] + _SURE * self.sigma < _HALF
+        self._limit_variance()
+        low = self._x[:n] + _CONFIDENCE_SIGMAS * self.sigma < _FAILURE_THRESHOLD
         new = [int(j) for j in np.flatnonzero(low) if int(j) not in self.failed]
         self.failed += new
         return new
 
-    def _held(self) -> None:
+    def _limit_variance(self) -> None:
         """Limit the variance of unused thrusters to its initial value."""
         n = self.count
-        over = np.sqrt(np.diag(self._p)[:n]) / _SPREAD
+        over = np.sqrt(np.diag(self._p)[:n]) / _INITIAL_SIGMA
         shrink = np.ones(n + 3)
         shrink[:n] = 1.0 / np.maximum(over, 1.0)
         self._p *= shrink[:, None] * shrink[None, :]

@@ -54,7 +54,7 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
     samples = table.shape[0] - 1
     step = big_t / samples
     mass = figures[MASS]
-    before, total, peak, lean = 0.0, 0.0, 0.0, 0.0
+    before, total, peak, tilt_squared = 0.0, 0.0, 0.0, 0.0
     for s in range(samples + 1):
         f, g = table[s, LOW], table[s, HIGH]
         ax = asked[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
@@ -79,19 +79,19 @@ def measure(state, target, asked, big_t, table, powers, figures, x, out):
         if not above_cone(target, asked, big_t, table[s, SHARE], f, g, powers, x, figures[GLIDE]):
             return False
         peak = max(peak, thrust)
-        lean = max(lean, side / (az * az))
+        tilt_squared = max(tilt_squared, side / (az * az))
         # Simpson's rule over an even number of intervals.
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total += weight * size
     out[0] = total * step / 3.0
     out[1] = big_t
     out[2] = peak
-    out[3] = np.sqrt(lean)
+    out[3] = np.sqrt(tilt_squared)
     return True
 
 
 @kernel(inner=True)
-def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
+def search_coarse(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
     """Return the best of `count` geometric steps from `first`, or -1."""
     best, least = -1, np.inf
     for m in range(count):
@@ -105,18 +105,18 @@ def first_look(state, target, asked, first, step, count, skip, table, powers, fi
 
 
 @kernel(inline=True)
-def _keep(found, out):
+def _copy_result(found, out):
     """Copy the result of a path (4,)."""
     for k in range(4):
         out[k] = found[k]
 
 
 @kernel(inner=True)
-def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
+def refine_time(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
     """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
     time = first * np.exp(at)
     if measure(state, target, asked, time, table, powers, figures, x, found):
-        _keep(found, out)
+        _copy_result(found, out)
     for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
         middle = at
@@ -125,5 +125,5 @@ def close_in(state, target, asked, first, at, step, span, table, powers, figures
                 time = first * np.exp(near)
                 good = measure(state, target, asked, time, table, powers, figures, x, found)
                 if good and found[0] < out[0]:
-                    _keep(found, out)
+                    _copy_result(found, out)
                     at = near

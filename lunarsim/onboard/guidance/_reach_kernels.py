@@ -22,8 +22,8 @@ from lunarsim.onboard.guidance._kernels import (
     MOST,
     SHARE,
     TAN_TILT,
-    close_in,
-    first_look,
+    refine_time,
+    search_coarse,
     measure,
 )
 
@@ -34,7 +34,7 @@ _NOTHING = 1e30  # represents an infinite cost
 
 
 @kernel(inline=True)
-def along(w, place, state, asked, axis, powers, inverse):
+def acceleration_terms(w, place, state, asked, axis, powers, inverse):
     """Return the lower power's part of the mean acceleration, and both parts' sum."""
     p = (asked[0, axis] - state[1, axis]) * inverse - asked[1, axis]
     q = ((state[0, axis] - load(w, place)) * inverse + asked[0, axis]) * inverse
@@ -43,27 +43,27 @@ def along(w, place, state, asked, axis, powers, inverse):
 
 
 @kernel(inline=True)
-def sixteen(w, state, asked, table, powers, figures):
+def evaluate_lanes(w, state, asked, table, powers, figures):
     """Write the costs of sixteen paths whose times are in scratch, as `measure`.
 
     Inadmissible paths cost `_NOTHING`.
     """
     time = load(w, _TIME)
     inverse = 1.0 / time
-    ux, p = along(w, _EAST, state, asked, 0, powers, inverse)
+    ux, p = acceleration_terms(w, _EAST, state, asked, 0, powers, inverse)
     vx = p - ux
-    uy, p = along(w, _NORTH, state, asked, 1, powers, inverse)
+    uy, p = acceleration_terms(w, _NORTH, state, asked, 1, powers, inverse)
     vy = p - uy
-    uz, p = along(w, _UP, state, asked, 2, powers, inverse)
+    uz, p = acceleration_terms(w, _UP, state, asked, 2, powers, inverse)
     vz = p - uz
     samples = table.shape[0] - 1
     half = time * (0.5 / samples / figures[EXHAUST])
     tilt, glide = figures[TAN_TILT] * figures[TAN_TILT], figures[GLIDE] * figures[GLIDE]
     steep = figures[GLIDE] > 0.0
     d, e = powers[0] + 1.0, powers[1] + 1.0
-    nought = spread(0.0)
-    mass, before, total = spread(figures[MASS]), nought, nought
-    worst = spread(-1.0)  # positive once a limit is violated
+    zero = spread(0.0)
+    mass, before, total = spread(figures[MASS]), zero, zero
+    violation = spread(-1.0)  # positive once a limit is violated
     for s in range(samples + 1):
         low, high = table[s, LOW], table[s, HIGH]
         f, g = d * low, e * high
@@ -78,8 +78,8 @@ def sixteen(w, state, asked, table, powers, figures):
             mass = mass * (over - 6.0 * burnt) / (over + 6.0 * burnt)
         before = size
         thrust = mass * size
-        worst = larger(worst, larger(thrust - figures[MOST], figures[LEAST] - thrust))
-        worst = larger(worst, larger(0.0 - az, side - tilt * lift))
+        violation = larger(violation, larger(thrust - figures[MOST], figures[LEAST] - thrust))
+        violation = larger(violation, larger(0.0 - az, side - tilt * lift))
         left = time * table[s, SHARE]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
         x = left * (left * (ux * f + vx * g + 0.5 * asked[1, 0]) - asked[0, 0])
@@ -87,19 +87,19 @@ def sixteen(w, state, asked, table, powers, figures):
         up = left * (left * (uz * f + vz * g + 0.5 * asked[1, 2]) - asked[0, 2]) + 0.5
         rim = glide * (x * x + y * y)
         if steep:
-            worst = larger(worst, larger(0.0 - up, rim - up * up))
+            violation = larger(violation, larger(0.0 - up, rim - up * up))
         else:
-            worst = larger(worst, where_above(up, nought, spread(-1.0), up * up - rim))
-        if s % 3 == 2 and not any_above(nought, worst):
+            violation = larger(violation, where_above(up, zero, spread(-1.0), up * up - rim))
+        if s % 3 == 2 and not any_above(zero, violation):
             break
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total = total + weight * size
     cost = total * time * (1.0 / (3.0 * samples))
-    store(w, _COST, where_above(nought, worst, cost, spread(_NOTHING)))
+    store(w, _COST, where_above(zero, violation, cost, spread(_NOTHING)))
 
 
 @kernel(inner=True)
-def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
+def search_lanes(w, state, asked, spans, count, skip, table, powers, figures, best):
     """Write the best of `count` geometric steps (16,) for lanes without one yet.
 
     `spans` (3, 16): first time, its logarithmic span, step.
@@ -111,19 +111,19 @@ def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
             continue
         for k in range(LANES):
             w[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
-        sixteen(w, state, asked, table, powers, figures)
+        evaluate_lanes(w, state, asked, table, powers, figures)
         for k in range(LANES):
             if open_[k] and w[_COST + k] < least[k]:
                 best[k], least[k] = m, w[_COST + k]
 
 
 @kernel(inner=True)
-def closed_in(w, state, asked, spans, table, powers, figures, at):
+def refine_lanes(w, state, asked, spans, table, powers, figures, at):
     """Move logarithmic times (16,) to the best nearby, halving the steps."""
     least = np.empty(LANES)
     for k in range(LANES):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
-    sixteen(w, state, asked, table, powers, figures)
+    evaluate_lanes(w, state, asked, table, powers, figures)
     for k in range(LANES):
         least[k] = w[_COST + k]
     step, middle, near = np.empty(LANES), np.empty(LANES), np.empty(LANES)
@@ -137,7 +137,7 @@ def closed_in(w, state, asked, spans, table, powers, figures, at):
             for k in range(LANES):
                 near[k] = middle[k] + sense * step[k]
                 w[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
-            sixteen(w, state, asked, table, powers, figures)
+            evaluate_lanes(w, state, asked, table, powers, figures)
             for k in range(LANES):
                 inside = 0.0 <= near[k] <= spans[1, k]
                 if inside and step[k] > 0.0 and w[_COST + k] < least[k]:
@@ -145,21 +145,21 @@ def closed_in(w, state, asked, spans, table, powers, figures, at):
 
 
 @kernel(inner=True)
-def one(state, target, asked, start, span, coarse, rough, table, powers, figures, out):
+def search_single(state, target, asked, start, span, coarse, rough, table, powers, figures, out):
     """Search for one target in double precision, and write the best result (4,)."""
     found, x = np.empty(4), np.empty((2, 3))
     step = span / max(coarse - 1, 1)
-    best = first_look(
+    best = search_coarse(
         state, target, asked, start, step, coarse, 0, rough, powers, figures, x, found
     )
     if best < 0 and step > 0.0:
         step /= 3.0
         count = 3 * (coarse - 1)
-        best = first_look(
+        best = search_coarse(
             state, target, asked, start, step, count, 3, rough, powers, figures, x, found
         )
     if best >= 0:
-        close_in(
+        refine_time(
             state, target, asked, start, best * step, step, span, table, powers, figures, x, found,
             out,
         )  # fmt: skip
@@ -195,7 +195,7 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
             spans[1, k] = np.log(last[n] / first[n]) if good else 0.0
             spans[2, k] = spans[1, k] / max(coarse - 1, 1)
             w[_EAST + k], w[_NORTH + k], w[_UP + k] = targets[n, 0], targets[n, 1], targets[n, 2]
-        looked(w, state, asked, spans, coarse, 0, rough, powers, figures, best)
+        search_lanes(w, state, asked, spans, coarse, 0, rough, powers, figures, best)
         for k in range(LANES):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
                 wanted = True
@@ -203,14 +203,14 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
             elif best[k] < 0:
                 valid[k] = False
         if wanted:
-            looked(w, state, asked, spans, 3 * (coarse - 1), 3, rough, powers, figures, best)
+            search_lanes(w, state, asked, spans, 3 * (coarse - 1), 3, rough, powers, figures, best)
         some = False
         for k in range(LANES):
             at[k] = max(best[k], 0) * spans[2, k]
             some = some or (valid[k] and best[k] >= 0)
         if not some:
             continue
-        closed_in(w, state, asked, spans, table, powers, figures, at)
+        refine_lanes(w, state, asked, spans, table, powers, figures, at)
         for k in range(LANES):
             if not (valid[k] and best[k] >= 0):
                 continue
@@ -220,7 +220,7 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
                 # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan
-                one(
+                search_single(
                     state, targets[n], asked, spans[0, k], spans[1, k], coarse, rough, table,
                     powers, figures, out[n],
                 )  # fmt: skip

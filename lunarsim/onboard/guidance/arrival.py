@@ -11,7 +11,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 # Fallback time-to-go if none is admissible: this multiple of distance over speed, at least this
 # time (s); the speed is taken as at least the last value (m/s).
-_TIMES, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
+_FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
 
 
 def time_at_gate(
@@ -23,10 +23,10 @@ def time_at_gate(
     is not finite, no time is admissible, and a fallback from distance and speed is returned.
     """
     if approach.jerk is not None:
-        guess = approach.time_to_go or plain_time(estimate, end)
+        guess = approach.time_to_go or fallback_time(estimate, end)
         return followed_time(estimate, end, approach.jerk, guess, share=np.inf), True
     left = approach.time_to_go or admissible
-    return (left, True) if np.isfinite(left) else (plain_time(estimate, end), False)
+    return (left, True) if np.isfinite(left) else (fallback_time(estimate, end), False)
 
 
 def set_by_others(approach: Approach, law: GuidanceLaw) -> str:
@@ -36,8 +36,8 @@ def set_by_others(approach: Approach, law: GuidanceLaw) -> str:
     return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
 
 
-def plain_time(estimate: Estimate, end: PhaseEnd) -> float:
+def fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
     """Return a time-to-go from distance and speed only, s."""
-    way = float(np.linalg.norm(end.position - estimate.position))
+    distance = float(np.linalg.norm(end.position - estimate.position))
     speed = float(np.linalg.norm(estimate.velocity))
-    return max(_TIMES * way / max(speed, _SLOWEST), _LEAST)
+    return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)

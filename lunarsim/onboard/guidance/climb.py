@@ -9,7 +9,7 @@ from lunarsim.onboard.guidance.contract import refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Fraction of the horizontal velocity removed per second.
-_DAMPING = 0.2
+_DAMPING_PER_S = 0.2
 
 
 def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
@@ -25,9 +25,9 @@ def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
         Maximum thrust over mass, m/s^2.
     """
     refuse_unknown(estimate)
-    sideways = -_DAMPING * estimate.velocity[:2]
-    size = float(np.hypot(*sideways))
+    horizontal = -_DAMPING_PER_S * estimate.velocity[:2]
+    size = float(np.hypot(*horizontal))
     if size > 0.5 * most:
-        sideways = sideways * (0.5 * most / size)
-    up = np.sqrt(most**2 - float(sideways @ sideways))
-    return np.array([sideways[0], sideways[1], up])
+        horizontal = horizontal * (0.5 * most / size)
+    up = np.sqrt(most**2 - float(horizontal @ horizontal))
+    return np.array([horizontal[0], horizontal[1], up])

@@ -62,12 +62,12 @@ def refuse_unknown(estimate: Estimate, end: PhaseEnd | None = None) -> None:
     InputError
         If the state's position, velocity or mass, or the end's position or velocity is not finite.
     """
-    told = [estimate.position, estimate.velocity]
+    values = [estimate.position, estimate.velocity]
     if end is not None:
-        told += [end.position, end.velocity]
-    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in told)):
-        here = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
-        raise InputError("guidance.estimate", here, "must have finite coordinates and mass")
+        values += [end.position, end.velocity]
+    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in values)):
+        state = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
+        raise InputError("guidance.estimate", state, "must have finite coordinates and mass")
 
 
 class GuidanceLaw(Protocol):

@@ -20,11 +20,11 @@ from lunarsim.onboard.navigation.estimate import Estimate
 Array = NDArray[np.float64]
 
 _SAMPLES = 24  # Simpson intervals along a path: propellant error below 0.1 %
-_TIMES = 14  # times-to-go of the coarse search
-_ROUGH = 8  # Simpson intervals of the coarse search
+_COARSE_TIMES = 14  # times-to-go of the coarse search
+_COARSE_SAMPLES = 8  # Simpson intervals of the coarse search
 # Upper time-to-go of the first search, as a multiple of the time at the current speed. Slower paths
 # are rarely admissible; they are searched only if no faster one is.
-_SLOWNESS = 8.0
+_FIRST_SEARCH_TIME_RATIO = 8.0
 
 
 @dataclass(frozen=True)
@@ -91,21 +91,23 @@ def admissible_times(
     the time for which the delta-v in the tanks can compensate gravity. The bounds of a target are
     independent of the other targets.
     """
-    gap = np.linalg.norm(targets - estimate.position, axis=1)
+    distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
     most = lander.thrust_max / lander.dry_mass + gravity
-    fastest = 2.0 * gap / (speed + np.sqrt(speed**2 + 2.0 * most * gap) + 1e-12)
+    fastest = 2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * most * distance) + 1e-12)
     held = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
     slowest = (held + speed + float(np.linalg.norm(end.velocity))) / gravity
     first = np.maximum(fastest, 1.0)
     return first, np.maximum(slowest, first)
 
 
-def _likely_last(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
+def _first_search_limit(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
     """Return the upper time-to-go of the first search (n,), s."""
-    gap = np.linalg.norm(targets - estimate.position, axis=1)
+    distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
-    return np.asarray(np.minimum(last, _SLOWNESS * np.maximum(gap / max(speed, 5.0), first)))
+    return np.asarray(
+        np.minimum(last, _FIRST_SEARCH_TIME_RATIO * np.maximum(distance / max(speed, 5.0), first))
+    )
 
 
 def divert_cost(
@@ -148,56 +150,61 @@ def divert_cost(
     """
     limits = limits or PathLimits()
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
-    _check(estimate, end, gravity)
+    _check_inputs(estimate, end, gravity)
     first, last = admissible_times(estimate, end, targets, lander, gravity)
     if least_times is not None:
         first = np.maximum(first, least_times)
-    figures = _figures(estimate, lander, gravity, limits)
-    asked = np.array([end.velocity, end.acceleration], dtype=np.float64)
+    params = _kernel_params(estimate, lander, gravity, limits)
+    end_motion = np.array([end.velocity, end.acceleration], dtype=np.float64)
     if times is not None:
         given = np.where(times >= first, times, np.nan)
-        found = _measured(estimate, targets, asked, given, shape, figures)
-        return _cost_of(found, estimate, lander, limits.reserve)
-    likely = _likely_last(estimate, targets, first, last)
-    found = _searched(estimate, targets, asked, first, likely, shape, figures)
-    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (likely < last))
+        found = _evaluate_paths(estimate, targets, end_motion, given, shape, params)
+        return _convert_costs(found, estimate, lander, limits.reserve)
+    search_limit = _first_search_limit(estimate, targets, first, last)
+    found = _search_paths(estimate, targets, end_motion, first, search_limit, shape, params)
+    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (search_limit < last))
     if len(slow):
-        found[slow] = _searched(
-            estimate, targets[slow], asked, np.maximum(first, likely)[slow], last[slow], shape,
-            figures,
+        found[slow] = _search_paths(
+            estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow], shape,
+            params,
         )  # fmt: skip
-    return _cost_of(found, estimate, lander, limits.reserve)
+    return _convert_costs(found, estimate, lander, limits.reserve)
 
 
-def _searched(
-    estimate: Estimate, targets: Array, asked: Array, first: Array, last: Array, shape: PathShape,
-    figures: Array,
+def _search_paths(
+    estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array, shape: PathShape,
+    params: Array,
 ) -> Array:  # fmt: skip
     """Return kernel results for the best path to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.survey(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
-            np.ascontiguousarray(targets), asked, first, last, _TIMES, _table(shape, _ROUGH),
-            _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+            np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES, _table(shape, _COARSE_SAMPLES),
+            _table(shape, _SAMPLES), np.array(shape.powers), params, found,
         )  # fmt: skip
     return found
 
 
-def _measured(
-    estimate: Estimate, targets: Array, asked: Array, times: Array, shape: PathShape, figures: Array
+def _evaluate_paths(
+    estimate: Estimate,
+    targets: Array,
+    end_motion: Array,
+    times: Array,
+    shape: PathShape,
+    params: Array,
 ) -> Array:
     """Return the kernel's result for the path of a given time to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(0.1 * len(targets)):
         held.measured(
-            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, asked,
-            times, _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, end_motion,
+            times, _table(shape, _SAMPLES), np.array(shape.powers), params, found,
         )  # fmt: skip
     return found
 
 
-def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
+def _convert_costs(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
     """Convert kernel results (n, 4) to costs."""
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     good = propellant <= estimate.mass - lander.dry_mass - reserve
@@ -209,7 +216,7 @@ def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -
     )
 
 
-def _figures(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
+def _kernel_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
     """Return parameters of vehicle and limits for the kernel (7,)."""
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array(
@@ -225,7 +232,7 @@ def _figures(estimate: Estimate, lander: Lander, gravity: float, limits: PathLim
     )
 
 
-def _check(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
+def _check_inputs(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
     for name, value in (
         ("estimate.position", estimate.position),
         ("estimate.velocity", estimate.velocity),

@@ -16,7 +16,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 Array = NDArray[np.float64]
 
 # Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
-Feedback = Callable[[Array, Array, PhaseEnd, float], Array]
+FeedbackLaw = Callable[[Array, Array, PhaseEnd, float], Array]
 
 
 class Answering:
@@ -90,7 +90,7 @@ class PathGuidance:
         *,
         lead: float = 0.0,
         least_time_to_go: float = 1.5,
-        feedback: Feedback | None = None,
+        feedback: FeedbackLaw | None = None,
         answering: Answering | None = None,
         field: GravityModel | None = None,
     ) -> None:

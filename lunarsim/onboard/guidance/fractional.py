@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.following import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity
@@ -24,7 +24,7 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 
-def shape_of(gamma: float, gain: float) -> PathShape:
+def fractional_shape(gamma: float, gain: float) -> PathShape:
     """Return the shape with powers `gamma` and ``gain / (gamma + 2) - 2``.
 
     The powers may come in either order. Equal powers need a logarithm and are rejected.
@@ -48,7 +48,7 @@ def shape_of(gamma: float, gain: float) -> PathShape:
     return PathShape(min(gamma, other), max(gamma, other))
 
 
-def feedback_of(
+def fractional_feedback(
     position: Array,
     velocity: Array,
     end: PhaseEnd,
@@ -79,10 +79,10 @@ def feedback_of(
     """
     g = np.array([0.0, 0.0, -gravity])
     half = 0.5 * gain / (gamma + 2.0)
-    slip = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
+    velocity_error = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
     miss = gain / time_to_go**2 * (end.position - position - time_to_go * velocity)
     thrust = gamma * (half - 1.0) * (end.acceleration - g)
-    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + slip + miss)
+    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + velocity_error + miss)
 
 
 @dataclass(frozen=True)
@@ -107,22 +107,24 @@ class FractionalPolynomialLaw(PathLaw):
 
     def __post_init__(self) -> None:
         try:
-            shape_of(self.gamma, self.gain)
+            fractional_shape(self.gamma, self.gain)
         except InputError as error:
             raise error.renamed(error.field.rpartition(".")[2]) from None
 
     @property
     def shape(self) -> PathShape:
         """Shape of the paths under perfect actuation."""
-        return shape_of(self.gamma, self.gain)
+        return fractional_shape(self.gamma, self.gain)
 
-    def feedback(self, gravity: float) -> Feedback:
-        """Return `feedback_of` with the law's parameters, gravity included."""
+    def feedback(self, gravity: float) -> FeedbackLaw:
+        """Return `fractional_feedback` with the law's parameters, gravity included."""
         gamma, gain = self.gamma, self.gain
         down = np.array([0.0, 0.0, -gravity])
 
         def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
-            thrust = feedback_of(position, velocity, end, left, gravity, gamma=gamma, gain=gain)
+            thrust = fractional_feedback(
+                position, velocity, end, left, gravity, gamma=gamma, gain=gain
+            )
             return np.asarray(thrust + down)
 
         return wanted

@@ -27,7 +27,7 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 
-def turn_thrust(height: float, velocity: Array, gravity: float) -> float:
+def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float:
     """Return N, the thrust acceleration over gravity of a gravity turn.
 
     Parameters
@@ -109,5 +109,5 @@ class GravityTurnLaw:
                 np.array([0.0, 0.0, -self.settings.last_speed]),
             )
             return self.last.command(estimate, here, time)
-        pull = turn_thrust(height, estimate.velocity, self.gravity) * self.gravity
+        pull = gravity_turn_thrust(height, estimate.velocity, self.gravity) * self.gravity
         return np.asarray(-pull / speed * estimate.velocity)

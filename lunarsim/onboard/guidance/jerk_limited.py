@@ -41,7 +41,7 @@ class SiteCost:
     time_to_go: Array
 
 
-def steepest(path: Path) -> tuple[float, float]:
+def max_jerk_and_snap(path: Path) -> tuple[float, float]:
     """Return the maximum jerk (m/s^3) and snap (m/s^4) along a quartic path.
 
     Jerk is linear in time, so its maximum is at an end; snap is constant.
@@ -61,7 +61,7 @@ def steepest(path: Path) -> tuple[float, float]:
     return most, 2.0 * float(np.linalg.norm(second)) / path.time_to_go**2
 
 
-def limited_times(
+def min_times_to_go(
     position: ArrayLike, velocity: ArrayLike, ends: PhaseEnd, *, jerk: float, snap: float
 ) -> Array:
     """Return the minimum times-to-go (n,), s, within both limits; NaN above 1000 s.
@@ -86,7 +86,7 @@ def limited_times(
     targets = np.ascontiguousarray(np.atleast_2d(ends.position), dtype=np.float64)
     out = np.empty(len(targets))
     with threads_for(0.1 * len(targets)):
-        k.limited_times(
+        k.min_times_to_go(
             np.ascontiguousarray(position, dtype=np.float64),
             np.ascontiguousarray(velocity, dtype=np.float64),
             targets,
@@ -154,7 +154,7 @@ def site_cost(
         if not (np.isfinite(number) and number > 0.0):
             raise InputError(f"guidance.{name}", number, "must be positive and finite")
     ends = PhaseEnd(sites, np.asarray(arrival_velocity, dtype=np.float64))
-    times = limited_times(estimate.position, estimate.velocity, ends, jerk=jerk, snap=snap)
+    times = min_times_to_go(estimate.position, estimate.velocity, ends, jerk=jerk, snap=snap)
     totals = np.full(len(sites), np.inf)
     for n in np.flatnonzero(np.isfinite(times)):
         end = PhaseEnd(sites[n], ends.velocity)

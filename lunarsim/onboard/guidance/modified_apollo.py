@@ -15,7 +15,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.jerk_limited import limited_times
+from lunarsim.onboard.guidance.jerk_limited import min_times_to_go
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
 
@@ -48,7 +48,7 @@ class ModifiedApolloLaw(ApolloLaw):
 
         Time-to-go is the optimal admissible one above the minimum of the two limits.
         """
-        least = limited_times(
+        least = min_times_to_go(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
         )
         return divert_cost(

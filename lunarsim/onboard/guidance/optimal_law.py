@@ -37,12 +37,18 @@ from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
-_DROP = 0.5  # depth of the glideslope's apex under the end, m; as for the polynomial laws
-_MOVED = 1.0  # horizontal move of the end that counts as a divert, m
-_SPARE = 0.04  # minimum fraction of the throttle range that plans reserve at the upper end
-_TIMES = (1.0, 1.04, 1.12)  # multiples of the expected time to try, with a previous plan
-_FRESH = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # the same without a previous plan
-_SOLVES, _STEP = 3, 0.015  # solves of a search around the last final time, and its first step
+_APEX_DEPTH_M = 0.5  # depth of the glideslope's apex under the end, m; as for the polynomial laws
+_DIVERT_DISTANCE_M = 1.0  # horizontal move of the end that counts as a divert, m
+_MIN_UPPER_MARGIN = (
+    0.04  # minimum fraction of the throttle range that plans reserve at the upper end
+)
+_WARM_TIME_FACTORS = (
+    1.0,
+    1.04,
+    1.12,
+)  # multiples of the expected time to try, with a previous plan
+_COLD_TIME_FACTORS = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # the same without a previous plan
+_MAX_SOLVES, _STEP = 3, 0.015  # solves of a search around the last final time, and its first step
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,7 @@ class _Plan:
     """Path and its start time, s."""
 
     path: Path
-    begins: float
+    start_time: float
 
 
 class OptimalGuidance:
@@ -134,8 +140,8 @@ class OptimalGuidance:
         self._field = briefing.field
         self._plan: _Plan | None = None
         self._end: PhaseEnd | None = None
-        self._next = -np.inf
-        self._fallen = False
+        self._next_plan_time = -np.inf
+        self._is_fallback = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
@@ -143,23 +149,29 @@ class OptimalGuidance:
         self._answering.follow(time)
         if self.arrival is None:
             self.arrival = time + time_to_go
-        moved = self._end is not None and _apart(self._end, end) > _MOVED
-        if moved:
+        is_divert = (
+            self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
+        )
+        if is_divert:
             self.arrival = time + time_to_go  # the onboard computer's estimate for the new site
-        ending = self.arrival - time < self.settings.least_time_to_go
-        if moved or (time >= self._next - 1e-9 and not ending) or self._end is None:
-            self._end, self._next = end, time + self.settings.interval
-            self._replan(estimate, end, time, fresh=moved)
+        is_terminal = self.arrival - time < self.settings.least_time_to_go
+        if (
+            is_divert
+            or (time >= self._next_plan_time - 1e-9 and not is_terminal)
+            or self._end is None
+        ):
+            self._end, self._next_plan_time = end, time + self.settings.interval
+            self._replan(estimate, end, time, fresh=is_divert)
         if self._plan is None:
             return self._apollo.command(estimate, end, time, self.arrival - time)
-        wanted = self._tracked(self._plan, estimate, time)
-        moves = wanted - np.array([0.0, 0.0, self.gravity])
-        self._answering.ask(moves)
+        wanted = self._track(self._plan, estimate, time)
+        acceleration = wanted - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(acceleration)
         # Plans assume uniform gravity; the remaining acceleration is compensated here.
         return (
             wanted
             if self._field is None
-            else moves - self._field.felt(estimate.position, estimate.velocity)
+            else acceleration - self._field.felt(estimate.position, estimate.velocity)
         )
 
     # --- plans ----------------------------------------------------------------------------
@@ -167,7 +179,7 @@ class OptimalGuidance:
     def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, fresh: bool) -> None:
         """Plan from the state at which commands take effect; fall back if that fails."""
         before = self._planner.iterations
-        path, why = self._path(estimate, end, time, None if fresh else self._plan)
+        path, why = self._plan_path(estimate, end, time, None if fresh else self._plan)
         spent = self._planner.iterations - before
         if path is not None and spent > self.settings.iterations:
             path, why = None, "late"
@@ -175,15 +187,15 @@ class OptimalGuidance:
             self._fall_back(estimate, end, time, why, spent)
             return
         self.plans += 1
-        if self._fallen:
+        if self._is_fallback:
             self.events.append((time, "guidance-planned", {"iterations": spent}))
-        self._fallen = False
+        self._is_fallback = False
         self._plan = _Plan(path, time + self._answering.lead)
         # A command one lag before the end of the path takes effect at its end, where the next phase
         # begins.
         self.arrival = time + path.duration
 
-    def _path(
+    def _plan_path(
         self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
     ) -> tuple[Path | None, str]:
         """Return a path, or None and the reason."""
@@ -191,12 +203,14 @@ class OptimalGuidance:
         expected = max((self.arrival or 0.0) - time, 1.0)
         masses = None
         if last is not None:
-            elapsed = time + self._answering.lead - last.begins
+            elapsed = time + self._answering.lead - last.start_time
             masses = masses_left(last.path, elapsed, self._planner.intervals)
         try:
-            descent = self._descent(estimate.mass, position, velocity, end)
-            times = (s * expected for s in (_FRESH if last is None else _TIMES))
-            most, step = (_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
+            descent = self._build_problem(estimate.mass, position, velocity, end)
+            times = (
+                s * expected for s in (_COLD_TIME_FACTORS if last is None else _WARM_TIME_FACTORS)
+            )
+            most, step = (_MAX_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
             path = search_about(
                 self._planner, descent, times, most=most, log_mass=masses, step=step,
                 bend=0.0 if last is None else last.path.curvature,
@@ -204,71 +218,75 @@ class OptimalGuidance:
         except InputError as error:
             return None, str(error)
         if path is None:
-            return None, self._why(descent, expected)
+            return None, self._failure_reason(descent, expected)
         return (path, "") if flyable(path) else (None, "thrust")
 
-    def _why(self, descent: Descent, expected: float) -> str:
+    def _failure_reason(self, descent: Descent, expected: float) -> str:
         """Return the reason for a missing path, at the start of a fallback only.
 
         "infeasible" is proven for all tried final times around the expected one.
         """
-        if self._fallen:
+        if self._is_fallback:
             return ""
         planner = Planner(self.settings.intervals)
         try:
-            found = any(planner.at_time(descent, s * expected) is not None for s in _FRESH)
+            found = any(
+                planner.at_time(descent, s * expected) is not None for s in _COLD_TIME_FACTORS
+            )
         except SolverError:
             return "solver"
         return "solver" if found else "infeasible"
 
-    def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
+    def _build_problem(
+        self, mass: float, position: Array, velocity: Array, end: PhaseEnd
+    ) -> Descent:
         """Return the problem; the upper throttle margin is available at a penalty."""
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
-        margin, spare = (m * throttle for m in (limits.throttle_margin, self._spare))
-        gap = position - end.position
-        aside = float(np.hypot(gap[0], gap[1]))
+        margin, spare = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
+        displacement = position - end.position
+        horizontal = float(np.hypot(displacement[0], displacement[1]))
         # A lander below the glideslope gets a lower glideslope.
-        own = float(np.arctan2(gap[2] + _DROP, aside + 1e-9))
-        glideslope = max(min(limits.glideslope, own - np.deg2rad(0.5)), 0.0)
+        elevation = float(np.arctan2(displacement[2] + _APEX_DEPTH_M, horizontal + 1e-9))
+        glideslope = max(min(limits.glideslope, elevation - np.deg2rad(0.5)), 0.0)
         return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
             lander.thrust_min + margin, lander.thrust_max - spare, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
-            limits.max_tilt, glideslope, _DROP, spare=spare,
+            limits.max_tilt, glideslope, _APEX_DEPTH_M, spare=spare,
             end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
 
     @property
-    def _spare(self) -> float:
+    def _upper_margin(self) -> float:
         """Fraction of the throttle range reserved at the upper end."""
-        return max(self.limits.throttle_margin, _SPARE)
+        return max(self.limits.throttle_margin, _MIN_UPPER_MARGIN)
 
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
     ) -> None:
         """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
-        if not self._fallen:
+        if not self._is_fallback:
             self.events.append((time, "guidance-fallback", {"reason": why, "iterations": spent}))
             one = replace(end, position=end.position[None, :])
             cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
             if np.isfinite(cost.time_to_go[0]):
                 self.arrival = time + float(cost.time_to_go[0])
-        self._fallen = True
+        self._is_fallback = True
         self._plan = None
 
     # --- tracking -------------------------------------------------------------------------
 
-    def _tracked(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
+    def _track(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
         """Return the plan's thrust acceleration plus tracking feedback (3,), m/s^2."""
         position, velocity = self._answering.ahead(estimate)
-        at = min(time + self._answering.lead - plan.begins, plan.path.duration)
-        r, v, push = plan.path.at(at)
+        at = min(time + self._answering.lead - plan.start_time, plan.path.duration)
+        r, v, thrust = plan.path.at(at)
         w = self.settings.frequency
-        return np.asarray(push + w * w * (r - position) + 2.0 * w * (v - velocity))
+        return np.asarray(thrust + w * w * (r - position) + 2.0 * w * (v - velocity))
 
 
-def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
+def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
     return float(np.hypot(*(a.position[:2] - b.position[:2])))
 
 

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "trained" / "optimal.npz"
 INPUTS, OUTPUTS = 6, 4  # number of network inputs and outputs
 _FORMAT = "lunarsim optimal network 1"
-_LARGEST = 1_000_000  # maximum file size, bytes
-_PROBLEM = 7  # number of parameters in `OptimalNetwork.problem`
+_MAX_FILE_BYTES = 1_000_000  # maximum file size, bytes
+_PROBLEM_SIZE = 7  # number of parameters in `OptimalNetwork.problem`
 
 
 def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
@@ -45,20 +45,22 @@ def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array
         Unit vectors in rows (..., 3, 3), ENU.
     """
     gap, velocity = np.asarray(gap, np.float64), np.asarray(velocity, np.float64)
-    aside = np.hypot(gap[..., 0], gap[..., 1])
-    near = aside < 1e-9
-    along = np.where(near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(aside, 1e-9)[..., None])
+    horizontal = np.hypot(gap[..., 0], gap[..., 1])
+    near = horizontal < 1e-9
+    along = np.where(
+        near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(horizontal, 1e-9)[..., None]
+    )
     across = np.stack((-along[..., 1], along[..., 0]), axis=-1)
-    side = np.sum(across * velocity[..., :2], axis=-1)
-    across = across * np.where(side < 0.0, -1.0, 1.0)[..., None]
+    crossrange_speed = np.sum(across * velocity[..., :2], axis=-1)
+    across = across * np.where(crossrange_speed < 0.0, -1.0, 1.0)[..., None]
     shown = np.stack(
         (
-            aside, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1), np.abs(side),
-            velocity[..., 2], np.broadcast_to(np.asarray(mass, np.float64), aside.shape),
+            horizontal, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1), np.abs(crossrange_speed),
+            velocity[..., 2], np.broadcast_to(np.asarray(mass, np.float64), horizontal.shape),
         ),
         axis=-1,
     )  # fmt: skip
-    axes = np.zeros((*aside.shape, 3, 3))
+    axes = np.zeros((*horizontal.shape, 3, 3))
     axes[..., 0, :2], axes[..., 1, :2], axes[..., 2, 2] = along, across, 1.0
     return shown, axes
 
@@ -93,7 +95,7 @@ class OptimalNetwork:
     biases: tuple[Array, ...]
     problem: Array
 
-    def knows(self, shown: Array) -> bool:
+    def is_in_domain(self, shown: Array) -> bool:
         """Return whether the inputs (6,) lie in the training domain."""
         return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
 
@@ -106,11 +108,11 @@ class OptimalNetwork:
 
     def save(self, path: Path) -> None:
         """Write the network as ``.npz``, with weights in single precision."""
-        held: dict[str, Any] = {f"weight_{i}": np.float32(w) for i, w in enumerate(self.weights)}
-        held |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
+        arrays: dict[str, Any] = {f"weight_{i}": np.float32(w) for i, w in enumerate(self.weights)}
+        arrays |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
         for name in ("far", "near", "low", "high", "scale", "problem"):
-            held[name] = getattr(self, name)
-        write_arrays_whole(path, held | {"format": _FORMAT})
+            arrays[name] = getattr(self, name)
+        write_arrays_whole(path, arrays | {"format": _FORMAT})
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> OptimalNetwork:
@@ -122,11 +124,11 @@ class OptimalNetwork:
             If the file is missing, larger than 1 MB or not a network, or its layers do not fit.
         """
         try:
-            held = read_arrays(path, _LARGEST)
-            if str(held.pop("format")) != _FORMAT:
+            arrays = read_arrays(path, _MAX_FILE_BYTES)
+            if str(arrays.pop("format")) != _FORMAT:
                 raise ValueError("unknown format")
-            layers = sum(name.startswith("weight_") for name in held)
-            wide = {name: np.asarray(array, np.float64) for name, array in held.items()}
+            layers = sum(name.startswith("weight_") for name in arrays)
+            wide = {name: np.asarray(array, np.float64) for name, array in arrays.items()}
             network = cls(
                 **{n: wide[n] for n in ("far", "near", "low", "high", "scale", "problem")},
                 weights=tuple(wide[f"weight_{i}"] for i in range(layers)),
@@ -142,10 +144,10 @@ class OptimalNetwork:
 
     def _check(self) -> None:
         """Reject layers of inconsistent shape or with values that are not finite."""
-        told = (self.far, self.near, self.low, self.high)
-        if any(a.shape != (INPUTS,) for a in told) or not self.weights:
+        scales = (self.far, self.near, self.low, self.high)
+        if any(a.shape != (INPUTS,) for a in scales) or not self.weights:
             raise ValueError("layers or input scales are missing")
-        if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM,):
+        if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM_SIZE,):
             raise ValueError("outputs or problem have a wrong shape")
         width = 2 * INPUTS
         for weight, bias in zip(self.weights, self.biases, strict=True):
@@ -154,6 +156,6 @@ class OptimalNetwork:
             width = len(bias)
         if width != OUTPUTS:
             raise ValueError(f"there are {width} outputs instead of {OUTPUTS}")
-        arrays = (*told, self.scale, self.problem, *self.weights, *self.biases)
+        arrays = (*scales, self.scale, self.problem, *self.weights, *self.biases)
         if not all(np.isfinite(a).all() for a in arrays):
             raise ValueError("some values are not finite")

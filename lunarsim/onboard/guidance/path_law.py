@@ -13,7 +13,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.following import Feedback, PathGuidance
+from lunarsim.onboard.guidance.following import FeedbackLaw, PathGuidance
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
@@ -63,7 +63,7 @@ class PathLaw(ABC):
     def shape(self) -> PathShape:
         """Shape of the paths under perfect actuation."""
 
-    def feedback(self, gravity: float) -> Feedback | None:
+    def feedback(self, gravity: float) -> FeedbackLaw | None:
         """Return the feedback formula for a gravity (m/s^2); None: follow the path."""
         return None
 

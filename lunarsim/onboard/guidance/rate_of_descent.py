@@ -103,8 +103,8 @@ class RateOfDescentLaw:
         self.gravity = gravity
         self.wanted: float | None = None
         self.clicks = 0
-        self._next_click = self._next_look = -np.inf
-        self._sideways = np.zeros(2)
+        self._next_click = self._next_check = -np.inf
+        self._horizontal = np.zeros(2)
         self._beyond = np.zeros(2)
 
     @property
@@ -119,23 +119,23 @@ class RateOfDescentLaw:
         height = float(estimate.position[2] - end.position[2])
         if self.wanted is None:
             self.wanted = -float(estimate.velocity[2])  # P66 starts with the current rate
-            way = estimate.velocity[:2]
-            self._beyond = s.beyond * way / max(float(np.hypot(*way)), 1e-6)
+            velocity = estimate.velocity[:2]
+            self._beyond = s.beyond * velocity / max(float(np.hypot(*velocity)), 1e-6)
         slowest = abs(float(end.velocity[2]))
-        aim = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
+        desired_rate = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
         if s.hold_speed is not None and np.hypot(*estimate.velocity[:2]) > s.hold_speed:
-            aim = 0.0
-        if time >= self._next_click - 1e-9 and abs(aim - self.wanted) > 0.5 * s.click:
-            self.wanted += float(np.copysign(s.click, aim - self.wanted))
+            desired_rate = 0.0
+        if time >= self._next_click - 1e-9 and abs(desired_rate - self.wanted) > 0.5 * s.click:
+            self.wanted += float(np.copysign(s.click, desired_rate - self.wanted))
             self.clicks += 1
             self._next_click = time + s.click_interval
-        if time >= self._next_look - 1e-9:
-            self._look(estimate, end)
-            self._next_look = time + s.look_interval
+        if time >= self._next_check - 1e-9:
+            self._update_tilt(estimate, end)
+            self._next_check = time + s.look_interval
         up = self.gravity + (-self.wanted - float(estimate.velocity[2])) / s.time_constant
-        return np.array([*self._sideways, max(up, 0.3 * self.gravity)])
+        return np.array([*self._horizontal, max(up, 0.3 * self.gravity)])
 
-    def _look(self, estimate: Estimate, end: PhaseEnd) -> None:
+    def _update_tilt(self, estimate: Estimate, end: PhaseEnd) -> None:
         """Choose a tilt from the current horizontal velocity."""
         s = self.settings
         low = estimate.position[2] - end.position[2] < s.still_height
@@ -143,4 +143,4 @@ class RateOfDescentLaw:
         wanted = share * (end.position[:2] + self._beyond - estimate.position[:2])
         push = (wanted - estimate.velocity[:2]) / s.lean_time
         size, most = float(np.hypot(*push)), self.gravity * np.tan(s.max_lean)
-        self._sideways = np.asarray(push * (most / size) if size > most else push)
+        self._horizontal = np.asarray(push * (most / size) if size > most else push)

@@ -24,17 +24,17 @@ class SteadyPlace:
     ----------
     within
         Time-to-go below which the limit applies, s; before, the estimate is used unchanged.
-    creep
+    min_rate
         Minimum correction rate, m/s.
     growth
         Correction rate per second of time-to-go, m/s^2.
     """
 
     within: float = 12.0
-    creep: float = 0.15
+    min_rate: float = 0.15
     growth: float = 0.06
     _time: float = -np.inf
-    _place: NDArray[np.float64] | None = None
+    _position: NDArray[np.float64] | None = None
 
     def of(self, estimate: Estimate, time_left: float) -> Estimate:
         """Return the estimate for guidance.
@@ -46,13 +46,13 @@ class SteadyPlace:
         time_left
             Time until the path ends, s; 0 after it.
         """
-        place, passed = estimate.position[:2], estimate.time - self._time
-        if self._place is not None and time_left < self.within:
-            carried = self._place + passed * estimate.velocity[:2]
-            off = place - carried
-            size = float(np.hypot(off[0], off[1]))
-            most = max(self.creep, self.growth * time_left) * passed
-            if size > most:
-                place = carried + off * (most / size)
-        self._time, self._place = estimate.time, place.copy()
-        return replace(estimate, position=np.append(place, estimate.position[2]))
+        position, elapsed = estimate.position[:2], estimate.time - self._time
+        if self._position is not None and time_left < self.within:
+            propagated = self._position + elapsed * estimate.velocity[:2]
+            correction = position - propagated
+            size = float(np.hypot(correction[0], correction[1]))
+            limit = max(self.min_rate, self.growth * time_left) * elapsed
+            if size > limit:
+                position = propagated + correction * (limit / size)
+        self._time, self._position = estimate.time, position.copy()
+        return replace(estimate, position=np.append(position, estimate.position[2]))

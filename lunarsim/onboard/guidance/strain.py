@@ -26,10 +26,10 @@ class Strain:
 
     longest: float = 0.5
     slack: float = 0.02
-    _since: float | None = None
+    _start_time: float | None = None
 
     def lasts(
-        self, wanted: NDArray[np.float64], mass: float, most: tuple[float, float], time: float
+        self, wanted: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
     ) -> bool:
         """Return whether a violation lasts too long; restart the timer if so.
 
@@ -39,19 +39,19 @@ class Strain:
             Commanded thrust acceleration (3,), ENU, m/s^2.
         mass
             kg.
-        most
+        limits
             Maximum tilt from the vertical, rad, and maximum thrust, N.
         time
             s, once per cycle.
         """
-        lean = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
-        push = mass * float(np.linalg.norm(wanted))
-        if lean <= (1.0 + self.slack) * most[0] and push <= (1.0 + self.slack) * most[1]:
-            self._since = None
+        tilt = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
+        thrust = mass * float(np.linalg.norm(wanted))
+        if tilt <= (1.0 + self.slack) * limits[0] and thrust <= (1.0 + self.slack) * limits[1]:
+            self._start_time = None
             return False
-        if self._since is None:
-            self._since = time
-        if time - self._since < self.longest - 1e-9:
+        if self._start_time is None:
+            self._start_time = time
+        if time - self._start_time < self.longest - 1e-9:
             return False
-        self._since = None
+        self._start_time = None
         return True

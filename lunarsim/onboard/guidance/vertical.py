@@ -12,10 +12,10 @@ from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
 # Maximum product of the position loop's frequency and the vehicle's lag.
-_FREQUENCY_LAG = 0.33
+_MAX_FREQUENCY_LAG = 0.33
 
 
-class DescentLaw(Protocol):
+class TerminalDescentLaw(Protocol):
     """Interface of guidance laws for the terminal descent."""
 
     @property
@@ -75,7 +75,7 @@ class VerticalDescent:
         The product of frequency and lag is at most 0.33, where the loop with lag is still as damped
         as the loop without.
         """
-        return cls(gravity, frequency=min(cls.frequency, _FREQUENCY_LAG / max(lag, 1e-6)))
+        return cls(gravity, frequency=min(cls.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6)))
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
@@ -84,39 +84,43 @@ class VerticalDescent:
         """
         refuse_unknown(estimate, end)
         offset = estimate.position[:2] - end.position[:2]
-        sideways = (
+        horizontal = (
             -(self.frequency**2) * offset
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
         height = float(estimate.position[2] - end.position[2])
         planned = float(end.velocity[2])
-        wanted = self._slowed(estimate.velocity, height, planned)
-        leaning = self._leaning(height, self.lean_height if wanted == planned else self.low_height)
+        wanted = self._limit_descent_speed(estimate.velocity, height, planned)
+        tan_tilt = self._tan_max_tilt(
+            height, self.lean_height if wanted == planned else self.low_height
+        )
         up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
-        limit = up * leaning
-        size = float(np.hypot(*sideways))
+        limit = up * tan_tilt
+        size = float(np.hypot(*horizontal))
         if size > limit:
-            sideways *= limit / size
-        return np.array([sideways[0], sideways[1], up])
+            horizontal *= limit / size
+        return np.array([horizontal[0], horizontal[1], up])
 
-    def _leaning(self, height: float, full: float) -> float:
+    def _tan_max_tilt(self, height: float, full: float) -> float:
         """Return the tangent of the maximum tilt at a height; it is constant above `full`."""
         share = min(max(height / full, 0.0), 1.0)
         return float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
 
-    def _slowed(self, velocity: NDArray[np.float64], height: float, planned: float) -> float:
+    def _limit_descent_speed(
+        self, velocity: NDArray[np.float64], height: float, planned: float
+    ) -> float:
         """Return the vertical speed, m/s, reduced while the lander drifts too fast."""
         excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
         # The maximum tilt decreases with height: plan with half of the value at this height.
-        stopping = excess / (0.5 * self.gravity * self._leaning(height, self.lean_height))
+        stopping = excess / (0.5 * self.gravity * self._tan_max_tilt(height, self.lean_height))
         if excess == 0.0 or -planned * stopping <= height:
             return planned
         return min(-height / stopping, self.slowest * planned)
 
 
 @runtime_checkable
-class Turning(Protocol):
+class SlewLimitedControl(Protocol):
     """Attitude control with a maximum slew rate that a position loop must respect."""
 
     def turning_time(self, angle: float) -> float:
@@ -124,7 +128,7 @@ class Turning(Protocol):
         ...
 
 
-def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
+def descent_law(part: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
     """Return the law of the terminal descent: a scenario's part, or `VerticalDescent`.
 
     Parameters
@@ -138,8 +142,8 @@ def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
     """
     if part is None:
         control = briefing.software.control
-        if isinstance(control, Turning):
+        if isinstance(control, SlewLimitedControl):
             lag += control.turning_time(VerticalDescent.lean)
         return VerticalDescent.behind(lag, briefing.weight)
-    law: DescentLaw = part.build(briefing, lag)
+    law: TerminalDescentLaw = part.build(briefing, lag)
     return law

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.following import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
 
@@ -42,8 +42,8 @@ def zem_zev(
     """
     g = np.array([0.0, 0.0, -gravity])
     miss = end.position - (position + time_to_go * velocity + 0.5 * time_to_go**2 * g)
-    slip = end.velocity - (velocity + time_to_go * g)
-    return np.asarray(6.0 * miss / time_to_go**2 - 2.0 * slip / time_to_go)
+    velocity_error = end.velocity - (velocity + time_to_go * g)
+    return np.asarray(6.0 * miss / time_to_go**2 - 2.0 * velocity_error / time_to_go)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class ZemZevLaw(PathLaw):
         """Shape of E-guidance: both have the same paths under perfect actuation."""
         return E_GUIDANCE
 
-    def feedback(self, gravity: float) -> Feedback:
+    def feedback(self, gravity: float) -> FeedbackLaw:
         """Return `zem_zev` with gravity included in the acceleration."""
         down = np.array([0.0, 0.0, -gravity])
 

@@ -14,7 +14,7 @@ from lunarsim.frames import (
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import Engine, JetLander
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.control.allocation import Allocation
+from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.attitude import ProportionalDerivative
 from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.onboard.control.phase_plane import PhasePlane
@@ -168,7 +168,7 @@ def test_small_torques_are_carried_until_they_make_a_pulse():
         made.torque()
         made.take(np.zeros(3))
         sums += made.allocation.impulse(made.on_times) * due
-    assert sums == pytest.approx([0.0, 0.0, 2.0 * 4.0], abs=made.allocation.least_impulse[2])
+    assert sums == pytest.approx([0.0, 0.0, 2.0 * 4.0], abs=made.allocation.min_impulse[2])
 
 
 def test_the_gimbal_takes_over_a_steady_torque():
@@ -216,7 +216,7 @@ def test_throttle_regions_do_not_chatter():
 
 
 def test_allocation_serves_every_axis_of_the_loop():
-    least = Allocation(JetLander().thrusters).least_impulse
+    least = ThrusterAllocation(JetLander().thrusters).min_impulse
     for axis in range(3):
         for sign in (1.0, -1.0):
             angle = np.zeros(3)
@@ -304,7 +304,7 @@ def test_what_thrusters_could_not_give_is_forgotten_but_for_a_pulse():
         made.torque()
         made.take(np.zeros(3))
         sums += made.allocation.impulse(made.on_times) * due
-    assert np.abs(sums).max() <= made.allocation.least_impulse.max() * (1.0 + 1e-9)
+    assert np.abs(sums).max() <= made.allocation.min_impulse.max() * (1.0 + 1e-9)
 
 
 def test_the_watch_is_told_turns_about_the_centre_of_mass():

@@ -16,7 +16,7 @@ from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.neural_law import (
-    LEAST_ELEVATION,
+    MIN_ELEVATION_RAD,
     NeuralGuidance,
     NeuralOptimalLaw,
     shipped,
@@ -147,10 +147,10 @@ def test_outside_of_what_it_was_taught_apollo_flies_until_it_is_within():
 
 def test_it_takes_over_no_lower_than_descents_that_it_was_taught_begin():
     """Each number is within what it was shown, the way in is not; once on a path it may lie low."""
-    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(MIN_ELEVATION_RAD) - 5.0])
     speed = np.array([25.0, 0.0, -5.0])
     shown, _ = reduced(low - END.position, speed, 1400.0)
-    assert shipped().knows(shown)
+    assert shipped().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(low, speed, 1400.0), END, 0.0, 40.0)
     assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
@@ -231,7 +231,7 @@ def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass)
 def test_it_does_not_take_over_where_no_descent_that_it_was_taught_begins(gap, velocity, mass):
     """Of the first it ended 52 m off, 37 m too low; Apollo guidance lands."""
     shown, _ = reduced(gap, velocity, mass)
-    assert shipped().knows(shown)
+    assert shipped().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(END.position + gap, velocity, mass), END, 0.0, 60.0)
     assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
@@ -247,7 +247,7 @@ def test_the_last_seconds_are_left_to_another_law(left, asked):
 
 def test_after_a_fall_it_takes_over_no_lower_either():
     """What was followed until then is left: it lies low by another law's doing."""
-    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(MIN_ELEVATION_RAD) - 5.0])
     flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 2.0), 20.0))
     flight.command(estimate(), END, 0.0, 34.0)
     flight.network = constant((0.0, 0.0, 6.0), 20.0)
