@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import count, is_number
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import first_time
+from lunarsim.optimal.final_time import minimum_effort_time
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.units import Units
 
@@ -95,7 +95,7 @@ def collocate(
             )
     if duration is not None and not (is_number(duration) and duration > 0.0):
         raise InputError("optimal.duration", duration, "must be positive and finite")
-    guess = duration or 0.9 * first_time(descent)
+    guess = duration or 0.9 * minimum_effort_time(descent)
     units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)
     problem: dict[str, Any] = {
@@ -198,9 +198,9 @@ def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any,
 
 def _above(descent: Descent, units: Units, x: Any) -> _Row:
     """Return the glideslope constraint at one point."""
-    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
+    horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length
-    return up - np.tan(descent.glideslope or 0.0) * aside, 0.0, np.inf
+    return up - np.tan(descent.glideslope or 0.0) * horizontal, 0.0, np.inf
 
 
 def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:

@@ -21,7 +21,9 @@ from scipy import sparse
 Array = NDArray[np.float64]
 Status = Literal["solved", "infeasible", "unsolved", "failed"]
 
-_WIDER = 1e-6  # minimum widening of the cones that proves infeasibility; lengths are about 1
+_INFEASIBLE_WIDENING = (
+    1e-6  # minimum widening of the cones that proves infeasibility; lengths are about 1
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SolverResult:
     """Result of a solver.
 
     Attributes
@@ -85,29 +87,29 @@ class Qoco:
 
     def __init__(self, most: int = 60) -> None:
         self.most = most
-        self._held: Any = None
+        self._solver: Any = None
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> SolverResult:
         """Solve a program with the same structure as the first one."""
         p = program
-        if self._held is None:
-            self._held = qoco.QOCO()
-            self._held.setup(
+        if self._solver is None:
+            self._solver = qoco.QOCO()
+            self._solver.setup(
                 len(p.c), len(p.h), len(p.b), None, p.c, p.a, p.b, p.g, p.h, p.orthant,
                 len(p.cones), np.array(p.cones), max_iters=self.most,
             )  # fmt: skip
         else:
-            self._held.update_vector_data(p.c, p.b, p.h)
-            self._held.update_matrix_data(None, None, p.g.data)
-        got = self._held.solve()
+            self._solver.update_vector_data(p.c, p.b, p.h)
+            self._solver.update_matrix_data(None, None, p.g.data)
+        result = self._solver.solve()
         # An "inaccurate" result may be the best iterate of a previous program.
-        good = got.status == "QOCO_SOLVED" and bool(np.isfinite(got.x).all())
-        status: Status = "solved" if good else "failed"
-        x, y, z = (np.array(v, dtype=np.float64) for v in (got.x, got.y, got.z))
-        if not good:
+        is_solved = result.status == "QOCO_SOLVED" and bool(np.isfinite(result.x).all())
+        status: Status = "solved" if is_solved else "failed"
+        x, y, z = (np.array(v, dtype=np.float64) for v in (result.x, result.y, result.z))
+        if not is_solved:
             # A failed solve may leave NaN behind: set up anew.
-            self._held = None
-        return Answer(status, x, y, z, int(got.iters), "qoco")
+            self._solver = None
+        return SolverResult(status, x, y, z, int(result.iters), "qoco")
 
 
 class Clarabel:
@@ -122,7 +124,7 @@ class Clarabel:
     def __init__(self, most: int = 100) -> None:
         self.most = most
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> SolverResult:
         """Solve a program."""
         p = program
         settings = clarabel.DefaultSettings()
@@ -132,22 +134,22 @@ class Clarabel:
         rows = sparse.vstack([p.a, p.g], format="csc")
         nothing = sparse.csc_matrix((len(p.c), len(p.c)))
         both = np.concatenate((p.b, p.h))
-        got = clarabel.DefaultSolver(nothing, p.c, rows, both, cones, settings).solve()
-        said = str(got.status)
+        result = clarabel.DefaultSolver(nothing, p.c, rows, both, cones, settings).solve()
+        solver_status = str(result.status)
         status: Status = "failed"
-        if said in ("Solved", "AlmostSolved"):
+        if solver_status in ("Solved", "AlmostSolved"):
             status = "solved"
-        elif said == "PrimalInfeasible":
+        elif solver_status == "PrimalInfeasible":
             status = "infeasible"
         split = len(p.b)
-        multipliers = np.array(got.z, dtype=np.float64)
-        x = np.array(got.x, dtype=np.float64)
-        return Answer(
-            status, x, multipliers[:split], multipliers[split:], int(got.iterations), "clarabel"
+        multipliers = np.array(result.z, dtype=np.float64)
+        x = np.array(result.x, dtype=np.float64)
+        return SolverResult(
+            status, x, multipliers[:split], multipliers[split:], int(result.iterations), "clarabel"
         )
 
 
-def relaxed(program: Program) -> Program:
+def widened(program: Program) -> Program:
     """Return the program of the minimum widening t of cones; t > 0: infeasible.
 
     It has a solution if the equalities have one.
@@ -165,10 +167,10 @@ def relaxed(program: Program) -> Program:
     return Program(c, a, p.b, g, np.concatenate(([1.0], p.h)), p.orthant + 1, p.cones)
 
 
-class Judged:
+class FallbackSolver:
     """Solve with QOCO, and with Clarabel what QOCO does not solve.
 
-    If Clarabel gives no certificate either, the minimum t of `relaxed` decides.
+    If Clarabel gives no certificate either, the minimum t of `widened` decides.
 
     Parameters
     ----------
@@ -177,29 +179,29 @@ class Judged:
 
     Attributes
     ----------
-    referred
+    fallback_count
         Number of programs that went to Clarabel.
     """
 
     def __init__(self, most: int = 40) -> None:
-        self.fast, self.judge = Qoco(most), Clarabel()
-        self.referred = 0
+        self.fast, self.fallback = Qoco(most), Clarabel()
+        self.fallback_count = 0
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> SolverResult:
         """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
-        self.referred += 1
-        answer = self.judge.solve(program)
+        self.fallback_count += 1
+        answer = self.fallback.solve(program)
         if answer.status == "failed":
-            wider = self.judge.solve(relaxed(program))
-            if wider.status == "solved" and wider.x[-1] > _WIDER:
+            wider = self.fallback.solve(widened(program))
+            if wider.status == "solved" and wider.x[-1] > _INFEASIBLE_WIDENING:
                 answer = replace(answer, status="infeasible")
         return answer
 
 
-class Unjudged:
+class QocoOnlySolver:
     """Solve with QOCO only; a program not solved within the iterations is "unsolved".
 
     Parameters
@@ -211,7 +213,7 @@ class Unjudged:
     def __init__(self, most: int = 30) -> None:
         self.fast = Qoco(most)
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> SolverResult:
         """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

@@ -43,17 +43,24 @@ class InfeasibleError(InputError):
         )
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        return _again, (self.field, self.value, self.problem, self.remedy, self.nearest, self.miss)
+        return _restore, (
+            self.field,
+            self.value,
+            self.problem,
+            self.remedy,
+            self.nearest,
+            self.miss,
+        )
 
 
-def _again(
+def _restore(
     field: str, value: object, problem: str, remedy: str, nearest: object, miss: float
 ) -> InfeasibleError:
     """Restore an error after unpickling."""
-    made = InfeasibleError.__new__(InfeasibleError)
-    InputError.__init__(made, field, value, problem, remedy)
-    made.nearest, made.miss = nearest, miss  # type: ignore[assignment]
-    return made
+    error = InfeasibleError.__new__(InfeasibleError)
+    InputError.__init__(error, field, value, problem, remedy)
+    error.nearest, error.miss = nearest, miss  # type: ignore[assignment]
+    return error
 
 
 class SolverError(RuntimeError):

@@ -18,20 +18,25 @@ from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverErro
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.transcription import Walls
+from lunarsim.optimal.transcription import HalfSpaces
 
 Array = NDArray[np.float64]
 
-_WARM, _COLD = 4, 16  # maximum number of solves, with and without a last solution
-_GAIN = 5e-5  # relative saving of delta-v below which no further solve is made
-_NEAR = 1e-3  # tolerance of the landing error, m
+_MAX_WARM_SOLVES, _MAX_COLD_SOLVES = (
+    4,
+    16,
+)  # maximum number of solves, with and without a last solution
+_MIN_RELATIVE_SAVING = 5e-5  # relative saving of delta-v below which no further solve is made
+_LANDING_ERROR_TOLERANCE_M = 1e-3  # tolerance of the landing error, m
 # Multiples of the first final time, tried until one is feasible.
-_LADDER = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
-_LOSSY = 0.05  # tolerated violation of the thrust limits, as a fraction of the maximum thrust
-_STEP = 0.04  # relative first step of the final time if the curvature is unknown
+_TIME_FACTORS = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
+_MAX_THRUST_VIOLATION = (
+    0.05  # tolerated violation of the thrust limits, as a fraction of the maximum thrust
+)
+_FIRST_STEP = 0.04  # relative first step of the final time if the curvature is unknown
 
 
-def first_time(descent: Descent) -> float:
+def minimum_effort_time(descent: Descent) -> float:
     """Return the final time of the minimum-effort path, s, as an initial guess.
 
     The minimum of ``int |a_T|^2 dt`` over paths and final times is at the smallest positive root of
@@ -65,7 +70,7 @@ class _Search:
         inf: the slope itself is assumed linear.
     step
         Maximum relative step from the first final time.
-    bend
+    curvature_guess
         Derivative of the slope in a similar problem; 0: unknown.
     low, high
         Bracket of the optimal final time.
@@ -74,8 +79,8 @@ class _Search:
     """
 
     limit: float = np.inf
-    step: float = _STEP
-    bend: float = 0.0
+    step: float = _FIRST_STEP
+    curvature_guess: float = 0.0
     low: float = 0.0
     high: float = np.inf
     known: list[tuple[float, float]] = field(default_factory=list)
@@ -95,7 +100,7 @@ class _Search:
         else:
             self.high = min(self.high, time)
 
-    def saves(self, best: Path) -> float:
+    def max_saving(self, best: Path) -> float:
         """Return the maximum saving within the bracket, for a convex cost."""
         to = self.low if best.slope > 0.0 else self.high
         return abs(best.slope) * abs(best.duration - to)
@@ -106,9 +111,9 @@ class _Search:
         (t1, s1) = self.known[-1]
         (t0, s0) = self.known[-2] if len(self.known) > 1 else (t1, s1)
         found = (s1 - s0) / (t1 - t0) if t1 != t0 else 0.0
-        return found if found > 0.0 else self.bend or 2.0 / t1
+        return found if found > 0.0 else self.curvature_guess or 2.0 / t1
 
-    def _straight(self, slope: float) -> float:
+    def _linearise_slope(self, slope: float) -> float:
         """Transform a slope to a value that is about linear in time and keeps its zero."""
         if not np.isfinite(self.limit):
             return slope
@@ -117,20 +122,22 @@ class _Search:
     def next(self) -> float:
         """Return the next final time to try."""
         time, slope = self.known[-1]
-        by = min(self.step * time, abs(slope) / self.bend if self.bend else np.inf)
-        wanted = time - np.copysign(by, slope)
+        step = min(
+            self.step * time, abs(slope) / self.curvature_guess if self.curvature_guess else np.inf
+        )
+        candidate = time - np.copysign(step, slope)
         if len(self.known) > 1:
             before, s0 = self.known[-2]
-            rise = self._straight(slope) - self._straight(s0)
+            rise = self._linearise_slope(slope) - self._linearise_slope(s0)
             if rise * (time - before) > 0.0:
-                wanted = time - self._straight(slope) * (time - before) / rise
-                wanted = min(max(wanted, 0.8 * time), 1.25 * time)
+                candidate = time - self._linearise_slope(slope) * (time - before) / rise
+                candidate = min(max(candidate, 0.8 * time), 1.25 * time)
             elif slope * s0 > 0.0:
                 # Two equal slopes do not locate the zero; they only give its side.
-                wanted = 0.8 * time if slope > 0.0 else 1.25 * time
-        if not self.low < wanted < self.high:
-            wanted = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
-        return float(wanted)
+                candidate = 0.8 * time if slope > 0.0 else 1.25 * time
+        if not self.low < candidate < self.high:
+            candidate = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
+        return float(candidate)
 
 
 def least_propellant(
@@ -139,12 +146,12 @@ def least_propellant(
     *,
     last: Path | None = None,
     elapsed: float = 0.0,
-    walls: Walls | None = None,
-    lossy: bool = False,
+    half_spaces: HalfSpaces | None = None,
+    allow_lossy: bool = False,
 ) -> Path:
     """Find the minimum-propellant path over all final times.
 
-    `Path.settled` states whether the search converged.
+    `Path.converged` states whether the search converged.
 
     Parameters
     ----------
@@ -157,9 +164,9 @@ def least_propellant(
         and one more if its masses deviate. If its final time is infeasible, it is not used.
     elapsed
         s.
-    walls
+    half_spaces
         Half-spaces that replace the descent's cone.
-    lossy
+    allow_lossy
         Whether to accept a path that violates the thrust limits by more than 5 % of the maximum,
         as a bound or as an initial guess.
 
@@ -175,12 +182,12 @@ def least_propellant(
     if not (is_number(elapsed) and elapsed >= 0.0):
         raise InputError("optimal.elapsed", elapsed, "must be 0 s or more, and finite")
     before = planner.solves
-    path = _warm(planner, descent, last, elapsed, walls) if last is not None else None
+    path = _search_warm(planner, descent, last, elapsed, half_spaces) if last is not None else None
     if path is None:
-        path = _cold(planner, descent, walls)
+        path = _search_cold(planner, descent, half_spaces)
     if path is None:
-        path = _rescued(planner, descent, walls)
-    if not (lossy or flyable(path)):
+        path = _search_from_landing_error(planner, descent, half_spaces)
+    if not (allow_lossy or is_flyable(path)):
         raise RelaxationError(
             f"The relaxed solution violates the thrust limits by {100.0 * path.excess:.0f} % of "
             f"the maximum thrust (final time {path.duration:.1f} s), so it cannot be flown."
@@ -188,24 +195,26 @@ def least_propellant(
     return replace(path, solves=planner.solves - before)
 
 
-def flyable(path: Path) -> bool:
+def is_flyable(path: Path) -> bool:
     """Return whether the thrust limits are violated by at most 5 % of the maximum.
 
     A larger violation means that the relaxation is not lossless: too few intervals around a switch,
     or a state constraint that is active for long.
     """
-    return path.excess <= _LOSSY
+    return path.excess <= _MAX_THRUST_VIOLATION
 
 
-def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
+def _search_from_landing_error(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
+) -> Path:
     """Search around the final time of the minimum landing error.
 
     If propellant is scarce, few final times are feasible; the landing error leads to them.
     """
-    near = nearest(planner, descent, walls=walls)
-    if near is not None and near.miss < max(10.0 * _NEAR, descent.region):
+    near = nearest(planner, descent, half_spaces=half_spaces)
+    if near is not None and near.miss < max(10.0 * _LANDING_ERROR_TOLERANCE_M, descent.region):
         first = iter((near.duration, 1.01 * near.duration, 0.99 * near.duration))
-        path = search_about(planner, descent, first, walls=walls, log_mass=near.log_mass)
+        path = search_near(planner, descent, first, half_spaces=half_spaces, log_mass=near.log_mass)
         if path is not None:
             return path
     why = "infeasible at every tried final time"
@@ -214,21 +223,21 @@ def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
     raise InfeasibleError(descent.end_position, why, near.position[-1])
 
 
-def _warm(
-    planner: Planner, descent: Descent, last: Path, elapsed: float, walls: Walls | None
+def _search_warm(
+    planner: Planner, descent: Descent, last: Path, elapsed: float, half_spaces: HalfSpaces | None
 ) -> Path | None:
     """Search from the last solution; return None if its final time is infeasible."""
     first = last.duration - elapsed
     if not first > 0.0:
         return None
-    log_mass = masses_left(last, elapsed, planner.intervals)
-    return search_about(
-        planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass,
-        bend=last.curvature,
+    log_mass = remaining_log_mass(last, elapsed, planner.intervals)
+    return search_near(
+        planner, descent, iter((first,)), half_spaces=half_spaces, most=_MAX_WARM_SOLVES,
+        log_mass=log_mass, curvature_guess=last.curvature,
     )  # fmt: skip
 
 
-def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
+def remaining_log_mass(last: Path, elapsed: float, intervals: int) -> Array:
     """Return ln(mass / current mass) at interval centres (N,) of the rest of a path."""
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
@@ -236,27 +245,29 @@ def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
     return np.asarray(np.log(last.mass_at(at) / float(last.mass_at(now))))
 
 
-def _cold(planner: Planner, descent: Descent, walls: Walls | None) -> Path | None:
-    first = first_time(descent)
-    return search_about(planner, descent, (s * first for s in _LADDER), walls=walls)
+def _search_cold(planner: Planner, descent: Descent, half_spaces: HalfSpaces | None) -> Path | None:
+    first = minimum_effort_time(descent)
+    return search_near(
+        planner, descent, (s * first for s in _TIME_FACTORS), half_spaces=half_spaces
+    )
 
 
-def search_about(
+def search_near(
     planner: Planner,
     descent: Descent,
     first: Iterator[float],
     *,
-    walls: Walls | None = None,
-    most: int = _COLD,
+    half_spaces: HalfSpaces | None = None,
+    most: int = _MAX_COLD_SOLVES,
     log_mass: Array | None = None,
-    step: float = _STEP,
-    bend: float = 0.0,
+    step: float = _FIRST_STEP,
+    curvature_guess: float = 0.0,
 ) -> Path | None:
     """Find the best path from given final times; None if none is feasible.
 
     Parameters
     ----------
-    planner, descent, walls
+    planner, descent, half_spaces
         Those of `least_propellant`.
     first
         Final times, s, tried in order until one is feasible.
@@ -266,16 +277,16 @@ def search_about(
         Guess of ln(mass / initial mass) at the interval centres (N,).
     step
         Maximum relative first step from the first feasible final time.
-    bend
+    curvature_guess
         `curvature` of the path of a similar problem; 0: unknown.
     """
-    search, best, failure = _Search(descent.gravity, step, bend), None, None
-    settled, budget = False, np.inf
+    search, best, failure = _Search(descent.gravity, step, curvature_guess), None, None
+    converged, budget = False, np.inf
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
         before = planner.solves
         try:
-            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
+            path = planner.at_time(descent, time, log_mass=log_mass, half_spaces=half_spaces)
         except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
@@ -284,7 +295,7 @@ def search_about(
                 continue
             # Bisect between feasible and infeasible final times.
             search.exclude(time, best.duration)
-            if settled := search.saves(best) < _GAIN * best.cost:
+            if converged := search.max_saving(best) < _MIN_RELATIVE_SAVING * best.cost:
                 break
             time = 0.5 * (time + best.duration)
             continue
@@ -292,31 +303,35 @@ def search_about(
         budget = before + most if best is None else budget
         best = path if best is None or path.cost < best.cost else best
         search.add(time, path.slope)
-        settled = path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost
-        if settled or (settled := search.saves(best) < _GAIN * best.cost):
+        converged = path.slope**2 < 2.0 * search.curvature * _MIN_RELATIVE_SAVING * path.cost
+        if converged or (converged := search.max_saving(best) < _MIN_RELATIVE_SAVING * best.cost):
             break
         time = search.next()
     if best is None and failure is not None:
         raise failure
-    return best and replace(best, curvature=search.curvature, settled=settled)
+    return best and replace(best, curvature=search.curvature, converged=converged)
 
 
-def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> Path | None:
+def nearest(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
+) -> Path | None:
     """Return the path whose end is nearest to the target, or None if it cannot land.
 
     Only the height of the end is fixed. Spare thrust has no penalty here.
     """
     if descent.spare > 0.0:
         descent = replace(descent, thrust_max=descent.thrust_max + descent.spare, spare=0.0)
-    first = first_time(descent)
+    first = minimum_effort_time(descent)
     search, best, log_mass = _Search(), None, None
-    times = [s * first for s in _LADDER]
+    times = [s * first for s in _TIME_FACTORS]
     time: float | None = times.pop(0)
-    budget = planner.solves + 2 * _COLD + len(_LADDER)
+    budget = planner.solves + 2 * _MAX_COLD_SOLVES + len(_TIME_FACTORS)
     failure: SolverError | None = None
     while time is not None and planner.solves < budget:
         try:
-            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls, nearest=True)
+            path = planner.at_time(
+                descent, time, log_mass=log_mass, half_spaces=half_spaces, nearest=True
+            )
         except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
@@ -331,14 +346,17 @@ def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> P
         search.add(time, path.slope)
         time = search.next()
         left = abs(time - path.duration) * abs(path.slope)
-        if path.miss < _NEAR or left < 0.05 * _NEAR * path.miss:
+        if (
+            path.miss < _LANDING_ERROR_TOLERANCE_M
+            or left < 0.05 * _LANDING_ERROR_TOLERANCE_M * path.miss
+        ):
             break
     if best is None and failure is not None:
         raise failure
     return best
 
 
-def least_error(planner: Planner, descent: Descent) -> Path | None:
+def minimize_landing_error(planner: Planner, descent: Descent) -> Path | None:
     """Return a path of minimum landing error, with minimum propellant among those.
 
     Blackmore, Acikmese and Scharf, "Minimum-landing-error powered-descent guidance for Mars landing

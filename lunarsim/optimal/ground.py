@@ -22,17 +22,17 @@ from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
-from lunarsim.optimal.transcription import Walls
+from lunarsim.optimal.transcription import HalfSpaces
 
 Array = NDArray[np.float64]
 
-_BINDS = 1e-4  # relative multiplier of a half-space below which it costs no propellant
-_SAME = 1e-4  # relative change of delta-v below which the iteration has converged
-_SAMPLES = 16  # terrain samples per interval
+_ACTIVE_MULTIPLIER = 1e-4  # relative multiplier of a half-space below which it costs no propellant
+_CONVERGED_CHANGE = 1e-4  # relative change of delta-v below which the iteration has converged
+_SAMPLES_PER_INTERVAL = 16  # terrain samples per interval
 
 
 @dataclass(frozen=True)
-class Relief:
+class TerrainRaster:
     """Terrain raster: elevations of posts, bilinear between them.
 
     Attributes
@@ -102,16 +102,16 @@ class Relief:
         sectors = count("sectors", sectors, 3)
         end = numbers("end_position", end, (3,), "must be three finite coordinates")
         _check_clearance(clearance)
-        gap = self.posts - end
-        far = np.hypot(gap[:, 0], gap[:, 1])
-        seen = far > 1e-9
-        azimuth = np.arctan2(gap[seen, 1], gap[seen, 0])
+        offsets = self.posts - end
+        distance = np.hypot(offsets[:, 0], offsets[:, 1])
+        is_beside = distance > 1e-9
+        azimuth = np.arctan2(offsets[is_beside, 1], offsets[is_beside, 0])
         width = 2.0 * np.pi / sectors
         sector = np.round(azimuth / width).astype(int) % sectors
-        off = np.cos(azimuth - sector * width)
-        steep = (gap[seen, 2] + clearance) / (far[seen] * off)
+        cosine = np.cos(azimuth - sector * width)
+        slopes_needed = (offsets[is_beside, 2] + clearance) / (distance[is_beside] * cosine)
         slopes = np.zeros(sectors)
-        np.maximum.at(slopes, sector, steep)
+        np.maximum.at(slopes, sector, slopes_needed)
         angles = width * np.arange(sectors)
         return Cone(
             np.column_stack((-slopes * np.cos(angles), -slopes * np.sin(angles), np.ones(sectors)))
@@ -125,7 +125,7 @@ class Relief:
         InputError
             If the path leaves the posts.
         """
-        times = np.linspace(0.0, path.duration, _SAMPLES * path.intervals + 1)
+        times = np.linspace(0.0, path.duration, _SAMPLES_PER_INTERVAL * path.intervals + 1)
         points = path.at(times)[0]
         height = self.height(points)
         if np.isnan(height).any():
@@ -135,7 +135,7 @@ class Relief:
             )
         return float((points[:, 2] - height).min())
 
-    def walls(self, path: Path, clearance: float) -> Walls:
+    def half_spaces(self, path: Path, clearance: float) -> HalfSpaces:
         """Return three planes per control point: its own and its neighbours'.
 
         The path over an interval lies in the hull of its own control point and its neighbours';
@@ -154,7 +154,7 @@ class Relief:
         near = np.clip(np.arange(n)[:, None] + [-1, 0, 1], 0, n - 1)
         normals = np.concatenate((-planes[near][..., :2], np.ones((n, 3, 1))), axis=2)
         level = planes[near][..., 2] + clearance
-        return Walls(normals, level - normals @ path.descent.end_position, moves=False)
+        return HalfSpaces(normals, level - normals @ path.descent.end_position, moves=False)
 
     @staticmethod
     def _plane(posts: Array, about: Array, reach: float) -> Array:
@@ -172,7 +172,7 @@ class Relief:
 def least_propellant_over(
     planner: Planner,
     descent: Descent,
-    relief: Relief,
+    terrain: TerrainRaster,
     *,
     clearance: float = 0.0,
     sectors: int = 12,
@@ -186,7 +186,7 @@ def least_propellant_over(
         Planner that solves for one final time.
     descent
         Problem without a cone.
-    relief
+    terrain
         Terrain; the end is at least `clearance` above it.
     clearance
         Minimum height of the path above the terrain, m.
@@ -204,26 +204,31 @@ def least_propellant_over(
     SolverError
         If no path above the terrain is found.
     """
-    if not isinstance(relief, Relief):
-        raise InputError("optimal.terrain", type(relief).__name__, "must be a Relief")
+    if not isinstance(terrain, TerrainRaster):
+        raise InputError("optimal.terrain", type(terrain).__name__, "must be a Relief")
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
-    _check_ends(descent, relief, clearance)
-    kept, best = None, None
+    _check_ends(descent, terrain, clearance)
+    majorant_path, best = None, None
     try:
-        cone = relief.majorant(descent.end_position, sectors, clearance)
-        kept = least_propellant(planner, replace(descent, cone=cone))
+        cone = terrain.majorant(descent.end_position, sectors, clearance)
+        majorant_path = least_propellant(planner, replace(descent, cone=cone))
     except (InfeasibleError, SolverError):
         pass  # a majorant may block every path, or be active so long that relaxation is lossy
         # The majorant considers posts only; between and outside them, check the terrain itself.
-    if kept is not None and relief.above(kept) > clearance - 1e-3:
-        if kept.bars.max(initial=0.0) < _BINDS * np.linalg.norm(kept.primer, axis=1).max():
-            return kept
-        best = kept
-    starts = _starts(planner, descent, kept)
+    if majorant_path is not None and terrain.above(majorant_path) > clearance - 1e-3:
+        if (
+            majorant_path.half_space_multipliers.max(initial=0.0)
+            < _ACTIVE_MULTIPLIER * np.linalg.norm(majorant_path.primer, axis=1).max()
+        ):
+            return majorant_path
+        best = majorant_path
+    starts = _initial_paths(planner, descent, majorant_path)
     for start in starts:
-        alone = best is None and start is starts[-1]
-        found = _linearised(planner, descent, relief, clearance, start, rounds, alone)
+        is_last_start = best is None and start is starts[-1]
+        found = _linearise_terrain(
+            planner, descent, terrain, clearance, start, rounds, is_last_start
+        )
         if best is None or (found is not None and found.increment < best.increment):
             best = found
     if best is None:
@@ -233,7 +238,7 @@ def least_propellant_over(
     return best
 
 
-def _starts(planner: Planner, descent: Descent, kept: Path | None) -> list[Path]:
+def _initial_paths(planner: Planner, descent: Descent, majorant_path: Path | None) -> list[Path]:
     """Return initial paths for linearisation: over flat terrain and majorant.
 
     A majorant that is steep at a near rim leads to a vertical path. Linearisation about that path
@@ -242,10 +247,10 @@ def _starts(planner: Planner, descent: Descent, kept: Path | None) -> list[Path]
     try:
         flat = least_propellant(planner, descent)
     except (InfeasibleError, SolverError):
-        if kept is None:
+        if majorant_path is None:
             raise
-        return [kept]
-    return [flat] if kept is None else [flat, kept]
+        return [majorant_path]
+    return [flat] if majorant_path is None else [flat, majorant_path]
 
 
 def _check_clearance(clearance: float) -> None:
@@ -253,11 +258,11 @@ def _check_clearance(clearance: float) -> None:
         raise InputError("optimal.clearance", clearance, "must be 0 m or more, and finite")
 
 
-def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
+def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> None:
     """Reject a start or an end outside the posts or too near the terrain."""
     for name, what in (("end_position", "the end"), ("position", "the start")):
         at = getattr(descent, name)
-        height = float(relief.height(at[None])[0])
+        height = float(terrain.height(at[None])[0])
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
@@ -265,36 +270,36 @@ def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
             )  # fmt: skip
 
 
-def _linearised(
+def _linearise_terrain(
     planner: Planner,
     descent: Descent,
-    relief: Relief,
+    terrain: TerrainRaster,
     clearance: float,
     path: Path,
     rounds: int,
-    alone: bool,
+    is_last_start: bool,
 ) -> Path | None:
     """Linearise the terrain until it agrees with the path; None if no path is found.
 
-    A path outside the posts raises an error if it is `alone`: no other path or start is left.
+    A path outside the posts raises an error if `is_last_start`: no other path or start is left.
     """
     best: Path | None = None
     for _ in range(rounds):
         try:
-            walls = relief.walls(path, clearance)
-            found = least_propellant(planner, descent, last=path, walls=walls)
-            above = relief.above(found)
+            half_spaces = terrain.half_spaces(path, clearance)
+            found = least_propellant(planner, descent, last=path, half_spaces=half_spaces)
+            above = terrain.above(found)
         except (InfeasibleError, SolverError):
             return best
         except InputError:
-            if alone and best is None:
+            if is_last_start and best is None:
                 raise
             return best
-        settled = abs(found.increment - path.increment) < _SAME * path.increment
-        keeps = above > clearance - 1e-3
-        if keeps and (best is None or found.increment < best.increment):
+        converged = abs(found.increment - path.increment) < _CONVERGED_CHANGE * path.increment
+        is_above = above > clearance - 1e-3
+        if is_above and (best is None or found.increment < best.increment):
             best = found
-        if settled and keeps:
+        if converged and is_above:
             return best
         path = found
     return best

@@ -40,11 +40,11 @@ class Path:
         Minus the derivative by the length of each interval (N,), as `slope`.
     primer
         Multipliers of the thrust in each interval (N, 3), parallel to it if tilt is not active.
-    bars
+    half_space_multipliers
         Multipliers of the half-spaces (N - 2, planes), in any unit; positive if active.
     curvature
         Second derivative of the minimum cost by the final time, from a search; 0: unknown.
-    settled
+    converged
         Whether the search for the final time converged; False if its solves ran out, so that
         another final time may cost less. True without a search.
     solves, iterations, solver
@@ -63,9 +63,9 @@ class Path:
     slope: float
     hamiltonian: Array
     primer: Array
-    bars: Array
+    half_space_multipliers: Array
     curvature: float = 0.0
-    settled: bool = True
+    converged: bool = True
     solves: int = 1
     iterations: int = 0
     solver: str = ""
@@ -88,7 +88,7 @@ class Path:
     @property
     def propellant(self) -> float:
         """Propellant used, kg."""
-        return self.descent.burnt(self.increment)
+        return self.descent.propellant_used(self.increment)
 
     @property
     def miss(self) -> float:
@@ -138,5 +138,5 @@ class Path:
         """Return the mass (...) at times `t` (...), kg."""
         t = np.asarray(t, dtype=np.float64)
         k = np.clip((t / self.step).astype(np.int64), 0, self.intervals - 1)
-        burnt = (t - k * self.step) * self.bound[k] / self.descent.exhaust_velocity
-        return np.asarray(self.mass[k] * np.exp(-burnt))
+        log_ratio = (t - k * self.step) * self.bound[k] / self.descent.exhaust_velocity
+        return np.asarray(self.mass[k] * np.exp(-log_ratio))

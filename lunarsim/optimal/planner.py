@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import LARGEST, count, is_number, numbers
-from lunarsim.optimal.cone_program import Answer, Judged, Program
+from lunarsim.optimal.cone_program import FallbackSolver, Program, SolverResult
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.reading import path_of
-from lunarsim.optimal.transcription import Structure, Transcription, Walls
+from lunarsim.optimal.reading import build_path
+from lunarsim.optimal.transcription import HalfSpaces, Structure, Transcription
 
 Array = NDArray[np.float64]
 
 # exp(-z) is linearised: a relative mass error of this size causes a thrust error of 2e-4.
-_MASS_OFF = 0.02
+_MAX_LOG_MASS_ERROR = 0.02
 
 
 class ConeSolver(Protocol):
     """Interface of solvers for programs of one structure."""
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> SolverResult:
         """Solve a program."""
         ...
 
@@ -52,11 +52,11 @@ class Planner:
         Total numbers so far.
     """
 
-    def __init__(self, intervals: int = 40, solver: type[ConeSolver] = Judged) -> None:
+    def __init__(self, intervals: int = 40, solver: type[ConeSolver] = FallbackSolver) -> None:
         self.intervals = count("intervals", intervals, 4)
         self.solves = self.iterations = 0
         self._solver = solver
-        self._made: dict[Structure, tuple[Transcription, ConeSolver]] = {}
+        self._programs: dict[Structure, tuple[Transcription, ConeSolver]] = {}
 
     def at_time(
         self,
@@ -64,7 +64,7 @@ class Planner:
         duration: float,
         *,
         log_mass: Array | None = None,
-        walls: Walls | None = None,
+        half_spaces: HalfSpaces | None = None,
         nearest: bool = False,
     ) -> Path | None:
         """Return the best path of a final time, or None if no path exists.
@@ -80,7 +80,7 @@ class Planner:
             Final time, s.
         log_mass
             Guess of ln(mass / initial mass) at the interval centres (N,).
-        walls
+        half_spaces
             Half-spaces that replace the descent's cone.
         nearest
             Whether to minimise the landing error instead of propellant.
@@ -95,56 +95,56 @@ class Planner:
         if not (is_number(duration) and 0.0 < duration <= LARGEST):
             problem = f"must be positive and at most {LARGEST:g} s"
             raise InputError("optimal.duration", duration, problem)
-        if descent.outside and not nearest:
+        if descent.violates_glideslope and not nearest:
             return None
-        if walls is None:
-            walls = Walls.over(descent, self.intervals)
-        elif len(walls.normals) != self.intervals:
+        if half_spaces is None:
+            half_spaces = HalfSpaces.over(descent, self.intervals)
+        elif len(half_spaces.normals) != self.intervals:
             raise InputError(
                 "optimal.walls",
-                walls.normals.shape,
+                half_spaces.normals.shape,
                 f"must have planes of {self.intervals} intervals",
             )
         if log_mass is None:
-            log_mass = self._burning(descent, duration)
+            log_mass = self._guess_log_mass(descent, duration)
         else:
             expected = f"must be {self.intervals} finite numbers"
             log_mass = numbers("log_mass", log_mass, (self.intervals,), expected)
-        path = self._solved(descent, duration, log_mass, walls, nearest)
-        if path is not None and np.abs(path.log_mass - log_mass).max() > _MASS_OFF:
-            again = self._solved(descent, duration, path.log_mass, walls, nearest)
+        path = self._solve(descent, duration, log_mass, half_spaces, nearest)
+        if path is not None and np.abs(path.log_mass - log_mass).max() > _MAX_LOG_MASS_ERROR:
+            again = self._solve(descent, duration, path.log_mass, half_spaces, nearest)
             path = None if again is None else replace(again, solves=2)
         return path
 
-    def _burning(self, descent: Descent, duration: float) -> Array:
+    def _guess_log_mass(self, descent: Descent, duration: float) -> Array:
         """Guess ln(mass) from constant consumption by gravity and the velocity change."""
         change = descent.end_velocity - descent.velocity
         change = change + np.array([0.0, 0.0, descent.gravity * duration])
         rates = np.array([descent.thrust_min, descent.thrust_max]) / descent.mass
         wanted = np.clip(np.linalg.norm(change), *(rates * duration))
-        spent = min(float(wanted), descent.tanks) / descent.exhaust_velocity
+        spent = min(float(wanted), descent.delta_v_available) / descent.exhaust_velocity
         return np.asarray(-spent * (np.arange(self.intervals) + 0.5) / self.intervals)
 
-    def _solved(
+    def _solve(
         self,
         descent: Descent,
         duration: float,
         log_mass: Array,
-        walls: Walls | None,
+        half_spaces: HalfSpaces | None,
         nearest: bool,
     ) -> Path | None:
         structure = Structure(
             self.intervals,
             descent.max_tilt is not None or descent.end_tilt is not None,
             descent.glideslope is not None,
-            0 if walls is None else walls.normals.shape[1],
+            0 if half_spaces is None else half_spaces.normals.shape[1],
             nearest or descent.region > 0.0,
             descent.spare > 0.0 and not nearest,
         )
-        if structure not in self._made:
-            self._made[structure] = Transcription(structure), self._solver()
-        made, solver = self._made[structure]
-        program = made.program(descent, duration, log_mass, walls, nearest=nearest)
+        if structure not in self._programs:
+            self._programs[structure] = Transcription(structure), self._solver()
+        transcription, solver = self._programs[structure]
+        program = transcription.program(descent, duration, log_mass, half_spaces, nearest=nearest)
         answer = solver.solve(program)
         self.solves += 1
         self.iterations += answer.iterations
@@ -155,4 +155,4 @@ class Planner:
                 f"{answer.solver} fails after {answer.iterations} iterations for a descent of "
                 f"{duration:.1f} s."
             )
-        return path_of(made, program, answer, descent, duration)
+        return build_path(transcription, program, answer, descent, duration)

@@ -80,7 +80,7 @@ class Descent:
         Radius of the horizontal disc around `end_position` in which the path may end, m; 0: point.
     spare
         Thrust above `thrust_max` that is available at a penalty, N.
-    spare_price
+    thrust_slack_penalty
         Penalty for using all of `spare`, expressed as delta-v (m/s); it applies to the peak
         excess, independent of its duration.
 
@@ -108,7 +108,7 @@ class Descent:
     end_tilt: float | None = None
     tilt_rate: float = np.deg2rad(10.0)
     spare: float = 0.0
-    spare_price: float = 5.0
+    thrust_slack_penalty: float = 5.0
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "end_position", "end_velocity"):
@@ -120,7 +120,7 @@ class Descent:
             value = getattr(self, name)
             if not (is_number(value) and 0.0 < value <= LARGEST):
                 raise InputError(f"optimal.{name}", value, f"must be positive, at most {LARGEST:g}")
-        for name in ("thrust_min", "drop", "region", "spare", "spare_price", "tilt_rate"):
+        for name in ("thrust_min", "drop", "region", "spare", "thrust_slack_penalty", "tilt_rate"):
             value = getattr(self, name)
             if not (is_number(value) and 0.0 <= value <= LARGEST):
                 raise InputError(f"optimal.{name}", value, f"must be from 0 to {LARGEST:g}")
@@ -147,13 +147,13 @@ class Descent:
         return np.asarray(self.position - self.end_position)
 
     @property
-    def outside(self) -> bool:
+    def violates_glideslope(self) -> bool:
         """Whether the start violates the glideslope of every admissible end."""
         if self.glideslope is None:
             return False
         gap, slack = self.gap, 1e-9 * (1.0 + float(np.linalg.norm(self.gap)))
-        aside = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
-        return bool(gap[2] + self.drop < np.tan(self.glideslope) * aside - slack)
+        horizontal = max(float(np.hypot(gap[0], gap[1])) - self.region, 0.0)
+        return bool(gap[2] + self.drop < np.tan(self.glideslope) * horizontal - slack)
 
     def tilts(self, left: Array) -> Array | None:
         """Return the maximum tilts (n,), rad, for times-to-go (n,), s; None: no limit."""
@@ -166,10 +166,10 @@ class Descent:
         return np.asarray(np.minimum(most, self.end_tilt + self.tilt_rate * left))
 
     @property
-    def tanks(self) -> float:
+    def delta_v_available(self) -> float:
         """Available delta-v, m/s."""
         return float(self.exhaust_velocity * np.log(self.mass / self.dry_mass))
 
-    def burnt(self, increment: float) -> float:
+    def propellant_used(self, increment: float) -> float:
         """Return the propellant (kg) for a delta-v (m/s)."""
         return float(self.mass * -np.expm1(-increment / self.exhaust_velocity))

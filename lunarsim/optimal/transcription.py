@@ -73,7 +73,7 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Walls:
+class HalfSpaces:
     """Half-spaces ``normals @ r >= offsets`` for the control points of each interval.
 
     Attributes
@@ -103,7 +103,7 @@ class Walls:
             object.__setattr__(self, name, found)
 
     @classmethod
-    def over(cls, descent: Descent, intervals: int) -> Walls | None:
+    def over(cls, descent: Descent, intervals: int) -> HalfSpaces | None:
         """Return the descent's cone for every interval; None without a cone."""
         if descent.cone is None:
             return None
@@ -112,7 +112,7 @@ class Walls:
 
 
 @dataclass(frozen=True)
-class Scales:
+class ProgramScales:
     """Units of a program: length, time, and ln(mass) per scaled mass variable."""
 
     length: float
@@ -120,7 +120,7 @@ class Scales:
     kappa: float
 
     @classmethod
-    def of(cls, descent: Descent, duration: float) -> Scales:
+    def of(cls, descent: Descent, duration: float) -> ProgramScales:
         """Return units in which the descent is of order 1; length does not depend on time."""
         fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
         length = float(np.linalg.norm(descent.gap)) + fall + 1.0
@@ -144,7 +144,7 @@ class Transcription:
         self.inner = np.arange(1, n - 1)  # the ends fix the first and last control point
         self.rows: dict[str, slice] = {}
         self._columns: dict[str, Indices] = {}
-        self._lay_out()
+        self._set_columns()
         columns = [self._columns[name] for name in self.rows]
         self._height = sum(len(c) for c in columns)
         wide = np.concatenate([np.full(len(c), c.shape[1]) for c in columns])
@@ -159,7 +159,7 @@ class Transcription:
 
     # --- structure ------------------------------------------------------------------------
 
-    def _lay_out(self) -> None:
+    def _set_columns(self) -> None:
         """Set the columns of each group of rows, first those of the orthant."""
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
@@ -170,7 +170,9 @@ class Transcription:
             self._add("tilt", np.column_stack((z0, z1, node[:-1] + 5, node[1:] + 5)))
         self._add("mass", np.array([[node[-1] + 6]]))
         if s.planes:
-            self._add("planes", np.repeat(self._point(np.arange(3)), s.planes, axis=0))
+            self._add(
+                "planes", np.repeat(self._control_point_columns(np.arange(3)), s.planes, axis=0)
+            )
         if s.free:
             self._add("reach", np.array([[self.variables - 1]]))
         if s.spare:
@@ -181,7 +183,7 @@ class Transcription:
         self._add("thrust", thrust.reshape(-1, 2))
         cones = [4] * s.intervals
         if s.glideslope:
-            axes = [self._point(np.array([c])) for c in (2, 0, 1)]
+            axes = [self._control_point_columns(np.array([c])) for c in (2, 0, 1)]
             self._add("glideslope", np.stack(axes, axis=1).reshape(-1, axes[0].shape[1]))
             cones += [3] * len(self.inner)
             if s.free:  # the start must satisfy the glideslope of the chosen end
@@ -198,7 +200,7 @@ class Transcription:
         self.rows[name] = slice(begin, begin + len(columns))
         self._columns[name] = columns
 
-    def _point(self, axes: Indices) -> Indices:
+    def _control_point_columns(self, axes: Indices) -> Indices:
         """Return the columns of coordinates of inner control points, relative to the end."""
         node = self._node[self.inner][:, None]
         parts = [node + axes, node + axes + 3]
@@ -233,7 +235,7 @@ class Transcription:
         descent: Descent,
         duration: float,
         log_mass: Array,
-        walls: Walls | None = None,
+        half_spaces: HalfSpaces | None = None,
         *,
         nearest: bool = False,
     ) -> Program:
@@ -248,13 +250,13 @@ class Transcription:
         log_mass
             z = ln(mass / initial mass) at the interval centres (N,), about which exp(-z) is
             linearised.
-        walls
+        half_spaces
             Half-spaces; as many as the structure has.
         nearest
             Whether to minimise the landing error instead of propellant.
         """
-        units = Scales.of(descent, duration)
-        families = self._values(descent, units, log_mass, walls, nearest)
+        units = ProgramScales.of(descent, duration)
+        families = self._constraint_values(descent, units, log_mass, half_spaces, nearest)
         if self.structure.spare:
             entries, h = families["high"]
             more = descent.spare * self._unit_force(descent, units) * np.exp(-log_mass)
@@ -266,24 +268,31 @@ class Transcription:
         g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
         c = np.zeros(self.variables)
         if self.structure.spare:
-            c[-1] = descent.spare_price * units.time / units.length
+            c[-1] = descent.thrust_slack_penalty * units.time / units.length
         c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
-        b = np.concatenate((np.zeros(3 * self.structure.intervals), self._ends(descent, units)))
+        b = np.concatenate(
+            (np.zeros(3 * self.structure.intervals), self._end_values(descent, units))
+        )
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
-    def _ends(self, descent: Descent, units: Scales) -> Array:
+    def _end_values(self, descent: Descent, units: ProgramScales) -> Array:
         """Return initial and final state, scaled."""
         speed = units.time / units.length
         end = np.concatenate((np.zeros(3), descent.end_velocity * speed))
         start = (descent.gap / units.length, descent.velocity * speed, [0.0])
         return np.concatenate((*start, end[2 if self.structure.free else 0 :]))
 
-    def _values(
-        self, d: Descent, units: Scales, log_mass: Array, walls: Walls | None, nearest: bool
+    def _constraint_values(
+        self,
+        d: Descent,
+        units: ProgramScales,
+        log_mass: Array,
+        half_spaces: HalfSpaces | None,
+        nearest: bool,
     ) -> dict[str, tuple[Array, Array]]:
         """Return entries and right-hand side of each group of rows."""
         s, n = self.structure, self.structure.intervals
-        out = self._bounds(d, units, log_mass)
+        out = self._thrust_bounds(d, units, log_mass)
         weight = d.gravity * units.time**2 / units.length / n
         drop = d.drop / units.length
         if s.tilt:
@@ -294,11 +303,11 @@ class Transcription:
             out["tilt"] = np.column_stack((lean, -lean, ones, -ones)), np.full(n, weight)
         least = np.log(d.dry_mass / d.mass) / units.kappa
         out["mass"] = np.array([[-1.0]]), np.array([-least])
-        if s.planes and walls is not None:
-            a = walls.normals[self.inner].reshape(-1, 3)
-            offsets = walls.offsets[self.inner].ravel() / units.length
-            rows = self._weighed(-a)
-            if s.free and not walls.moves:
+        if s.planes and half_spaces is not None:
+            a = half_spaces.normals[self.inner].reshape(-1, 3)
+            offsets = half_spaces.offsets[self.inner].ravel() / units.length
+            rows = self._control_point_entries(-a)
+            if s.free and not half_spaces.moves:
                 rows[:, 6:] = 0.0
             out["planes"] = rows, -offsets
         if s.free:
@@ -311,20 +320,22 @@ class Transcription:
         if s.glideslope:
             tan = np.tan(d.glideslope if d.glideslope is not None else 0.0)
             count = len(self.inner)
-            row = self._weighed(np.array([[-1.0], [-tan], [-tan]]))
+            row = self._control_point_entries(np.array([[-1.0], [-tan], [-tan]]))
             out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
             if s.free:
                 start = np.array([[-1.0, 1.0], [-tan, tan], [-tan, tan]])
                 out["start"] = start, np.array([drop, 0.0, 0.0])
         return out
 
-    def _weighed(self, a: Array) -> Array:
+    def _control_point_entries(self, a: Array) -> Array:
         """Return entries (n, 2 m or 3 m) for coefficients (n, m) of control points."""
         half = 0.5 / self.structure.intervals
         parts = [a, half * a] + ([-a] if self.structure.free else [])
         return np.concatenate(parts, axis=1)
 
-    def _bounds(self, d: Descent, units: Scales, log_mass: Array) -> dict[str, tuple[Array, Array]]:
+    def _thrust_bounds(
+        self, d: Descent, units: ProgramScales, log_mass: Array
+    ) -> dict[str, tuple[Array, Array]]:
         """Return the rows of maximum and minimum thrust, at the interval centres."""
         k = units.kappa
         whole = self._unit_force(d, units) * np.exp(-log_mass)
@@ -336,6 +347,6 @@ class Transcription:
             out[name] = entries, sign * most * (1.0 + log_mass)
         return out
 
-    def _unit_force(self, d: Descent, units: Scales) -> float:
+    def _unit_force(self, d: Descent, units: ProgramScales) -> float:
         """Return the scaled velocity change per newton in an interval at the initial mass."""
         return units.time**2 / (units.length * self.structure.intervals * d.mass)

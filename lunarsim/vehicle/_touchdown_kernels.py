@@ -32,7 +32,7 @@ def height_at(z, frame, x, y):
 
 
 @kernel()
-def pad_at(y, pad, out):
+def body_point(y, pad, out):
     """Write the position of a body point (3,), ENU."""
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     cx = qy * pad[2] - qz * pad[1] + qw * pad[0]
@@ -60,7 +60,7 @@ def touches(y, pads, disc, z, frame):
     """Return whether a pad is at or below the terrain under it."""
     at = np.empty(3)
     for k in range(len(pads)):
-        pad_at(y, pads[k], at)
+        body_point(y, pads[k], at)
         # Most of the flight is far above the terrain: a check at the centre avoids the disc.
         if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= highest(
             z, frame, at[0], at[1], disc
@@ -70,7 +70,7 @@ def touches(y, pads, disc, z, frame):
 
 
 @kernel()
-def _plane(a, b, c, out):
+def _fit_plane(a, b, c, out):
     """Write z0 and the slopes east and north of the plane through three points."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -81,20 +81,20 @@ def _plane(a, b, c, out):
 
 
 @kernel()
-def support(legs, planes):
+def write_support_planes(legs, planes):
     """Write the planes that a lander can stand on (2, 3); equal for three legs.
 
     They are those of `touchdown.support_planes`.
     """
     if len(legs) == 3:
-        _plane(legs[0], legs[1], legs[2], planes[0])
-        _plane(legs[0], legs[1], legs[2], planes[1])
+        _fit_plane(legs[0], legs[1], legs[2], planes[0])
+        _fit_plane(legs[0], legs[1], legs[2], planes[1])
     elif legs[0, 2] + legs[2, 2] >= legs[1, 2] + legs[3, 2]:
-        _plane(legs[0], legs[1], legs[2], planes[0])
-        _plane(legs[0], legs[2], legs[3], planes[1])
+        _fit_plane(legs[0], legs[1], legs[2], planes[0])
+        _fit_plane(legs[0], legs[2], legs[3], planes[1])
     else:
-        _plane(legs[0], legs[1], legs[3], planes[0])
-        _plane(legs[1], legs[2], legs[3], planes[1])
+        _fit_plane(legs[0], legs[1], legs[3], planes[0])
+        _fit_plane(legs[1], legs[2], legs[3], planes[1])
 
 
 @kernel()
@@ -112,17 +112,17 @@ def _inside(x, y, legs):
 def ground_fit(legs, spacing, z, frame, out):
     """Write slope (rad) and roughness (m) under the legs, as `touchdown.ground_fit`."""
     planes = np.empty((2, 3))
-    support(legs, planes)
+    write_support_planes(legs, planes)
     n = len(legs)
     west, east, south, north = legs[0, 0], legs[0, 0], legs[0, 1], legs[0, 1]
     for k in range(1, n):
         west, east = min(west, legs[k, 0]), max(east, legs[k, 0])
         south, north = min(south, legs[k, 1]), max(north, legs[k, 1])
     slope, rough = 0.0, 0.0
-    stretch = np.empty(2)
+    plane_norm = np.empty(2)
     for p in range(len(planes)):
-        stretch[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
-        slope = max(slope, np.arccos(1.0 / stretch[p]))
+        plane_norm[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
+        slope = max(slope, np.arccos(1.0 / plane_norm[p]))
     for i in range(int(np.ceil((north + spacing - south) / spacing))):
         y = south + i * spacing
         for j in range(int(np.ceil((east + spacing - west) / spacing))):
@@ -132,8 +132,8 @@ def ground_fit(legs, spacing, z, frame, out):
             ground = height_at(z, frame, x, y)
             for p in range(2):
                 above = ground - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
-                if not above / stretch[p] <= rough:  # NaN must propagate
-                    rough = above / stretch[p]
+                if not above / plane_norm[p] <= rough:  # NaN must propagate
+                    rough = above / plane_norm[p]
             if np.isnan(rough):
                 out[0], out[1] = slope, rough
                 return
@@ -154,24 +154,24 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
     for i in range(n):
         j = (i + 1) % n
         ex, ey = legs[j, 0] - legs[i, 0], legs[j, 1] - legs[i, 1]
-        long = np.hypot(ex, ey)
-        nx, ny = ey / long, -ex / long
+        edge_length = np.hypot(ex, ey)
+        nx, ny = ey / edge_length, -ex / edge_length
         arm = nx * (legs[i, 0] - y[0]) + ny * (legs[i, 1] - y[1])
         if arm < 0.0:
             nx, ny, arm = -nx, -ny, -arm
-        lean = np.arctan2(arm, com_height) - slope
-        if lean <= 0.0:
+        tip_angle = np.arctan2(arm, com_height) - slope
+        if tip_angle <= 0.0:
             return -np.inf
         length = np.hypot(arm, com_height)
-        barrier = y[13] * gravity * length * (1.0 - np.cos(lean))
-        about = least + y[13] * length * length
+        barrier = y[13] * gravity * length * (1.0 - np.cos(tip_angle))
+        inertia_about_edge = least + y[13] * length * length
         momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * com_height
-        margin = min(margin, 1.0 - 0.5 * momentum * momentum / about / barrier)
+        margin = min(margin, 1.0 - 0.5 * momentum * momentum / inertia_about_edge / barrier)
     return margin
 
 
 @kernel()
-def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, told):
+def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out):
     """Return the limits that a touchdown violates, one bit each; 0 is a safe landing.
 
     Parameters
@@ -187,36 +187,36 @@ def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, we
         Vertical and horizontal speed, tilt, rate, slope, roughness, belly clearance (7,), SI.
     com_height, gravity, dry, wet, inertia
         Lander parameters and gravity; `inertia` (2, 3) with tanks empty and full.
-    told
+    out
         Output: vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
     """
     n = len(pads)
     legs = np.empty((n, 3))
     known = True
     for k in range(n):
-        pad_at(y, pads[k], legs[k])
+        body_point(y, pads[k], legs[k])
         legs[k, 2] = highest(z, frame, legs[k, 0], legs[k, 1], disc)
         known = known and not np.isnan(legs[k, 2])
-    told[0] = -y[5]
-    told[1] = np.hypot(y[3], y[4])
-    told[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
-    told[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
-    told[4] = told[5] = told[6] = np.nan
+    out[0] = -y[5]
+    out[1] = np.hypot(y[3], y[4])
+    out[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
+    out[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
+    out[4] = out[5] = out[6] = np.nan
     if known:
-        ground_fit(legs, spacing, z, frame, told[4:6])
-        known = not np.isnan(told[5])
+        ground_fit(legs, spacing, z, frame, out[4:6])
+        known = not np.isnan(out[5])
     if known:
-        told[6] = tip_margin(y, legs, told[4], com_height, gravity, dry, wet, inertia)
+        out[6] = tip_margin(y, legs, out[4], com_height, gravity, dry, wet, inertia)
     failed = 0 if known else OFF_MAP
     for k in range(4):
-        if told[k] > limits[k]:
+        if out[k] > limits[k]:
             failed |= 2 << k
-    if told[4] >= limits[4]:
+    if out[4] >= limits[4]:
         failed |= SLOPE
-    if told[5] >= limits[5]:
+    if out[5] >= limits[5]:
         failed |= ROUGHNESS
-    if told[5] >= limits[6]:
+    if out[5] >= limits[6]:
         failed |= BELLY
-    if told[6] < 0.0:
+    if out[6] < 0.0:
         failed |= TIP_OVER
     return failed

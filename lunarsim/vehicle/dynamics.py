@@ -17,7 +17,7 @@ from lunarsim.vehicle.state import State
 Array = NDArray[np.float64]
 
 
-def rig_of(
+def build_rig(
     *,
     force: ArrayLike = (0.0, 0.0, 0.0),
     flow: float = 0.0,
@@ -50,7 +50,7 @@ def rig_of(
 
 
 # One engine through a fixed centre of mass, and torques.
-PLAIN_RIG = rig_of()
+PLAIN_RIG = build_rig()
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,11 @@ class Dynamics:
     def advance(self, state: State, thrust: float, torque: Array) -> State:
         """Return the state one step later for a thrust (N) and torques (3,), N m."""
         limit = np.asarray(self.lander.torque_max)
-        return self.advance_rigged(
+        return self.advance_with_rig(
             state, self.thrust(thrust), np.clip(torque, -limit, limit), self.plain_rig
         )
 
-    def advance_rigged(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
+    def advance_with_rig(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
         """Return the state one step later for a thrust without clipping.
 
         Parameters
@@ -141,7 +141,7 @@ class Dynamics:
         torque
             Torque about the origin of the body axes (3,), N m.
         rig
-            Forces and geometry from `rig_of` (21,).
+            Forces and geometry from `build_rig` (21,).
         """
         y = state.as_vector()
         k.advance_body(

@@ -26,11 +26,11 @@ Array = NDArray[np.float64]
 
 # Contact step, s; steps between evaluations of the lander; terrain posting, m; margin of the
 # terrain patch for sliding, m.
-_STEP, _STEPS, _POSTING, _ROOM = 5e-4, 40, 0.05, 4.0
+_STEP_S, _STEPS_PER_CHECK, _POSTING_M, _SLIDE_MARGIN_M = 5e-4, 40, 0.05, 4.0
 # Maximum speed (m/s) and rate (rad/s) at rest, and their minimum duration (s).
-_SLOW, _SLOW_TURN, _REST = 0.01, 0.01, 0.4
+_REST_SPEED_M_S, _REST_RATE_RAD_S, _REST_TIME_S = 0.01, 0.01, 0.4
 # Margin on the tilt at which the centre of mass is over an edge, to declare a tip-over, rad.
-_TIPPED = np.deg2rad(20.0)
+_TIP_OVER_MARGIN_RAD = np.deg2rad(20.0)
 
 
 @dataclass(frozen=True)
@@ -108,40 +108,42 @@ class Rest:
 
 
 @dataclass
-class Patch:
+class TerrainPatch:
     """Terrain around a touchdown, with its maximum under a pad.
 
     Attributes
     ----------
-    bare, padded
+    heights, pad_heights
         Terrain heights, and their maximum over the disc of a pad (rows, cols), m; NaN if unknown.
     frame
         East and north of post (0, 0), and the posting (3,), m.
     """
 
-    bare: Array
-    padded: Array
+    heights: Array
+    pad_heights: Array
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: Ground) -> Patch:
+    def of(cls, lander: Lander, state: State, ground: Ground) -> TerrainPatch:
         """Sample the terrain around a lander at touchdown."""
-        half = lander.leg_radius + lander.pad_diameter + lander.com_height + _ROOM
-        n = int(np.ceil(half / _POSTING))
-        axis = _POSTING * np.arange(-n, n + 1)
+        half = lander.leg_radius + lander.pad_diameter + lander.com_height + _SLIDE_MARGIN_M
+        n = int(np.ceil(half / _POSTING_M))
+        axis = _POSTING_M * np.arange(-n, n + 1)
         x, y = state.position[0] + axis, state.position[1] + axis
-        bare = np.asarray(ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64)
+        heights = np.asarray(
+            ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64
+        )
         # Floating point: 0.15 / 0.05 is slightly less than 3.
-        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING + 1e-9))
+        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING_M + 1e-9))
         disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 1e-9
         # Unknown terrain stays unknown; it must not count as low.
-        filled = np.where(np.isfinite(bare), bare, np.inf)
-        padded = ndimage.maximum_filter(filled, footprint=disc, mode="nearest")
-        padded[~np.isfinite(padded)] = np.nan
-        return cls(bare, padded, np.array([x[0], y[0], _POSTING]))
+        filled = np.where(np.isfinite(heights), heights, np.inf)
+        pad_heights = ndimage.maximum_filter(filled, footprint=disc, mode="nearest")
+        pad_heights[~np.isfinite(pad_heights)] = np.nan
+        return cls(heights, pad_heights, np.array([x[0], y[0], _POSTING_M]))
 
 
-def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> float:
+def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: Array) -> float:
     """Return the minimum height of the belly above the terrain, m."""
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
@@ -155,8 +157,8 @@ def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> floa
         np.pi / lander.legs
     )
     x, y = x[inside], y[inside]
-    u, v = (x - patch.frame[0]) / _POSTING, (y - patch.frame[1]) / _POSTING
-    ground = ndimage.map_coordinates(patch.bare, [v, u], order=1, cval=np.nan)
+    u, v = (x - patch.frame[0]) / _POSTING_M, (y - patch.frame[1]) / _POSTING_M
+    ground = ndimage.map_coordinates(patch.heights, [v, u], order=1, cval=np.nan)
     plane = middle[2] - (lift[0] * (x - middle[0]) + lift[1] * (y - middle[1])) / lift[2]
     return float(np.min((plane - ground) * lift[2]) + lander.belly_clearance)
 
@@ -164,7 +166,7 @@ def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> floa
 def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest:
     """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
     lander = dynamics.lander
-    patch = Patch.of(lander, state, ground)
+    patch = TerrainPatch.of(lander, state, ground)
     shift = com_of(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(
@@ -175,29 +177,50 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest
     )  # fmt: skip
     y = state.as_vector()
     y[14] = 0.0
-    held = np.zeros((lander.legs, 5))
-    held[:, 2:] = np.nan
+    leg_states = np.zeros((lander.legs, 5))
+    leg_states[:, 2:] = np.nan
     edge = np.arctan2(lander.leg_radius * np.cos(np.pi / lander.legs), lander.com_height)
     time = energy = slow = 0.0
     strokes, clearance, tipped = np.zeros(lander.legs), np.inf, False
     rig, figures, inertia = PLAIN_RIG.copy(), dynamics.figures, dynamics.inertia
-    while time < legs.max_time and slow < _REST and not tipped:
+    while time < legs.max_time and slow < _REST_TIME_S and not tipped:
         energy += k.settle(
-            y, _STEPS, _STEP, pads, held, law, patch.padded, patch.frame, figures, inertia, rig
+            y,
+            _STEPS_PER_CHECK,
+            _STEP_S,
+            pads,
+            leg_states,
+            law,
+            patch.pad_heights,
+            patch.frame,
+            figures,
+            inertia,
+            rig,
         )
-        time += _STEPS * _STEP
+        time += _STEPS_PER_CHECK * _STEP_S
         now = State.from_vector(y)
-        strokes = np.maximum(strokes, held[:, 0] + held[:, 1])
-        clearance = min(clearance, _clearance(lander, now, patch, shift))
-        quiet = np.linalg.norm(now.velocity) < _SLOW and np.linalg.norm(now.rate) < _SLOW_TURN
-        standing = np.isfinite(held[:, 2]).sum() >= 3
-        slow = slow + _STEPS * _STEP if quiet and standing else 0.0
-        tipped = _tilt(now) > edge + _TIPPED
-        if not np.isfinite(y).all() or y[2] < np.nanmin(patch.bare) - lander.com_height:
+        strokes = np.maximum(strokes, leg_states[:, 0] + leg_states[:, 1])
+        clearance = min(clearance, _belly_clearance(lander, now, patch, shift))
+        is_slow = (
+            np.linalg.norm(now.velocity) < _REST_SPEED_M_S
+            and np.linalg.norm(now.rate) < _REST_RATE_RAD_S
+        )
+        is_standing = np.isfinite(leg_states[:, 2]).sum() >= 3
+        slow = slow + _STEPS_PER_CHECK * _STEP_S if is_slow and is_standing else 0.0
+        tipped = _tilt(now) > edge + _TIP_OVER_MARGIN_RAD
+        if not np.isfinite(y).all() or y[2] < np.nanmin(patch.heights) - lander.com_height:
             break  # the lander has left the known terrain
     end = State.from_vector(y)
     return Rest(
-        end, time, tipped, slow >= _REST, _tilt(end), strokes, held[:, 0].copy(), energy, clearance
+        end,
+        time,
+        tipped,
+        slow >= _REST_TIME_S,
+        _tilt(end),
+        strokes,
+        leg_states[:, 0].copy(),
+        energy,
+        clearance,
     )
 
 

@@ -158,9 +158,9 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
     z = ground.elevation(points)
     slope = roughness = 0.0
     for z0, gx, gy in support_planes(legs):
-        stretch = np.hypot(1.0, np.hypot(gx, gy))
-        slope = max(slope, float(np.arccos(1.0 / stretch)))
-        height = (z - z0 - points @ np.array([gx, gy])) / stretch
+        plane_norm = np.hypot(1.0, np.hypot(gx, gy))
+        slope = max(slope, float(np.arccos(1.0 / plane_norm)))
+        height = (z - z0 - points @ np.array([gx, gy])) / plane_norm
         roughness = float(np.maximum(roughness, height.max(initial=0.0)))  # NaN where unknown
     return slope, roughness
 
@@ -186,14 +186,14 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
         arm = float(normal @ polygon[i])
         if arm < 0.0:
             normal, arm = -normal, -arm
-        lean = np.arctan2(arm, lander.com_height) - slope
-        if lean <= 0.0:
+        tip_angle = np.arctan2(arm, lander.com_height) - slope
+        if tip_angle <= 0.0:
             return -np.inf
         length = np.hypot(arm, lander.com_height)
-        barrier = state.mass * gravity * length * (1.0 - np.cos(lean))
-        about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
+        barrier = state.mass * gravity * length * (1.0 - np.cos(tip_angle))
+        inertia_about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
         momentum = state.mass * max(0.0, float(normal @ state.velocity[:2])) * lander.com_height
-        margin = min(margin, 1.0 - 0.5 * momentum**2 / about_edge / barrier)
+        margin = min(margin, 1.0 - 0.5 * momentum**2 / inertia_about_edge / barrier)
     return float(margin)
 
 

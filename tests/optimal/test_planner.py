@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.cone_program import Answer, Clarabel, Judged, Qoco, Unjudged
+from lunarsim.optimal.cone_program import SolverResult, Clarabel, FallbackSolver, Qoco, QocoOnlySolver
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
-from lunarsim.optimal.transcription import Structure, Walls
+from lunarsim.optimal.transcription import Structure, HalfSpaces
 from tests.optimal.cases import mars, moon
 
 
@@ -111,7 +111,7 @@ def test_spare_thrust_is_left_alone_while_there_is_another_way():
 
 
 def test_spare_thrust_has_its_price_and_counts_among_the_limits():
-    hard = Planner(40).at_time(moon(spare=400.0, spare_price=8.0), 26.8)
+    hard = Planner(40).at_time(moon(spare=400.0, thrust_slack_penalty=8.0), 26.8)
     share = (hard.forces.max() - 5568.0) / 400.0
     assert 0.05 < share < 1.0
     assert hard.cost - hard.increment == pytest.approx(8.0 * share, rel=0.02)
@@ -147,7 +147,7 @@ class Failing:
 
     def solve(self, program):
         nothing = np.zeros(0)
-        return Answer("failed", nothing, nothing, nothing, 7, "failing")
+        return SolverResult("failed", nothing, nothing, nothing, 7, "failing")
 
 
 def test_infeasible_and_failed_are_told_apart():
@@ -156,11 +156,11 @@ def test_infeasible_and_failed_are_told_apart():
     assert Planner(20).at_time(moon(), 5.0) is None
     with pytest.raises(SolverError, match="qoco fails after 2"):
         Planner(20, lambda: Qoco(2)).at_time(moon(), 30.0)
-    assert Planner(20, lambda: Unjudged(2)).at_time(moon(), 30.0) is None
-    referred = Judged(2)
-    path = Planner(20, lambda: referred).at_time(moon(), 30.0)
+    assert Planner(20, lambda: QocoOnlySolver(2)).at_time(moon(), 30.0) is None
+    fallback_count = FallbackSolver(2)
+    path = Planner(20, lambda: fallback_count).at_time(moon(), 30.0)
     assert path.solver == "clarabel"
-    assert referred.referred >= 1
+    assert fallback_count.fallback_count >= 1
     below = moon(position=np.array([-600.0, 0.0, 5.0]))
     with pytest.raises(InfeasibleError):
         least_propellant(Planner(20), below)
@@ -180,19 +180,19 @@ class Stuck(Clarabel):
 @pytest.mark.parametrize(("duration", "why"), [(30.0, SolverError), (5.0, None)])
 def test_a_judge_that_fails_is_asked_whether_wider_cones_hold_something(duration, why):
     """Nothing is told infeasible that is not proven so."""
-    judged = Judged(2)
-    judged.judge = Stuck()
+    judged = FallbackSolver(2)
+    judged.fallback = Stuck()
     planner = Planner(20, lambda: judged)
     if why is None:
         assert planner.at_time(moon(), duration) is None
     else:
         with pytest.raises(why, match="clarabel fails"):
             planner.at_time(moon(), duration)
-    assert judged.judge.met == 2
+    assert judged.fallback.met == 2
 
 
 def test_after_a_failure_the_solver_begins_anew():
-    planner = Planner(20, Unjudged)
+    planner = Planner(20, QocoOnlySolver)
     before = planner.at_time(moon(), 30.0)
     assert planner.at_time(moon(), 5.0) is None
     after = planner.at_time(moon(), 30.0)
@@ -237,7 +237,7 @@ def test_infeasible_errors_travel_between_processes():
         ({"max_tilt": True}, "max_tilt"),
         ({"glideslope": [0.1]}, "glideslope"),
         ({"region": True}, "region"),
-        ({"spare_price": np.nan}, "spare_price"),
+        ({"thrust_slack_penalty": np.nan}, "thrust_slack_penalty"),
         ({"cone": 3}, "cone"),
         ({"position": np.array([1e200, 0.0, 1e200])}, "position"),
         ({"velocity": np.array([1e300, 0.0, 0.0])}, "velocity"),
@@ -263,9 +263,9 @@ def test_bad_times_cones_and_grids_are_refused():
         with pytest.raises(InputError, match="log_mass"):
             Planner(20).at_time(moon(), 30.0, log_mass=masses)
     with pytest.raises(InputError, match="walls"):
-        Planner(20).at_time(moon(), 30.0, walls=Walls(np.ones((5, 1, 3)), np.zeros((5, 1))))
+        Planner(20).at_time(moon(), 30.0, half_spaces=HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 1))))
     with pytest.raises(InputError, match="walls"):
-        Walls(np.ones((5, 1, 3)), np.zeros((5, 2)))
+        HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 2)))
     with pytest.raises(InputError, match="spare"):
         Structure(20, True, True, 0, True, spare=True)
     with pytest.raises(InputError, match="cone"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.optimal.errors import InfeasibleError
-from lunarsim.optimal.final_time import least_error, least_propellant
+from lunarsim.optimal.final_time import minimize_landing_error, least_propellant
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import east_north_up, mars, published
 
@@ -52,7 +52,7 @@ def test_what_cannot_be_reached_with_the_tanks_is_told_with_what_can(table):
         least_propellant(planner, mars(**start, glideslope=SLOPE))
     nearest, miss = found.value.nearest, found.value.miss
     assert found.value.field == "optimal.end_position"
-    path = least_error(planner, mars(**start, glideslope=SLOPE))
+    path = minimize_landing_error(planner, mars(**start, glideslope=SLOPE))
     assert path.miss == pytest.approx(miss, rel=2e-3)
     assert path.loss < 1e-4
     assert path.mass[-1] == pytest.approx(1505.0, abs=0.1)

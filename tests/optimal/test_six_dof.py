@@ -16,7 +16,7 @@ from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.six_dof import compiled, successive
-from lunarsim.optimal.six_dof.guess import carried_on, guess_of
+from lunarsim.optimal.six_dof.guess import carried_on, initial_guess
 from lunarsim.optimal.six_dof.motion import (
     SHARES,
     control_units,
@@ -24,7 +24,7 @@ from lunarsim.optimal.six_dof.motion import (
     interval,
     state_units,
 )
-from lunarsim.optimal.six_dof.path import RigidPath, kept
+from lunarsim.optimal.six_dof.path import RigidPath, evaluate_violations
 from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
 from lunarsim.optimal.six_dof.shooting import shoot
 from lunarsim.optimal.six_dof.successive import Successive
@@ -59,7 +59,7 @@ def descent(rng: np.random.Generator, **changes) -> RigidDescent:
 
 def held(d: RigidDescent, path: RigidPath) -> None:
     """Check a path by what the simulator makes of its commands."""
-    found = kept(d, *flown(path))
+    found = evaluate_violations(d, *flown(path))
     assert found.miss < 0.05 and found.speed < 0.01, found
     assert np.rad2deg([found.lean, found.spin]).max() < 0.05, found
     assert np.rad2deg([found.tilt, found.rate]).max() < 0.3, found
@@ -109,7 +109,7 @@ def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
     asked = replace(d, sight=Sight(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
     free, path = Successive(N).solve(d), Successive(N).solve(asked)
-    assert np.rad2deg(kept(asked, *flown(free)).sight) > 5.0  # nobody asked
+    assert np.rad2deg(evaluate_violations(asked, *flown(free)).sight) > 5.0  # nobody asked
     held(asked, path)
     assert path.propellant > 1.1 * free.propellant
 
@@ -119,12 +119,12 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     free = Successive(N).solve(d)
     slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
-    assert kept(slow.descent, *flown(slow)).rate == pytest.approx(0.0, abs=2e-3)  # all of it is had
+    assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(0.0, abs=2e-3)  # all of it is had
     weak = Successive(N).solve(replace(d, torque_share=0.1))
     share = np.abs(weak.torque).max(axis=0) / np.asarray(d.lander.torque_max)
     assert share.max() == pytest.approx(0.1, rel=1e-3)
     held(weak.descent, weak)
-    guess = guess_of(d, 12)
+    guess = initial_guess(d, 12)
     assert len(guess.on(N).thrust) == N
     again = Successive(N).solve(d, guess)
     assert again.propellant == pytest.approx(free.propellant, rel=5e-3)
@@ -192,7 +192,7 @@ def test_what_is_no_sensor_is_refused():
 def test_neither_way_burns_what_is_to_be_kept():
     """A path that takes 3 % more than there is lands nowhere, though the guess would."""
     d = descent(np.random.default_rng(1))
-    free, guess = Successive(N).solve(d), guess_of(d, N)
+    free, guess = Successive(N).solve(d), initial_guess(d, N)
     held_back = d.start.mass - d.lander.dry_mass - free.propellant
     roomy = replace(d, reserve=held_back - 0.01 * free.propellant)
     path = Successive(N).solve(roomy, guess)
@@ -209,7 +209,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
     """Paths of made gaps, that all burn alike: the first that is joined is given."""
 
     def point(apart, passed=0.0):
-        return SimpleNamespace(burnt=0.1, apart=apart, passed=passed, x=np.zeros((2, 15)),
+        return SimpleNamespace(propellant_used=0.1, max_defect=apart, passed=passed, x=np.zeros((2, 15)),
                                merit=0.1 + apart + passed)  # fmt: skip
 
     for row, given in (
@@ -222,8 +222,8 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
             fill=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
         monkeypatch.setattr(programs, "_solved", lambda program: np.zeros(1))
         coming = iter(made)
-        monkeypatch.setattr(successive.Point, "at", lambda *given, c=coming: next(c))
-        path, count = programs.settled(None, point(2e-3))
+        monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))
+        path, count = programs.converged(None, point(2e-3))
         assert path is made[given]
         assert count == given + 1
 
@@ -272,7 +272,7 @@ def test_a_compiled_program_gives_the_same_path(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_thirty_descents_take_the_same_propellant_both_ways():
-    rng, programs, gaps = np.random.default_rng(6), Successive(N), []
+    rng, programs, defects = np.random.default_rng(6), Successive(N), []
     for k in range(30):
         d = descent(rng)
         if k % 3 == 0:
@@ -280,5 +280,5 @@ def test_thirty_descents_take_the_same_propellant_both_ways():
         first, second = shoot(d, N), programs.solve(d)
         held(d, first)
         held(d, second)
-        gaps.append(second.propellant / first.propellant - 1.0)
-    assert np.abs(gaps).max() < 5e-3, gaps
+        defects.append(second.propellant / first.propellant - 1.0)
+    assert np.abs(defects).max() < 5e-3, defects

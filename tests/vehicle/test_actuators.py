@@ -15,7 +15,7 @@ from lunarsim.models.thrusters import Thrusters
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _kernels as kernels
 from lunarsim.vehicle.actuators import Actuators
-from lunarsim.vehicle.dynamics import rig_of
+from lunarsim.vehicle.dynamics import build_rig
 from lunarsim.vehicle.faults import Faults
 from tests.reference import dynamics as plain
 
@@ -69,7 +69,7 @@ def test_rate_of_change_with_all_that_acts(seed):
         np.array([700.0, 800.0, 1100.0]), np.array([900.0, 1500.0, 1900.0]),
     )  # fmt: skip
     out = np.empty(15)
-    kernels.derivative(y, out, *args, rig_of(**rig))
+    kernels.derivative(y, out, *args, build_rig(**rig))
     wanted = plain.rigged_rate_of_change(y, *args, **rig)
     assert out == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 

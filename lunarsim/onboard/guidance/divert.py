@@ -165,23 +165,24 @@ def divert_cost(
     slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (search_limit < last))
     if len(slow):
         found[slow] = _search_paths(
-            estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow], shape,
-            params,
+            estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow],
+            shape, params,
         )  # fmt: skip
     return _convert_costs(found, estimate, lander, limits.reserve)
 
 
 def _search_paths(
-    estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array, shape: PathShape,
-    params: Array,
+    estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array,
+    shape: PathShape, params: Array,
 ) -> Array:  # fmt: skip
     """Return kernel results for the best path to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.survey(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
-            np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES, _table(shape, _COARSE_SAMPLES),
-            _table(shape, _SAMPLES), np.array(shape.powers), params, found,
+            np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES,
+            _table(shape, _COARSE_SAMPLES), _table(shape, _SAMPLES), np.array(shape.powers),
+            params, found,
         )  # fmt: skip
     return found
 

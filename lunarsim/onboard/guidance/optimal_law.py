@@ -27,9 +27,9 @@ from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.optimal.cone_program import Unjudged
+from lunarsim.optimal.cone_program import QocoOnlySolver
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import flyable, masses_left, search_about
+from lunarsim.optimal.final_time import is_flyable, remaining_log_mass, search_near
 from lunarsim.optimal.path import Path
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
@@ -130,7 +130,7 @@ class OptimalGuidance:
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
-        self._planner = Planner(settings.intervals, Unjudged)
+        self._planner = Planner(settings.intervals, QocoOnlySolver)
         self._answering = Answering(lag)
         # This law has its own open-loop end, for the last seconds without a plan.
         self._apollo = PathGuidance(
@@ -204,22 +204,22 @@ class OptimalGuidance:
         masses = None
         if last is not None:
             elapsed = time + self._answering.lead - last.start_time
-            masses = masses_left(last.path, elapsed, self._planner.intervals)
+            masses = remaining_log_mass(last.path, elapsed, self._planner.intervals)
         try:
             descent = self._build_problem(estimate.mass, position, velocity, end)
             times = (
                 s * expected for s in (_COLD_TIME_FACTORS if last is None else _WARM_TIME_FACTORS)
             )
             most, step = (_MAX_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
-            path = search_about(
+            path = search_near(
                 self._planner, descent, times, most=most, log_mass=masses, step=step,
-                bend=0.0 if last is None else last.path.curvature,
+                curvature_guess=0.0 if last is None else last.path.curvature,
             )  # fmt: skip
         except InputError as error:
             return None, str(error)
         if path is None:
             return None, self._failure_reason(descent, expected)
-        return (path, "") if flyable(path) else (None, "thrust")
+        return (path, "") if is_flyable(path) else (None, "thrust")
 
     def _failure_reason(self, descent: Descent, expected: float) -> str:
         """Return the reason for a missing path, at the start of a fallback only.

@@ -55,8 +55,9 @@ def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array
     across = across * np.where(crossrange_speed < 0.0, -1.0, 1.0)[..., None]
     shown = np.stack(
         (
-            horizontal, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1), np.abs(crossrange_speed),
-            velocity[..., 2], np.broadcast_to(np.asarray(mass, np.float64), horizontal.shape),
+            horizontal, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1),
+            np.abs(crossrange_speed), velocity[..., 2],
+            np.broadcast_to(np.asarray(mass, np.float64), horizontal.shape),
         ),
         axis=-1,
     )  # fmt: skip

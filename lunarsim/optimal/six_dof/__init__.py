@@ -5,20 +5,20 @@ Both hold thrust and torques constant over intervals, so that the result can be 
 (`lunarsim.evaluation.open_loop`).
 """
 
-from lunarsim.optimal.six_dof.guess import Guess, carried_on
-from lunarsim.optimal.six_dof.path import Kept, RigidPath, kept
+from lunarsim.optimal.six_dof.guess import InitialGuess, carried_on
+from lunarsim.optimal.six_dof.path import ConstraintViolations, RigidPath, evaluate_violations
 from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
 from lunarsim.optimal.six_dof.shooting import shoot
 from lunarsim.optimal.six_dof.successive import Successive
 
 __all__ = [
-    "Guess",
-    "Kept",
+    "ConstraintViolations",
+    "InitialGuess",
     "RigidDescent",
     "RigidPath",
     "Sight",
     "Successive",
     "carried_on",
-    "kept",
+    "evaluate_violations",
     "shoot",
 ]

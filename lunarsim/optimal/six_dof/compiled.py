@@ -47,31 +47,33 @@ def compiled_library(name: str, make: Callable[[], Any]) -> Path:
     SolverError
         If the compiler fails.
     """
-    with_what = compiler()
-    if with_what is None:
+    compiler_path = compiler()
+    if compiler_path is None:
         raise InputError(
             "optimal.compiled", True, "must be false without a C compiler", "Set CC to a compiler."
         )
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / f"{name}.c"
-        here = Path.cwd()
+        working_directory = Path.cwd()
         os.chdir(folder)  # CasADi writes to the working directory
         try:
             make().generate_dependencies(source.name)
         finally:
-            os.chdir(here)
+            os.chdir(working_directory)
         digest = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]
         library = user_cache("optimal") / f"{name}-{digest}.so"
         if not library.exists():
             library.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(library, lambda part: _compile(with_what, source, part))
+            write_whole(library, lambda part: _compile(compiler_path, source, part))
     return library
 
 
-def _compile(with_what: str, source: Path, library: Path) -> None:
-    done = subprocess.run(
-        [with_what, *_FLAGS, "-o", str(library), str(source), "-lm"],
+def _compile(compiler_path: str, source: Path, library: Path) -> None:
+    process = subprocess.run(
+        [compiler_path, *_FLAGS, "-o", str(library), str(source), "-lm"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode:
-        raise SolverError(f"{with_what} cannot compile CasADi's code: {done.stderr.strip()[-300:]}")
+    if process.returncode:
+        raise SolverError(
+            f"{compiler_path} cannot compile CasADi's code: {process.stderr.strip()[-300:]}"
+        )

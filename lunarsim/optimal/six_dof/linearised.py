@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 _INPUTS = STATES + CONTROLS + 1
 _ROWS = STATES + len(SHARES) * LIMITS
 # Penalty per scaled unit of a defect between intervals or of a constraint violation.
-_APART = 0.03
+_DEFECT_PENALTY = 0.03
 
 
 @dataclass(frozen=True)
-class Point:
+class LinearisedPath:
     """Scaled path with its linearisation.
 
     Attributes
@@ -31,7 +31,7 @@ class Point:
         Scaled states (n + 1, 15), scaled commands (n, 4), scaled length of an interval.
     values, tangents
         Results of `tangents_at`.
-    passed
+    violation
         Sum of the constraint violations.
     """
 
@@ -40,39 +40,41 @@ class Point:
     length: float
     values: Array
     tangents: Array
-    passed: float
+    violation: float
 
     @classmethod
-    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> Point:
+    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> LinearisedPath:
         """Linearise a path."""
         values, tangents = tangents_at(x, v, length, scale.parameters)
         asked = scale.rows(len(v))[0][STATES * len(v) :].reshape(len(v), -1)
-        under = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
-        return cls(x, v, length, values, tangents, float(np.maximum(under, 0.0).sum()))
+        violation_each = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
+        return cls(x, v, length, values, tangents, float(np.maximum(violation_each, 0.0).sum()))
 
     @property
-    def burnt(self) -> float:
+    def propellant_used(self) -> float:
         """Propellant, as a fraction of the initial mass."""
         return float(self.x[0, 13] - self.x[-1, 13])
 
     @property
-    def gaps(self) -> Array:
+    def defects(self) -> Array:
         """Defects: ends of intervals minus the next starts (n, 15)."""
         return np.asarray(self.values[:, :STATES] - self.x[1:])
 
     @property
-    def apart(self) -> float:
+    def max_defect(self) -> float:
         """Maximum defect."""
-        return float(np.abs(self.gaps).max())
+        return float(np.abs(self.defects).max())
 
     @property
     def merit(self) -> float:
         """Merit function: propellant plus penalties; lower is better."""
-        return self.burnt + _APART * (float(np.abs(self.gaps).sum()) + self.passed)
+        return self.propellant_used + _DEFECT_PENALTY * (
+            float(np.abs(self.defects).sum()) + self.violation
+        )
 
 
 @cache
-def _shot() -> Any:
+def _shooting_function() -> Any:
     """Return (inputs, parameters) -> end, limits (35,) and derivatives (35, 20)."""
     z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
     x, v, length = z[:STATES], z[STATES:-1], z[-1]
@@ -90,6 +92,6 @@ def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Arr
     """
     n = len(v)
     z = np.column_stack((x[:-1], v, np.full(n, length)))
-    out, jacobian = _shot().map(n)(z.T, np.tile(p[:, None], n))
+    out, jacobian = _shooting_function().map(n)(z.T, np.tile(p[:, None], n))
     tangents = np.asarray(jacobian).reshape(_ROWS, n, _INPUTS).transpose(1, 0, 2)
     return np.asarray(out).T, tangents

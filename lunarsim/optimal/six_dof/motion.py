@@ -87,17 +87,17 @@ def interval() -> Any:
     x, u = casadi.SX.sym("x", STATES), casadi.SX.sym("u", CONTROLS)
     length, p = casadi.SX.sym("h"), casadi.SX.sym("p", 11)
     y, torque = x[:14], u[1:]
-    begun, left, out = 0.0, x[14] - u[0], []
+    elapsed, left, out = 0.0, x[14] - u[0], []
     for share in SHARES:
         h = share * length
-        after = (x[14] - u[0]) * casadi.exp(-(begun + share) * length / p[2])
+        after = (x[14] - u[0]) * casadi.exp(-(elapsed + share) * length / p[2])
         thrust = u[0] + (left - after) * p[2] / h
         k1 = _rates(y, thrust, torque, p)
         k2 = _rates(y + 0.5 * h * k1, thrust, torque, p)
         k3 = _rates(y + 0.5 * h * k2, thrust, torque, p)
         k4 = _rates(y + h * k3, thrust, torque, p)
         y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        begun, left = begun + share, after
+        elapsed, left = elapsed + share, after
         out.append(casadi.vertcat(y, u[0] + after))
     return casadi.Function(
         "interval", [x, u, length, p], [casadi.horzcat(*out)], ["x", "u", "h", "p"], ["states"]
@@ -113,7 +113,7 @@ def limits() -> Any:
     x, p = casadi.SX.sym("x", STATES), casadi.SX.sym("p", 8)
     qx, qy, qz, qw = (x[6 + k] for k in range(4))
     upright = 1.0 - 2.0 * (qx * qx + qy * qy)
-    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-8)
+    horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-8)
     # From body to ENU: the columns of the direction cosine matrix.
     east = casadi.vertcat(
         1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)
@@ -123,12 +123,12 @@ def limits() -> Any:
     )
     up = casadi.vertcat(2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), upright)
     axis = p[4] * east + p[5] * north + p[6] * up
-    way = casadi.sqrt(casadi.sumsqr(x[:3]) + 1e-8)
+    distance = casadi.sqrt(casadi.sumsqr(x[:3]) + 1e-8)
     rows = casadi.vertcat(
         upright - p[0],
         1.0 - casadi.sumsqr(x[10:13]) / p[1],
-        x[2] + p[3] - p[2] * aside,
-        -casadi.dot(axis, x[:3]) / way - p[7],
+        x[2] + p[3] - p[2] * horizontal,
+        -casadi.dot(axis, x[:3]) / distance - p[7],
     )
     return casadi.Function("limits", [x, p], [rows], ["x", "p"], ["left"])
 

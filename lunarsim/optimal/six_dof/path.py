@@ -50,7 +50,7 @@ class RigidPath:
 
 
 @dataclass(frozen=True)
-class Kept:
+class ConstraintViolations:
     """Final errors and maximum constraint violations of a flight.
 
     Attributes
@@ -73,31 +73,35 @@ class Kept:
     sight: float
 
 
-def kept(descent: RigidDescent, times: Array, states: Array) -> Kept:
+def evaluate_violations(descent: RigidDescent, times: Array, states: Array) -> ConstraintViolations:
     """Evaluate states (K, 15) at times (K,), s, against the requirements of a descent."""
     d = descent
     at, q = states[:, :3] - d.end_position, states[:, 6:10]
     up = 1.0 - 2.0 * (q[:, 0] ** 2 + q[:, 1] ** 2)
     tilt = np.arccos(np.clip(up, -1.0, 1.0))
     rate = np.linalg.norm(states[:, 10:13], axis=1)
-    under = np.tan(d.glideslope or 0.0) * np.hypot(at[:, 0], at[:, 1]) - at[:, 2] - d.drop
-    beside = -np.inf
+    below_glideslope = (
+        np.tan(d.glideslope or 0.0) * np.hypot(at[:, 0], at[:, 1]) - at[:, 2] - d.drop
+    )
+    sight_violation = -np.inf
     if d.sight is not None:
-        seen = times <= d.sight.share * times[-1]
-        beside = float(_off_axis(d.sight.axis, at[seen], q[seen]).max() - d.sight.half_angle)
-    return Kept(
+        must_see = times <= d.sight.share * times[-1]
+        sight_violation = float(
+            _angle_off_axis(d.sight.axis, at[must_see], q[must_see]).max() - d.sight.half_angle
+        )
+    return ConstraintViolations(
         miss=float(np.linalg.norm(at[-1])),
         speed=float(np.linalg.norm(states[-1, 3:6] - d.end_velocity)),
         lean=float(tilt[-1]),
         spin=float(rate[-1]),
         tilt=float(tilt.max() - d.max_tilt) if d.max_tilt is not None else -np.inf,
         rate=float(rate.max() - d.max_rate) if d.max_rate is not None else -np.inf,
-        slope=float(under.max()) if d.glideslope is not None else -np.inf,
-        sight=beside,
+        slope=float(below_glideslope.max()) if d.glideslope is not None else -np.inf,
+        sight=sight_violation,
     )
 
 
-def _off_axis(axis: Array, at: Array, q: Array) -> Array:
+def _angle_off_axis(axis: Array, at: Array, q: Array) -> Array:
     """Return the angle between a body axis and the direction to the site (K,), rad."""
     turned = Rotation.from_quat(q).apply(axis)
     cosine = -(turned * at).sum(axis=1) / np.maximum(np.linalg.norm(at, axis=1), 1e-9)

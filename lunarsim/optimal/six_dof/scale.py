@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.optimal.six_dof.guess import Guess
+from lunarsim.optimal.six_dof.guess import InitialGuess
 from lunarsim.optimal.six_dof.motion import (
     CONTROLS,
     SHARES,
@@ -47,10 +47,10 @@ class Scale:
     units: Units
 
     @classmethod
-    def of(cls, descent: RigidDescent, guess: Guess) -> Scale:
+    def of(cls, descent: RigidDescent, guess: InitialGuess) -> Scale:
         """Return the scaling in which distance, time and mass are about 1."""
-        way = float(np.linalg.norm(descent.start.position - descent.end_position))
-        return cls(descent, Units(way + 1.0, guess.duration, descent.start.mass))
+        distance = float(np.linalg.norm(descent.start.position - descent.end_position))
+        return cls(descent, Units(distance + 1.0, guess.duration, descent.start.mass))
 
     @property
     def control(self) -> Array:
@@ -70,7 +70,7 @@ class Scale:
         moved[..., :3] -= self.descent.end_position
         return np.asarray(moved / state_units(self.units))
 
-    def start(self, guess: Guess) -> Array:
+    def start(self, guess: InitialGuess) -> Array:
         """Return the scaled variables of a guess."""
         controls = np.column_stack((guess.thrust, guess.torque)) / self.control
         return np.concatenate(

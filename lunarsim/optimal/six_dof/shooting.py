@@ -17,7 +17,7 @@ import numpy as np
 from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.compiled import compiled_library
-from lunarsim.optimal.six_dof.guess import Guess, guess_of
+from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
@@ -36,7 +36,7 @@ def shoot(
     descent: RigidDescent,
     intervals: int = 30,
     *,
-    guess: Guess | None = None,
+    guess: InitialGuess | None = None,
     most: int = 300,
     compiled: bool = False,
 ) -> RigidPath:
@@ -65,8 +65,8 @@ def shoot(
         If IPOPT does not converge.
     """
     intervals, most = count("intervals", intervals, 4), count("most", most, 1)
-    begun = time.perf_counter()
-    guess = guess_of(descent, intervals) if guess is None else guess.on(intervals)
+    start_time = time.perf_counter()
+    guess = initial_guess(descent, intervals) if guess is None else guess.resample(intervals)
     scale = Scale.of(descent, guess)
     solver = _solver(intervals, most, compiled)
     low, high = scale.bounds(intervals)
@@ -84,7 +84,7 @@ def shoot(
     states, controls, duration = scale.read(x, intervals)
     return RigidPath(
         descent, duration, states, controls[:, 0], controls[:, 1:], int(stats["iter_count"]),
-        time.perf_counter() - begun,
+        time.perf_counter() - start_time,
     )  # fmt: skip
 
 

@@ -311,7 +311,7 @@ def test_the_watch_is_told_turns_about_the_centre_of_mass():
     com = np.array([0.1, -0.2, 0.5])
     lander = JetLander(com_dry=tuple(com), com_full=tuple(com))
     made, told = loop(Asking([40.0, 25.0, -30.0]), lander), []
-    made.watch.see = lambda change, known, turns, period: told.append(turns) or []
+    made.watch.update = lambda change, known, turns, period: told.append(turns) or []
     for _ in range(2 * made.period_steps + 1):
         on_times = made.on_times.copy()
         made.torque()
@@ -331,7 +331,7 @@ def test_an_allocation_that_cannot_turn_every_way_is_not_taken_over():
         made.watch.failed = [0, 4, 8, 12, 1, 5, 9, 13]
         return made.watch.failed
 
-    made.watch.see = all_that_push_up_and_down
+    made.watch.update = all_that_push_up_and_down
     for _ in range(2 * made.period_steps + 1):
         made.torque()
         made.take(np.zeros(3))
@@ -406,7 +406,7 @@ def test_the_watch_knows_what_a_swung_engine_does_about_the_mass():
     """Against the moment written out: pivot less mass, times thrust."""
     lander = JetLander(com_dry=COM, com_full=COM)
     made, told = loop(Asking([0.0, 0.0, 0.0]), lander), []
-    made.watch.see = lambda change, known, turns, period: told.append(known) or []
+    made.watch.update = lambda change, known, turns, period: told.append(known) or []
     x, y = 0.02, -0.03
     for _ in range(made.period_steps):
         made.torque()

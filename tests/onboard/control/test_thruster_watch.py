@@ -25,7 +25,7 @@ def watched(dead, periods, *, from_period=0, steady=(0.0, 0.0, 0.0), known=0.0, 
         engine = known * rng.normal(0.0, 1.0, 3)
         change = pushed @ (jets.torques / INERTIA) + PERIOD * np.array(steady) + engine
         change += rng.normal(0.0, 2e-4, 3)
-        found += [(n, j) for j in watch.see(change, engine, turns, PERIOD)]
+        found += [(n, j) for j in watch.update(change, engine, turns, PERIOD)]
     return watch, found
 
 
@@ -66,8 +66,8 @@ def test_what_the_engine_turns_is_not_blamed_on_thrusters():
         # A pulse now and then, each of which the engine undoes.
         turns[0] = jet * (rng.random() < 0.3)
         seen = rng.normal(0.0, 1e-4, 3)
-        watch.see(seen, -turns[0], turns, PERIOD)
-        found += blamed.see(seen, 0.0 * jet, turns, PERIOD)
+        watch.update(seen, -turns[0], turns, PERIOD)
+        found += blamed.update(seen, 0.0 * jet, turns, PERIOD)
     assert watch.effectiveness[0] == pytest.approx(1.0, abs=0.1)
     assert watch.failed == []
     assert found == [0]
@@ -97,14 +97,14 @@ def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():
     watch, nothing = ThrusterFailureDetector(16), np.zeros((16, 3))
     faint = nothing.copy()
     faint[3, 0] = 4e-3  # little beside the steady torque that there may be
-    assert watch.see(np.array([-1e-3, 0.0, 0.0]), np.zeros(3), faint, PERIOD) == []
+    assert watch.update(np.array([-1e-3, 0.0, 0.0]), np.zeros(3), faint, PERIOD) == []
     assert watch.effectiveness[3] < 0.5
     idle = ThrusterFailureDetector(16)
     for _ in range(4_000):
-        idle.see(np.zeros(3), np.zeros(3), nothing, PERIOD)
+        idle.update(np.zeros(3), np.zeros(3), nothing, PERIOD)
     assert idle.sigma == pytest.approx(np.full(16, 0.5), rel=1e-9)
     # What nobody can mistake: it was ordered, and nothing turned.
     clear = nothing.copy()
     clear[3] = 2e-2, -1e-2, 3e-2
-    found = [watch.see(np.zeros(3), np.zeros(3), clear, PERIOD) for _ in range(12)]
+    found = [watch.update(np.zeros(3), np.zeros(3), clear, PERIOD) for _ in range(12)]
     assert [j for new in found for j in new] == [3]

@@ -22,7 +22,7 @@ from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant, masses_left
+from lunarsim.optimal.final_time import least_propellant, remaining_log_mass
 from lunarsim.optimal.planner import Planner
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -199,7 +199,7 @@ def test_ten_thousand_states_never_give_a_command_that_is_not_finite():
 @pytest.fixture
 def searches(monkeypatch):
     """Return what is searched for as a law plans: descent and path, one of each plan."""
-    found, search = [], optimal_law.search_about
+    found, search = [], optimal_law.search_near
 
     def noted(planner, descent, first, **given):
         path = search(planner, descent, first, **given)
@@ -329,7 +329,7 @@ def test_a_lander_short_of_fuel_or_low_over_the_end_plans_under_limits_that_it_c
 
 
 def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch):
-    taken, search = [], optimal_law.search_about
+    taken, search = [], optimal_law.search_near
 
     def noted(planner, descent, first, **given):
         path = search(planner, descent, first, **given)
@@ -342,7 +342,7 @@ def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch)
     for t, end in ((0.0, END), (1.0, END), (1.1, other)):
         flight.command(estimate(R + t * V, V, time=t), end, t, 34.0 - t)
     assert [masses is None for _, masses in taken] == [True, False, True]
-    assert np.allclose(taken[1][1], masses_left(taken[0][0], 1.0, 10))
+    assert np.allclose(taken[1][1], remaining_log_mass(taken[0][0], 1.0, 10))
 
 
 def test_after_its_end_the_end_of_a_plan_is_held(searches):
