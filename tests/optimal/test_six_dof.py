@@ -125,7 +125,7 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     assert share.max() == pytest.approx(0.1, rel=1e-3)
     held(weak.descent, weak)
     guess = initial_guess(d, 12)
-    assert len(guess.on(N).thrust) == N
+    assert len(guess.resample(N).thrust) == N
     again = Successive(N).solve(d, guess)
     assert again.propellant == pytest.approx(free.propellant, rel=5e-3)
 
@@ -209,7 +209,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
     """Paths of made gaps, that all burn alike: the first that is joined is given."""
 
     def point(apart, passed=0.0):
-        return SimpleNamespace(propellant_used=0.1, max_defect=apart, passed=passed, x=np.zeros((2, 15)),
+        return SimpleNamespace(propellant_used=0.1, max_defect=apart, violation=passed, x=np.zeros((2, 15)),
                                merit=0.1 + apart + passed)  # fmt: skip
 
     for row, given in (
@@ -220,10 +220,10 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         programs = Successive(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
             fill=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
-        monkeypatch.setattr(programs, "_solved", lambda program: np.zeros(1))
+        monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
         coming = iter(made)
         monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))
-        path, count = programs.converged(None, point(2e-3))
+        path, count = programs.iterate(None, point(2e-3))
         assert path is made[given]
         assert count == given + 1
 

@@ -206,7 +206,7 @@ def searches(monkeypatch):
         found.append((descent, path))
         return path
 
-    monkeypatch.setattr(optimal_law, "search_about", noted)
+    monkeypatch.setattr(optimal_law, "search_near", noted)
     return found
 
 
@@ -277,7 +277,7 @@ def test_apollo_takes_over_with_a_time_of_its_own():
 
 
 def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
-    monkeypatch.setattr(optimal_law, "flyable", lambda path: False)
+    monkeypatch.setattr(optimal_law, "is_flyable", lambda path: False)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, 34.0)
     assert flight.plans == 0
@@ -290,7 +290,7 @@ def test_apollo_takes_over_from_a_plan_too(monkeypatch):
     """A plan that was made before is flown no further: it told what was to be then."""
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, 34.0)
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     here = estimate(R + V, V, time=1.0)
     got = flight.command(here, END, 1.0, 33.0)
     apollo = ApolloLaw().build(BRIEFING, 0.0).command(here, END, 1.0, flight.arrival - 1.0)
@@ -301,7 +301,7 @@ def test_apollo_takes_over_from_a_plan_too(monkeypatch):
 @pytest.mark.parametrize("expected", [34.0, 24.0])
 def test_a_solver_that_finds_no_path_where_there_is_one_is_told_so(monkeypatch, expected):
     """At 24 s there is none, a little later there is."""
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, expected)
     assert [told["reason"] for _, _, told in flight.events] == ["solver"]
@@ -312,7 +312,7 @@ def test_a_second_solver_that_fails_is_no_proof(monkeypatch):
         raise SolverError("it gave up")
 
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     monkeypatch.setattr(Planner, "at_time", fails)
     flight.command(estimate(), END, 0.0, 34.0)
     assert [told["reason"] for _, _, told in flight.events] == ["solver"]
@@ -336,7 +336,7 @@ def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch)
         taken.append((path, given["log_mass"]))
         return path
 
-    monkeypatch.setattr(optimal_law, "search_about", noted)
+    monkeypatch.setattr(optimal_law, "search_near", noted)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.5)
     other = PhaseEnd(END.position + [2.0, 0.0, 0.0], END.velocity)
     for t, end in ((0.0, END), (1.0, END), (1.1, other)):
