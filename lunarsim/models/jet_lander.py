@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Engine:
+class DescentEngine:
     """Geometry, gimbal and throttle of the engine; `Lander` has its range and lag.
 
     Attributes
@@ -80,7 +80,9 @@ class JetLander(Lander):
     """
 
     thrusters: Thrusters = quantity(Thrusters(), help="attitude control thrusters")
-    engine: Engine = quantity(Engine(), help="geometry, gimbal and throttle of the engine")
+    engine: DescentEngine = quantity(
+        DescentEngine(), help="geometry, gimbal and throttle of the engine"
+    )
     com_dry: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), "m", help="centre of mass with empty tanks, body axes"
     )

@@ -6,7 +6,7 @@ programs; `least_propellant` and `minimize_landing_error` search the final time.
 
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.final_time import least_propellant, minimize_landing_error
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
 
@@ -14,7 +14,7 @@ __all__ = [
     "Cone",
     "Descent",
     "InfeasibleError",
-    "Path",
+    "OptimalPath",
     "Planner",
     "RelaxationError",
     "SolverError",

@@ -72,7 +72,7 @@ def collocate(
     Parameters
     ----------
     descent
-        Problem without region, cone, end tilt and spare thrust.
+        Problem without region, cone, end tilt and thrust slack.
     intervals
         N.
     duration
@@ -88,7 +88,7 @@ def collocate(
         If IPOPT does not converge.
     """
     intervals, most = count("intervals", intervals, 2), count("most", most, 0)
-    for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
+    for name, other in (("region", 0.0), ("thrust_slack", 0.0), ("cone", None), ("end_tilt", None)):
         if getattr(descent, name) != other:
             raise InputError(
                 f"optimal.{name}", getattr(descent, name), f"must be {other} for collocation"

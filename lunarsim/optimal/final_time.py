@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import is_number
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import HalfSpaces
@@ -100,7 +100,7 @@ class _Search:
         else:
             self.high = min(self.high, time)
 
-    def max_saving(self, best: Path) -> float:
+    def max_saving(self, best: OptimalPath) -> float:
         """Return the maximum saving within the bracket, for a convex cost."""
         to = self.low if best.slope > 0.0 else self.high
         return abs(best.slope) * abs(best.duration - to)
@@ -144,14 +144,14 @@ def least_propellant(
     planner: Planner,
     descent: Descent,
     *,
-    last: Path | None = None,
+    last: OptimalPath | None = None,
     elapsed: float = 0.0,
     half_spaces: HalfSpaces | None = None,
     allow_lossy: bool = False,
-) -> Path:
+) -> OptimalPath:
     """Find the minimum-propellant path over all final times.
 
-    `Path.converged` states whether the search converged.
+    `OptimalPath.converged` states whether the search converged.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def least_propellant(
     return replace(path, solves=planner.solves - before)
 
 
-def is_flyable(path: Path) -> bool:
+def is_flyable(path: OptimalPath) -> bool:
     """Return whether the thrust limits are violated by at most 5 % of the maximum.
 
     A larger violation means that the relaxation is not lossless: too few intervals around a switch,
@@ -206,7 +206,7 @@ def is_flyable(path: Path) -> bool:
 
 def _search_from_landing_error(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
-) -> Path:
+) -> OptimalPath:
     """Search around the final time of the minimum landing error.
 
     If propellant is scarce, few final times are feasible; the landing error leads to them.
@@ -224,8 +224,12 @@ def _search_from_landing_error(
 
 
 def _search_warm(
-    planner: Planner, descent: Descent, last: Path, elapsed: float, half_spaces: HalfSpaces | None
-) -> Path | None:
+    planner: Planner,
+    descent: Descent,
+    last: OptimalPath,
+    elapsed: float,
+    half_spaces: HalfSpaces | None,
+) -> OptimalPath | None:
     """Search from the last solution; return None if its final time is infeasible."""
     first = last.duration - elapsed
     if not first > 0.0:
@@ -237,7 +241,7 @@ def _search_warm(
     )  # fmt: skip
 
 
-def remaining_log_mass(last: Path, elapsed: float, intervals: int) -> Array:
+def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Array:
     """Return ln(mass / current mass) at interval centres (N,) of the rest of a path."""
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
@@ -245,7 +249,9 @@ def remaining_log_mass(last: Path, elapsed: float, intervals: int) -> Array:
     return np.asarray(np.log(last.mass_at(at) / float(last.mass_at(now))))
 
 
-def _search_cold(planner: Planner, descent: Descent, half_spaces: HalfSpaces | None) -> Path | None:
+def _search_cold(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
+) -> OptimalPath | None:
     first = minimum_effort_time(descent)
     return search_near(
         planner, descent, (s * first for s in _TIME_FACTORS), half_spaces=half_spaces
@@ -262,7 +268,7 @@ def search_near(
     log_mass: Array | None = None,
     step: float = _FIRST_STEP,
     curvature_guess: float = 0.0,
-) -> Path | None:
+) -> OptimalPath | None:
     """Find the best path from given final times; None if none is feasible.
 
     Parameters
@@ -314,13 +320,15 @@ def search_near(
 
 def nearest(
     planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
-) -> Path | None:
+) -> OptimalPath | None:
     """Return the path whose end is nearest to the target, or None if it cannot land.
 
     Only the height of the end is fixed. Spare thrust has no penalty here.
     """
-    if descent.spare > 0.0:
-        descent = replace(descent, thrust_max=descent.thrust_max + descent.spare, spare=0.0)
+    if descent.thrust_slack > 0.0:
+        descent = replace(
+            descent, thrust_max=descent.thrust_max + descent.thrust_slack, thrust_slack=0.0
+        )
     first = minimum_effort_time(descent)
     search, best, log_mass = _Search(), None, None
     times = [s * first for s in _TIME_FACTORS]
@@ -356,7 +364,7 @@ def nearest(
     return best
 
 
-def minimize_landing_error(planner: Planner, descent: Descent) -> Path | None:
+def minimize_landing_error(planner: Planner, descent: Descent) -> OptimalPath | None:
     """Return a path of minimum landing error, with minimum propellant among those.
 
     Blackmore, Acikmese and Scharf, "Minimum-landing-error powered-descent guidance for Mars landing

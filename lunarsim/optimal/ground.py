@@ -19,7 +19,7 @@ from lunarsim.grid import Grid
 from lunarsim.optimal.checks import count, is_number, numbers
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
 from lunarsim.optimal.transcription import HalfSpaces
@@ -117,7 +117,7 @@ class TerrainRaster:
             np.column_stack((-slopes * np.cos(angles), -slopes * np.sin(angles), np.ones(sectors)))
         )
 
-    def above(self, path: Path) -> float:
+    def above(self, path: OptimalPath) -> float:
         """Return the minimum height of a path above the terrain, m.
 
         Raises
@@ -135,7 +135,7 @@ class TerrainRaster:
             )
         return float((points[:, 2] - height).min())
 
-    def half_spaces(self, path: Path, clearance: float) -> HalfSpaces:
+    def half_spaces(self, path: OptimalPath, clearance: float) -> HalfSpaces:
         """Return three planes per control point: its own and its neighbours'.
 
         The path over an interval lies in the hull of its own control point and its neighbours';
@@ -177,7 +177,7 @@ def least_propellant_over(
     clearance: float = 0.0,
     sectors: int = 12,
     rounds: int = 10,
-) -> Path:
+) -> OptimalPath:
     """Find the minimum-propellant path above the terrain.
 
     Parameters
@@ -238,7 +238,9 @@ def least_propellant_over(
     return best
 
 
-def _initial_paths(planner: Planner, descent: Descent, majorant_path: Path | None) -> list[Path]:
+def _initial_paths(
+    planner: Planner, descent: Descent, majorant_path: OptimalPath | None
+) -> list[OptimalPath]:
     """Return initial paths for linearisation: over flat terrain and majorant.
 
     A majorant that is steep at a near rim leads to a vertical path. Linearisation about that path
@@ -275,15 +277,15 @@ def _linearise_terrain(
     descent: Descent,
     terrain: TerrainRaster,
     clearance: float,
-    path: Path,
+    path: OptimalPath,
     rounds: int,
     is_last_start: bool,
-) -> Path | None:
+) -> OptimalPath | None:
     """Linearise the terrain until it agrees with the path; None if no path is found.
 
     A path outside the posts raises an error if `is_last_start`: no other path or start is left.
     """
-    best: Path | None = None
+    best: OptimalPath | None = None
     for _ in range(rounds):
         try:
             half_spaces = terrain.half_spaces(path, clearance)

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Path:
+class OptimalPath:
     """Descent in N intervals of constant thrust over mass.
 
     Attributes
@@ -33,7 +33,7 @@ class Path:
     increment
         Delta-v: integral of `bound`, m/s.
     cost
-        Minimised quantity: delta-v plus penalty on spare thrust, m/s, or the landing error, m.
+        Minimised quantity: delta-v plus penalty on thrust slack, m/s, or the landing error, m.
     slope
         Derivative of the minimum cost by the final time, m/s^2 or m/s; zero at the optimum.
     hamiltonian
@@ -118,7 +118,7 @@ class Path:
         """Maximum violation of the thrust limits, over the maximum thrust."""
         d, f = self.descent, self.forces
         return float(
-            max((f - d.thrust_max - d.spare).max(), (d.thrust_min - f).max()) / d.thrust_max
+            max((f - d.thrust_max - d.thrust_slack).max(), (d.thrust_min - f).max()) / d.thrust_max
         )
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:

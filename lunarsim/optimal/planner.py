@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.optimal.checks import LARGEST, count, is_number, numbers
 from lunarsim.optimal.cone_program import FallbackSolver, Program, SolverResult
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.reading import build_path
 from lunarsim.optimal.transcription import HalfSpaces, Structure, Transcription
@@ -66,7 +66,7 @@ class Planner:
         log_mass: Array | None = None,
         half_spaces: HalfSpaces | None = None,
         nearest: bool = False,
-    ) -> Path | None:
+    ) -> OptimalPath | None:
         """Return the best path of a final time, or None if no path exists.
 
         None is a proof of infeasibility, unless the solver does not give proofs. The path's `loss`
@@ -132,14 +132,14 @@ class Planner:
         log_mass: Array,
         half_spaces: HalfSpaces | None,
         nearest: bool,
-    ) -> Path | None:
+    ) -> OptimalPath | None:
         structure = Structure(
             self.intervals,
             descent.max_tilt is not None or descent.end_tilt is not None,
             descent.glideslope is not None,
             0 if half_spaces is None else half_spaces.normals.shape[1],
             nearest or descent.region > 0.0,
-            descent.spare > 0.0 and not nearest,
+            descent.thrust_slack > 0.0 and not nearest,
         )
         if structure not in self._programs:
             self._programs[structure] = Transcription(structure), self._solver()

@@ -78,10 +78,10 @@ class Descent:
         Additional half-spaces over the end (a majorant of the terrain); None: none.
     region
         Radius of the horizontal disc around `end_position` in which the path may end, m; 0: point.
-    spare
+    thrust_slack
         Thrust above `thrust_max` that is available at a penalty, N.
     thrust_slack_penalty
-        Penalty for using all of `spare`, expressed as delta-v (m/s); it applies to the peak
+        Penalty for using all of `thrust_slack`, expressed as delta-v (m/s); it applies to the peak
         excess, independent of its duration.
 
     Raises
@@ -107,7 +107,7 @@ class Descent:
     region: float = 0.0
     end_tilt: float | None = None
     tilt_rate: float = np.deg2rad(10.0)
-    spare: float = 0.0
+    thrust_slack: float = 0.0
     thrust_slack_penalty: float = 5.0
 
     def __post_init__(self) -> None:
@@ -120,7 +120,14 @@ class Descent:
             value = getattr(self, name)
             if not (is_number(value) and 0.0 < value <= LARGEST):
                 raise InputError(f"optimal.{name}", value, f"must be positive, at most {LARGEST:g}")
-        for name in ("thrust_min", "drop", "region", "spare", "thrust_slack_penalty", "tilt_rate"):
+        for name in (
+            "thrust_min",
+            "drop",
+            "region",
+            "thrust_slack",
+            "thrust_slack_penalty",
+            "tilt_rate",
+        ):
             value = getattr(self, name)
             if not (is_number(value) and 0.0 <= value <= LARGEST):
                 raise InputError(f"optimal.{name}", value, f"must be from 0 to {LARGEST:g}")
@@ -132,8 +139,10 @@ class Descent:
             raise InputError(
                 "optimal.mass", self.mass, f"must exceed the final mass of {self.dry_mass} kg"
             )
-        if self.region > 0.0 and self.spare > 0.0:
-            raise InputError("optimal.spare", self.spare, "must be 0 if the end is a region")
+        if self.region > 0.0 and self.thrust_slack > 0.0:
+            raise InputError(
+                "optimal.thrust_slack", self.thrust_slack, "must be 0 if the end is a region"
+            )
         if not (self.cone is None or isinstance(self.cone, Cone)):
             raise InputError("optimal.cone", type(self.cone).__name__, "must be a Cone or None")
         for name in ("max_tilt", "glideslope", "end_tilt"):

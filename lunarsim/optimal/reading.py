@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.optimal.cone_program import Program, SolverResult
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.transcription import ProgramScales, Transcription
 
@@ -25,7 +25,7 @@ def build_path(
     answer: SolverResult,
     descent: Descent,
     duration: float,
-) -> Path:
+) -> OptimalPath:
     """Convert a solver's result to a path.
 
     `slope` and `hamiltonian` refer to the minimised quantity: delta-v or landing error.
@@ -43,7 +43,7 @@ def build_path(
     unit = units.length if landing else speed
     lengths = _length_derivatives(transcription, program, answer) * unit / duration
     planes = transcription.structure.planes
-    return Path(
+    return OptimalPath(
         descent=descent,
         duration=duration,
         position=descent.end_position + nodes[:, :3] * units.length,

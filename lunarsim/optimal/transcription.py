@@ -49,13 +49,13 @@ class Structure:
         Number of half-spaces for each control point.
     free
         Whether the end lies in a disc, whose radius is a variable.
-    spare
+    thrust_slack
         Whether thrust above the maximum is available at a penalty; its fraction is a variable.
 
     Raises
     ------
     InputError
-        If there are too few intervals, or both a disc and spare thrust.
+        If there are too few intervals, or both a disc and thrust slack.
     """
 
     intervals: int
@@ -63,13 +63,13 @@ class Structure:
     glideslope: bool
     planes: int
     free: bool
-    spare: bool = False
+    thrust_slack: bool = False
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
             raise InputError("optimal.intervals", self.intervals, "must be at least 4")
-        if self.free and self.spare:
-            raise InputError("optimal.spare", True, "must be false if the end is a region")
+        if self.free and self.thrust_slack:
+            raise InputError("optimal.thrust_slack", True, "must be false if the end is a region")
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Transcription:
     def __init__(self, structure: Structure) -> None:
         self.structure = s = structure
         n = s.intervals
-        self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
+        self.variables = _NODE * (n + 1) + (1 if s.free or s.thrust_slack else 0)
         self._node = _NODE * np.arange(n + 1)
         self.inner = np.arange(1, n - 1)  # the ends fix the first and last control point
         self.rows: dict[str, slice] = {}
@@ -164,7 +164,7 @@ class Transcription:
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
         last = np.full(s.intervals, self.variables - 1)
-        self._add("high", np.column_stack((z0, z1, last) if s.spare else (z0, z1)))
+        self._add("high", np.column_stack((z0, z1, last) if s.thrust_slack else (z0, z1)))
         self._add("low", np.column_stack((z0, z1)))
         if s.tilt:
             self._add("tilt", np.column_stack((z0, z1, node[:-1] + 5, node[1:] + 5)))
@@ -175,8 +175,8 @@ class Transcription:
             )
         if s.free:
             self._add("reach", np.array([[self.variables - 1]]))
-        if s.spare:
-            self._add("spare", np.full((2, 1), self.variables - 1))
+        if s.thrust_slack:
+            self._add("thrust_slack", np.full((2, 1), self.variables - 1))
         self.orthant = sum(len(c) for c in self._columns.values())
         speeds = [np.column_stack((node[1:] + c, node[:-1] + c)) for c in (3, 4, 5)]
         thrust = np.stack([np.column_stack((z0, z1)), *speeds], axis=1)
@@ -257,17 +257,17 @@ class Transcription:
         """
         units = ProgramScales.of(descent, duration)
         families = self._constraint_values(descent, units, log_mass, half_spaces, nearest)
-        if self.structure.spare:
+        if self.structure.thrust_slack:
             entries, h = families["high"]
-            more = descent.spare * self._unit_force(descent, units) * np.exp(-log_mass)
+            more = descent.thrust_slack * self._unit_force(descent, units) * np.exp(-log_mass)
             families["high"] = np.column_stack((entries, -more)), h
-            families["spare"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
+            families["thrust_slack"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
         values = np.concatenate([families[name][0].ravel() for name in self.rows])
         h = np.concatenate([families[name][1] for name in self.rows])
         p = self._pattern
         g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
         c = np.zeros(self.variables)
-        if self.structure.spare:
+        if self.structure.thrust_slack:
             c[-1] = descent.thrust_slack_penalty * units.time / units.length
         c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
         b = np.concatenate(

@@ -20,7 +20,7 @@ from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle import _leg_kernels as k
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.state import State
-from lunarsim.vehicle.touchdown import Ground, Verdict, judge_touchdown
+from lunarsim.vehicle.touchdown import ElevationModel, Verdict, judge_touchdown
 
 Array = NDArray[np.float64]
 
@@ -124,7 +124,7 @@ class TerrainPatch:
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: Ground) -> TerrainPatch:
+    def of(cls, lander: Lander, state: State, ground: ElevationModel) -> TerrainPatch:
         """Sample the terrain around a lander at touchdown."""
         half = lander.leg_radius + lander.pad_diameter + lander.com_height + _SLIDE_MARGIN_M
         n = int(np.ceil(half / _POSTING_M))
@@ -163,7 +163,7 @@ def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: A
     return float(np.min((plane - ground) * lift[2]) + lander.belly_clearance)
 
 
-def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest:
+def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel) -> Rest:
     """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
     lander = dynamics.lander
     patch = TerrainPatch.of(lander, state, ground)
@@ -229,7 +229,7 @@ def _tilt(state: State) -> float:
 
 
 def judge_motion(
-    legs: Legs, dynamics: Dynamics, state: State, ground: Ground
+    legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel
 ) -> tuple[Verdict, Rest | None]:
     """Determine the landing outcome from the motion after touchdown.
 

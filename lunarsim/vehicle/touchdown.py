@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 GROUND_SPACING = 0.04
 
 
-class Ground(Protocol):
+class ElevationModel(Protocol):
     """Interface of a terrain that returns elevations."""
 
     def elevation(self, xy: ArrayLike) -> Array:
@@ -127,7 +127,7 @@ def pad_disc(radius: float) -> Array:
     return np.concatenate((xy[np.hypot(xy[:, 0], xy[:, 1]) < radius], rim))
 
 
-def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
+def pad_contacts(lander: Lander, state: State, ground: ElevationModel) -> Array:
     """Return the contact points (legs, 3), m, on the highest terrain under each pad."""
     pads = lander.pads - com_of(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
@@ -144,7 +144,7 @@ def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, float]:
+def ground_fit(lander: Lander, legs: Array, ground: ElevationModel) -> tuple[float, float]:
     """Return slope (rad) and roughness (m) of the terrain under a standing lander.
 
     They follow Eqs. 8 and 9 of the Gaussian DEM paper, as maxima over the admissible planes.
@@ -216,7 +216,9 @@ def least_margin(lander: Lander, touchdown: Touchdown) -> float:
     return float(np.min(margins))  # NaN if one is
 
 
-def judge_touchdown(lander: Lander, state: State, ground: Ground, gravity: float) -> Verdict:
+def judge_touchdown(
+    lander: Lander, state: State, ground: ElevationModel, gravity: float
+) -> Verdict:
     """Determine the landing outcome of `state` on the true terrain.
 
     Limits are checked in this order: ``off-map`` (unknown terrain), ``vertical-speed``,

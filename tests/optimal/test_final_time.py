@@ -11,12 +11,12 @@ from lunarsim.errors import InputError
 from lunarsim.optimal.cone_program import FallbackSolver
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.final_time import (
-    minimum_effort_time,
     is_flyable,
-    minimize_landing_error,
     least_propellant,
-    remaining_log_mass,
+    minimize_landing_error,
+    minimum_effort_time,
     nearest,
+    remaining_log_mass,
     search_near,
 )
 from lunarsim.optimal.planner import Planner
@@ -148,7 +148,7 @@ def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_
 
 def test_the_nearest_end_is_that_of_all_the_thrust_there_is():
     fast = {"position": (-250.0, 0.0, 200.0), "velocity": (45.0, 0.0, -25.0)}
-    short, spared = (nearest(Planner(20), moon(**fast, spare=s)) for s in (0.0, 400.0))
+    short, spared = (nearest(Planner(20), moon(**fast, thrust_slack=s)) for s in (0.0, 400.0))
     assert spared.miss < 1.0
     assert short.miss > 40.0
 

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.cone_program import SolverResult, Clarabel, FallbackSolver, Qoco, QocoOnlySolver
+from lunarsim.optimal.cone_program import (
+    Clarabel,
+    FallbackSolver,
+    Qoco,
+    QocoOnlySolver,
+    SolverResult,
+)
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
-from lunarsim.optimal.transcription import Structure, HalfSpaces
+from lunarsim.optimal.transcription import HalfSpaces, Structure
 from tests.optimal.cases import mars, moon
 
 
@@ -101,22 +107,22 @@ def test_the_end_may_have_to_be_upright():
 
 
 def test_spare_thrust_is_left_alone_while_there_is_another_way():
-    calm = least_propellant(Planner(40), moon(spare=400.0))
+    calm = least_propellant(Planner(40), moon(thrust_slack=400.0))
     assert calm.forces.max() < 5568.0 * (1.0 + 1e-4)
     planner = Planner(40)
     short = 0.96 * calm.duration
     assert planner.at_time(moon(), short) is None
-    hard = planner.at_time(moon(spare=400.0), short)
+    hard = planner.at_time(moon(thrust_slack=400.0), short)
     assert 5568.0 * 1.002 < hard.forces.max() < 5968.0
 
 
 def test_spare_thrust_has_its_price_and_counts_among_the_limits():
-    hard = Planner(40).at_time(moon(spare=400.0, thrust_slack_penalty=8.0), 26.8)
+    hard = Planner(40).at_time(moon(thrust_slack=400.0, thrust_slack_penalty=8.0), 26.8)
     share = (hard.forces.max() - 5568.0) / 400.0
     assert 0.05 < share < 1.0
     assert hard.cost - hard.increment == pytest.approx(8.0 * share, rel=0.02)
     assert hard.excess < 1e-3
-    tight = replace(hard, descent=moon(spare=0.5 * share * 400.0))
+    tight = replace(hard, descent=moon(thrust_slack=0.5 * share * 400.0))
     assert tight.excess == pytest.approx(0.5 * share * 400.0 / 5568.0, rel=0.02)
 
 
@@ -222,7 +228,7 @@ def test_infeasible_errors_travel_between_processes():
         ({"end_tilt": np.nan}, "end_tilt"),
         ({"tilt_rate": np.nan}, "tilt_rate"),
         ({"region": np.inf}, "region"),
-        ({"region": 5.0, "spare": 10.0}, "spare"),
+        ({"region": 5.0, "thrust_slack": 10.0}, "thrust_slack"),
         ({"mass": "abc"}, "mass"),
         ({"mass": None}, "mass"),
         ({"mass": True}, "mass"),
@@ -263,11 +269,13 @@ def test_bad_times_cones_and_grids_are_refused():
         with pytest.raises(InputError, match="log_mass"):
             Planner(20).at_time(moon(), 30.0, log_mass=masses)
     with pytest.raises(InputError, match="walls"):
-        Planner(20).at_time(moon(), 30.0, half_spaces=HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 1))))
+        Planner(20).at_time(
+            moon(), 30.0, half_spaces=HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 1)))
+        )
     with pytest.raises(InputError, match="walls"):
         HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 2)))
-    with pytest.raises(InputError, match="spare"):
-        Structure(20, True, True, 0, True, spare=True)
+    with pytest.raises(InputError, match="thrust_slack"):
+        Structure(20, True, True, 0, True, thrust_slack=True)
     with pytest.raises(InputError, match="cone"):
         Cone(np.zeros((0, 3)))
     with pytest.raises(InputError, match="cone"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lunarsim.optimal.errors import InfeasibleError
-from lunarsim.optimal.final_time import minimize_landing_error, least_propellant
+from lunarsim.optimal.final_time import least_propellant, minimize_landing_error
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import east_north_up, mars, published
 

@@ -119,7 +119,9 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     free = Successive(N).solve(d)
     slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
-    assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(0.0, abs=2e-3)  # all of it is had
+    assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(
+        0.0, abs=2e-3
+    )  # all of it is had
     weak = Successive(N).solve(replace(d, torque_share=0.1))
     share = np.abs(weak.torque).max(axis=0) / np.asarray(d.lander.torque_max)
     assert share.max() == pytest.approx(0.1, rel=1e-3)
@@ -219,7 +221,7 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         made = [point(*np.atleast_1d(p)) for p in row]
         programs = Successive(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
-            fill=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
+            build=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
         monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
         coming = iter(made)
         monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))

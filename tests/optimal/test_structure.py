@@ -98,7 +98,7 @@ def test_the_slope_is_the_derivative_of_the_cost():
         (mars(glideslope=1.25 * low, dry_mass=1300.0), 79.46, 40),
         (moon(), 30.0, 40),
         (moon(max_tilt=lean), 34.0, 40),
-        (moon(spare=400.0), 27.2, 40),
+        (moon(thrust_slack=400.0), 27.2, 40),
         # The coarser the intervals, the more of it is the planes'.
         (mars(cone=plane, dry_mass=1300.0), 82.0, 12),
     ):

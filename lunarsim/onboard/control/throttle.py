@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lunarsim.models.jet_lander import Engine
+from lunarsim.models.jet_lander import DescentEngine
 
 # Fraction of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 11
 # switches to full above 63 % and back below 57 %, around a gap end of 60 %.
@@ -23,7 +23,7 @@ class ThrottleRegions:
         Whether the engine runs at its fixed throttle point.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: DescentEngine) -> None:
         self.engine = engine
         self.full = False
 

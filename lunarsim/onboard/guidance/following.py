@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.paths import Path, PathShape
+from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ class PathGuidance:
         self.feedback = feedback
         self._answering = answering or Answering(lead)
         self.lead = self._answering.lead
-        self._last: tuple[float, Path] | None = None
+        self._last: tuple[float, PolynomialPath] | None = None
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.

@@ -12,7 +12,7 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.paths import APOLLO, Path
+from lunarsim.onboard.guidance.paths import APOLLO, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class SiteCost:
     time_to_go: Array
 
 
-def max_jerk_and_snap(path: Path) -> tuple[float, float]:
+def max_jerk_and_snap(path: PolynomialPath) -> tuple[float, float]:
     """Return the maximum jerk (m/s^3) and snap (m/s^4) along a quartic path.
 
     Jerk is linear in time, so its maximum is at an end; snap is constant.
@@ -100,7 +100,7 @@ def min_times_to_go(
     return out
 
 
-def increment(path: Path, gravity: float) -> float:
+def increment(path: PolynomialPath, gravity: float) -> float:
     """Return the integral of the thrust acceleration along a path (Eq. 10), m/s."""
     half = 0.5 * path.time_to_go
     acceleration = path.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])

@@ -154,7 +154,7 @@ class NeuralGuidance:
     def _evaluate_network(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
         """Return the network's thrust over mass (3,), m/s^2, or None if a path law flies."""
         if not self._matches_training(end):
-            self._fall_back(estimate, end, time, "another problem")
+            self._fall_back(estimate, end, time, "problem differs from training")
             return None
         position, velocity = self._answering.ahead(estimate)
         inputs, axes = reduced(position - end.position, velocity, estimate.mass)
@@ -162,7 +162,7 @@ class NeuralGuidance:
         if not (
             self.network.is_in_domain(inputs) and (self._is_following or _is_trained_start(inputs))
         ):
-            self._fall_back(estimate, end, time, "outside what it was taught")
+            self._fall_back(estimate, end, time, "outside the training domain")
             return None
         self.asked += 1
         output = self.network(inputs)

@@ -30,7 +30,7 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.cone_program import QocoOnlySolver
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import is_flyable, remaining_log_mass, search_near
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.quantity import quantity
@@ -105,7 +105,7 @@ class OptimalLaw(PathLaw):
 class _Plan:
     """Path and its start time, s."""
 
-    path: Path
+    path: OptimalPath
     start_time: float
 
 
@@ -197,7 +197,7 @@ class OptimalGuidance:
 
     def _plan_path(
         self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
-    ) -> tuple[Path | None, str]:
+    ) -> tuple[OptimalPath | None, str]:
         """Return a path, or None and the reason."""
         position, velocity = self._answering.ahead(estimate)
         expected = max((self.arrival or 0.0) - time, 1.0)
@@ -243,7 +243,7 @@ class OptimalGuidance:
         """Return the problem; the upper throttle margin is available at a penalty."""
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
-        margin, spare = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
+        margin, thrust_slack = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
         displacement = position - end.position
         horizontal = float(np.hypot(displacement[0], displacement[1]))
         # A lander below the glideslope gets a lower glideslope.
@@ -251,9 +251,9 @@ class OptimalGuidance:
         glideslope = max(min(limits.glideslope, elevation - np.deg2rad(0.5)), 0.0)
         return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
-            lander.thrust_min + margin, lander.thrust_max - spare, lander.exhaust_velocity,
+            lander.thrust_min + margin, lander.thrust_max - thrust_slack, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
-            limits.max_tilt, glideslope, _APEX_DEPTH_M, spare=spare,
+            limits.max_tilt, glideslope, _APEX_DEPTH_M, thrust_slack=thrust_slack,
             end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
 

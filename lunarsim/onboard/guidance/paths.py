@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Path:
+class PolynomialPath:
     """Path from the current state to a phase end.
 
     Attributes
@@ -91,7 +91,7 @@ class PathShape:
 
     def path(
         self, position: ArrayLike, velocity: ArrayLike, end: PhaseEnd, time_to_go: float
-    ) -> Path:
+    ) -> PolynomialPath:
         """Return the unique path of this shape from a state to an end.
 
         Parameters
@@ -122,7 +122,7 @@ class PathShape:
         q = q - 0.5 * end.acceleration
         first = (low + 2.0) * ((high + 2.0) * q - p) / (high - low)
         terms = np.stack(((low + 1.0) * first, (high + 1.0) * (p - first)))
-        return Path(end, float(time_to_go), self.powers, terms)
+        return PolynomialPath(end, float(time_to_go), self.powers, terms)
 
 
 APOLLO = PathShape(1.0, 2.0)

@@ -17,7 +17,7 @@ from lunarsim.optimal.problem import Descent
 Array = NDArray[np.float64]
 
 
-class Start(Protocol):
+class InitialState(Protocol):
     """Initial state of a descent; `lunarsim.vehicle.State` satisfies this interface."""
 
     @property
@@ -129,7 +129,7 @@ class RigidDescent:
     """
 
     lander: Lander
-    start: Start
+    start: InitialState
     end_position: Array
     end_velocity: Array = field(default_factory=lambda: np.zeros(3))
     gravity: float = 1.622

@@ -12,9 +12,9 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.jerk_limited import (
     increment,
+    max_jerk_and_snap,
     min_times_to_go,
     site_cost,
-    max_jerk_and_snap,
 )
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate

@@ -19,7 +19,11 @@ from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
 from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, fractional_feedback, fractional_shape
+from lunarsim.onboard.guidance.fractional import (
+    FractionalPolynomialLaw,
+    fractional_feedback,
+    fractional_shape,
+)
 from lunarsim.onboard.guidance.jerk_limited import max_jerk_and_snap
 from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape

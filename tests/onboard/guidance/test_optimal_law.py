@@ -219,7 +219,7 @@ def test_plans_are_made_under_the_limits_of_the_approach(searches):
     assert (d.glideslope, d.max_tilt, d.drop) == (0.3, 0.6, 0.5)
     assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
     assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
-    assert d.spare == 0.1 * throttle
+    assert d.thrust_slack == 0.1 * throttle
     assert (d.end_tilt, d.tilt_rate) == (OptimalLaw().end_tilt, OptimalLaw().tilt_rate)
 
 
@@ -231,7 +231,7 @@ def test_some_thrust_is_kept_back_whatever_the_margin(searches, margin):
     OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
     d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
     assert d.thrust_max == pytest.approx(LANDER.thrust_max - 0.04 * throttle)
-    assert d.thrust_max + d.spare == pytest.approx(LANDER.thrust_max)
+    assert d.thrust_max + d.thrust_slack == pytest.approx(LANDER.thrust_max)
     assert d.thrust_min == pytest.approx(LANDER.thrust_min + margin * throttle)
 
 
@@ -325,7 +325,7 @@ def test_a_lander_short_of_fuel_or_low_over_the_end_plans_under_limits_that_it_c
     descent = searches[0][0]
     assert descent.dry_mass == LANDER.dry_mass + 5.0
     assert descent.glideslope == pytest.approx(np.deg2rad(4.5), abs=1e-6)
-    assert not descent.outside
+    assert not descent.violates_glideslope
 
 
 def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch):
