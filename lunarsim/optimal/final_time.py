@@ -323,7 +323,7 @@ def nearest(
 ) -> OptimalPath | None:
     """Return the path whose end is nearest to the target, or None if it cannot land.
 
-    Only the height of the end is fixed. Spare thrust has no penalty here.
+    Only the height of the end is fixed. Thrust slack has no penalty here.
     """
     if descent.thrust_slack > 0.0:
         descent = replace(

@@ -101,7 +101,7 @@ class Planner:
             half_spaces = HalfSpaces.over(descent, self.intervals)
         elif len(half_spaces.normals) != self.intervals:
             raise InputError(
-                "optimal.walls",
+                "optimal.half_spaces",
                 half_spaces.normals.shape,
                 f"must have planes of {self.intervals} intervals",
             )

@@ -98,7 +98,7 @@ class HalfSpaces:
     def __post_init__(self) -> None:
         shape = np.shape(self.normals) if np.ndim(self.normals) == 3 else (1, 1, 3)
         for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
-            found = numbers("walls", getattr(self, name), wanted, f"must have finite {name}, "
+            found = numbers("half_spaces", getattr(self, name), wanted, f"must have finite {name}, "
                             "normals (N, planes, 3) and offsets (N, planes)")  # fmt: skip
             object.__setattr__(self, name, found)
 

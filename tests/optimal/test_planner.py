@@ -268,11 +268,11 @@ def test_bad_times_cones_and_grids_are_refused():
     for masses in (np.zeros(3), np.full(20, np.nan), "a"):
         with pytest.raises(InputError, match="log_mass"):
             Planner(20).at_time(moon(), 30.0, log_mass=masses)
-    with pytest.raises(InputError, match="walls"):
+    with pytest.raises(InputError, match="half_spaces"):
         Planner(20).at_time(
             moon(), 30.0, half_spaces=HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 1)))
         )
-    with pytest.raises(InputError, match="walls"):
+    with pytest.raises(InputError, match="half_spaces"):
         HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 2)))
     with pytest.raises(InputError, match="thrust_slack"):
         Structure(20, True, True, 0, True, thrust_slack=True)

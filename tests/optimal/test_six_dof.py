@@ -211,8 +211,10 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
     """Paths of made gaps, that all burn alike: the first that is joined is given."""
 
     def point(apart, passed=0.0):
-        return SimpleNamespace(propellant_used=0.1, max_defect=apart, violation=passed, x=np.zeros((2, 15)),
-                               merit=0.1 + apart + passed)  # fmt: skip
+        return SimpleNamespace(
+            propellant_used=0.1, max_defect=apart, violation=passed, x=np.zeros((2, 15)),
+            merit=0.1 + apart + passed,
+        )  # fmt: skip
 
     for row, given in (
         ((1e-3, 1e-4, 1e-6, 0.0), 2), ((1e-3, 1e-6, 0.0), 1),
