@@ -57,7 +57,7 @@ class Software:
         approach
             Ends of the approach phases and constraints on its paths.
         decisions
-            Times at which the policy is asked, the mapper whose map it uses, and its candidates.
+            Decision times, the mapper whose map the policy uses, and its candidate sites.
         descent
             Terminal descent law; None: vertical descent at constant speed.
         braking

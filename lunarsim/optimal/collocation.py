@@ -65,7 +65,11 @@ def _state(units: Units) -> Array:
 
 
 def collocate(
-    descent: Descent, intervals: int = 50, *, duration: float | None = None, most: int = 400
+    descent: Descent,
+    intervals: int = 50,
+    *,
+    duration: float | None = None,
+    max_iterations: int = 400,
 ) -> Collocated:
     """Compute the minimum-propellant path by direct collocation.
 
@@ -77,7 +81,7 @@ def collocate(
         N.
     duration
         Final time, s; None: free.
-    most
+    max_iterations
         Maximum number of iterations of IPOPT.
 
     Raises
@@ -87,7 +91,10 @@ def collocate(
     SolverError
         If IPOPT does not converge.
     """
-    intervals, most = count("intervals", intervals, 2), count("most", most, 0)
+    intervals, max_iterations = (
+        count("intervals", intervals, 2),
+        count("max_iterations", max_iterations, 0),
+    )
     for name, other in (("region", 0.0), ("thrust_slack", 0.0), ("cone", None), ("end_tilt", None)):
         if getattr(descent, name) != other:
             raise InputError(
@@ -104,8 +111,8 @@ def collocate(
         "g": constraints,
     }
     options: dict[str, Any] = {
-        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": most,
-        "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
+        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes",
+        "ipopt.max_iter": max_iterations, "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
     }  # fmt: skip
     solver = casadi.nlpsol("descent", "ipopt", problem, options)
     start = _start(descent, units, intervals)
@@ -188,8 +195,8 @@ def _derivatives(tau: Array) -> Array:
 
 def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
     """Return the limits of thrust and tilt."""
-    least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
-    rows = [(casadi.sumsqr(thrust), least**2, most**2)]
+    lower, upper = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
+    rows = [(casadi.sumsqr(thrust), lower**2, upper**2)]
     if descent.max_tilt is not None:
         lean = np.cos(descent.max_tilt) * casadi.norm_2(thrust)
         rows.append((thrust[2] - lean, 0.0, np.inf))

@@ -81,12 +81,12 @@ class Qoco:
 
     Parameters
     ----------
-    most
+    max_iterations
         Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 60) -> None:
-        self.most = most
+    def __init__(self, max_iterations: int = 60) -> None:
+        self.max_iterations = max_iterations
         self._solver: Any = None
 
     def solve(self, program: Program) -> SolverResult:
@@ -96,7 +96,7 @@ class Qoco:
             self._solver = qoco.QOCO()
             self._solver.setup(
                 len(p.c), len(p.h), len(p.b), None, p.c, p.a, p.b, p.g, p.h, p.orthant,
-                len(p.cones), np.array(p.cones), max_iters=self.most,
+                len(p.cones), np.array(p.cones), max_iters=self.max_iterations,
             )  # fmt: skip
         else:
             self._solver.update_vector_data(p.c, p.b, p.h)
@@ -107,7 +107,7 @@ class Qoco:
         status: Status = "solved" if is_solved else "failed"
         x, y, z = (np.array(v, dtype=np.float64) for v in (result.x, result.y, result.z))
         if not is_solved:
-            # A failed solve may leave NaN behind: set up anew.
+            # A failed solve may leave NaN behind: set up again.
             self._solver = None
         return SolverResult(status, x, y, z, int(result.iters), "qoco")
 
@@ -117,18 +117,18 @@ class Clarabel:
 
     Parameters
     ----------
-    most
+    max_iterations
         Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 100) -> None:
-        self.most = most
+    def __init__(self, max_iterations: int = 100) -> None:
+        self.max_iterations = max_iterations
 
     def solve(self, program: Program) -> SolverResult:
         """Solve a program."""
         p = program
         settings = clarabel.DefaultSettings()
-        settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.most
+        settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.max_iterations
         cones = [clarabel.ZeroConeT(len(p.b)), clarabel.NonnegativeConeT(p.orthant)]
         cones += [clarabel.SecondOrderConeT(n) for n in p.cones]
         rows = sparse.vstack([p.a, p.g], format="csc")
@@ -174,7 +174,7 @@ class FallbackSolver:
 
     Parameters
     ----------
-    most
+    max_iterations
         Maximum number of iterations of QOCO.
 
     Attributes
@@ -183,8 +183,8 @@ class FallbackSolver:
         Number of programs that went to Clarabel.
     """
 
-    def __init__(self, most: int = 40) -> None:
-        self.fast, self.fallback = Qoco(most), Clarabel()
+    def __init__(self, max_iterations: int = 40) -> None:
+        self.fast, self.fallback = Qoco(max_iterations), Clarabel()
         self.fallback_count = 0
 
     def solve(self, program: Program) -> SolverResult:
@@ -206,12 +206,12 @@ class QocoOnlySolver:
 
     Parameters
     ----------
-    most
+    max_iterations
         Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 30) -> None:
-        self.fast = Qoco(most)
+    def __init__(self, max_iterations: int = 30) -> None:
+        self.fast = Qoco(max_iterations)
 
     def solve(self, program: Program) -> SolverResult:
         """Solve a program with the same structure as the first one."""

@@ -236,7 +236,7 @@ def _search_warm(
         return None
     log_mass = remaining_log_mass(last, elapsed, planner.intervals)
     return search_near(
-        planner, descent, iter((first,)), half_spaces=half_spaces, most=_MAX_WARM_SOLVES,
+        planner, descent, iter((first,)), half_spaces=half_spaces, max_solves=_MAX_WARM_SOLVES,
         log_mass=log_mass, curvature_guess=last.curvature,
     )  # fmt: skip
 
@@ -264,7 +264,7 @@ def search_near(
     first: Iterator[float],
     *,
     half_spaces: HalfSpaces | None = None,
-    most: int = _MAX_COLD_SOLVES,
+    max_solves: int = _MAX_COLD_SOLVES,
     log_mass: Array | None = None,
     step: float = _FIRST_STEP,
     curvature_guess: float = 0.0,
@@ -277,7 +277,7 @@ def search_near(
         Those of `least_propellant`.
     first
         Final times, s, tried in order until one is feasible.
-    most
+    max_solves
         Maximum number of solves, counted from the first feasible final time.
     log_mass
         Guess of ln(mass / initial mass) at the interval centres (N,).
@@ -306,7 +306,7 @@ def search_near(
             time = 0.5 * (time + best.duration)
             continue
         log_mass = path.log_mass
-        budget = before + most if best is None else budget
+        budget = before + max_solves if best is None else budget
         best = path if best is None or path.cost < best.cost else best
         search.add(time, path.slope)
         converged = path.slope**2 < 2.0 * search.curvature * _MIN_RELATIVE_SAVING * path.cost

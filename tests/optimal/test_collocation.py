@@ -63,4 +63,4 @@ def test_what_it_does_not_know_is_refused_and_failures_are_told():
         with pytest.raises(InputError, match="intervals"):
             collocate(mars(), intervals)
     with pytest.raises(SolverError, match="IPOPT"):
-        collocate(mars(), 10, most=2)
+        collocate(mars(), 10, max_iterations=2)

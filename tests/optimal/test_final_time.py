@@ -89,17 +89,17 @@ def test_a_region_that_holds_the_nearest_end_is_reached(region):
 def test_a_search_whose_solves_run_out_says_so():
     d = moon()
     far = 1.6 * minimum_effort_time(d)
-    short = search_near(Planner(20), d, iter((far,)), most=2)
+    short = search_near(Planner(20), d, iter((far,)), max_solves=2)
     assert not short.converged
-    assert search_near(Planner(20), d, iter((far,)), most=16).converged
+    assert search_near(Planner(20), d, iter((far,)), max_solves=16).converged
 
 
 def test_solves_are_counted_from_the_first_final_time_that_can_be_flown():
     """What is spent on final times out of reach leaves the search as many as without them."""
     d, planner = moon(), Planner(20)
     first = least_propellant(planner, d).duration
-    alone = search_near(planner, d, iter((1.2 * first,)), most=3)
-    found = search_near(planner, d, iter((0.5 * first, 0.6 * first, 1.2 * first)), most=3)
+    alone = search_near(planner, d, iter((1.2 * first,)), max_solves=3)
+    found = search_near(planner, d, iter((0.5 * first, 0.6 * first, 1.2 * first)), max_solves=3)
     assert found.duration == alone.duration < 1.2 * first
 
 

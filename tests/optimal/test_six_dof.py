@@ -160,9 +160,9 @@ def test_what_cannot_be_is_refused():
         for solve in (shoot, lambda d, n: Successive(n)):
             with pytest.raises(InputError, match="intervals"):
                 solve(far, intervals)
-    for most in (0, 1.5, None):
-        with pytest.raises(InputError, match="most"):
-            Successive(N, most)
+    for max_programs in (0, 1.5, None):
+        with pytest.raises(InputError, match="max_programs"):
+            Successive(N, max_programs)
     for changes, name in (
         ({"lander": None}, "lander"), ({"start": None}, "start"), ({"start": 3}, "start"),
         ({"gravity": "a"}, "gravity"), ({"max_tilt": True}, "max_tilt"),
@@ -204,7 +204,7 @@ def test_neither_way_burns_what_is_to_be_kept():
     with pytest.raises(SolverError):
         shoot(short, N, guess=guess)
     with pytest.raises(SolverError):
-        Successive(N, most=12).solve(short, guess)
+        Successive(N, max_programs=12).solve(short, guess)
 
 
 def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
@@ -235,9 +235,9 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
 def test_failures_of_solvers_are_told():
     d = descent(np.random.default_rng(1))
     with pytest.raises(SolverError, match="IPOPT"):
-        shoot(d, N, most=2)
+        shoot(d, N, max_iterations=2)
     with pytest.raises(SolverError, match="does not converge in 1 programs"):
-        Successive(N, most=1).solve(d)
+        Successive(N, max_programs=1).solve(d)
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):

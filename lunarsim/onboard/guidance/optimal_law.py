@@ -210,9 +210,9 @@ class OptimalGuidance:
             times = (
                 s * expected for s in (_COLD_TIME_FACTORS if last is None else _WARM_TIME_FACTORS)
             )
-            most, step = (_MAX_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
+            max_solves, step = (_MAX_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
             path = search_near(
-                self._planner, descent, times, most=most, log_mass=masses, step=step,
+                self._planner, descent, times, max_solves=max_solves, log_mass=masses, step=step,
                 curvature_guess=0.0 if last is None else last.path.curvature,
             )  # fmt: skip
         except InputError as error:

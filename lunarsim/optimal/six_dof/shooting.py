@@ -37,7 +37,7 @@ def shoot(
     intervals: int = 30,
     *,
     guess: InitialGuess | None = None,
-    most: int = 300,
+    max_iterations: int = 300,
     compiled: bool = False,
 ) -> RigidPath:
     """Compute the minimum-propellant path of a rigid body.
@@ -50,7 +50,7 @@ def shoot(
         N, with constant thrust and torques in each.
     guess
         Initial guess; None: the optimum of a point mass.
-    most
+    max_iterations
         Maximum number of iterations of IPOPT.
     compiled
         Whether to use compiled C code from `compiled_library`.
@@ -64,11 +64,14 @@ def shoot(
     SolverError
         If IPOPT does not converge.
     """
-    intervals, most = count("intervals", intervals, 4), count("most", most, 1)
+    intervals, max_iterations = (
+        count("intervals", intervals, 4),
+        count("max_iterations", max_iterations, 1),
+    )
     start_time = time.perf_counter()
     guess = initial_guess(descent, intervals) if guess is None else guess.resample(intervals)
     scale = Scale.of(descent, guess)
-    solver = _solver(intervals, most, compiled)
+    solver = _solver(intervals, max_iterations, compiled)
     low, high = scale.bounds(intervals)
     got = solver(
         x0=scale.start(guess), p=scale.parameters, lbx=low, ubx=high,
@@ -89,9 +92,9 @@ def shoot(
 
 
 @lru_cache(maxsize=8)
-def _solver(n: int, most: int, compiled: bool) -> Any:
+def _solver(n: int, max_iterations: int, compiled: bool) -> Any:
     """Return IPOPT for n intervals."""
-    options = {**_OPTIONS, "ipopt.max_iter": most}
+    options = {**_OPTIONS, "ipopt.max_iter": max_iterations}
     if not compiled:
         return casadi.nlpsol("six_dof", "ipopt", _program(n), options)
     path = compiled_library(f"six_dof_{n}", lambda: casadi.nlpsol("six_dof", "ipopt", _program(n)))

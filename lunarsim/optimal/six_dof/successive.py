@@ -51,7 +51,7 @@ class Successive:
     ----------
     intervals
         N, with constant thrust and torques in each.
-    most
+    max_programs
         Maximum number of programs.
 
     Raises
@@ -60,8 +60,11 @@ class Successive:
         If there are fewer than 4 intervals, or no program.
     """
 
-    def __init__(self, intervals: int = 30, most: int = 40) -> None:
-        self.intervals, self.most = count("intervals", intervals, 4), count("most", most, 1)
+    def __init__(self, intervals: int = 30, max_programs: int = 40) -> None:
+        self.intervals, self.max_programs = (
+            count("intervals", intervals, 4),
+            count("max_programs", max_programs, 1),
+        )
         self._layout = ProgramLayout(self.intervals)
         self._solver: Any = None
 
@@ -99,7 +102,7 @@ class Successive:
         """Return the converged path and the number of programs."""
         penalty, joining = _INITIAL_PENALTY, False
         merits = [point.merit]
-        for programs in range(1, self.most + 1):
+        for programs in range(1, self.max_programs + 1):
             program = self._layout.build(scale, point, _JOINING_PENALTY if joining else penalty)
             z = self._solve(program)
             if z is None:
@@ -126,7 +129,7 @@ class Successive:
             point = new
             merits.append(new.merit)
         raise SolverError(
-            f"Successive convexification does not converge in {self.most} programs: defect "
+            f"Successive convexification does not converge in {self.max_programs} programs: defect "
             f"{point.max_defect:.1e}, constraint violation {point.violation:.1e}."
         )
 
