@@ -137,10 +137,10 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
 
 def test_half_of_the_returns_are_lost_alike_for_all(flights):
     taken = []
-    allow_lossy = flights.dropping(lambda scan, estimate: taken.append(scan.range))
+    lossy = flights.dropping(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
-    allow_lossy(scan, None)
-    allow_lossy(scan, None)
+    lossy(scan, None)
+    lossy(scan, None)
     assert np.isnan(taken[0]).mean() == pytest.approx(0.5, abs=0.03)
     assert np.array_equal(taken[0], taken[1], equal_nan=True)
 
