@@ -182,18 +182,14 @@ def least_propellant_over(
 
     Parameters
     ----------
-    planner
-        Planner that solves for one final time.
-    descent
-        Problem without a cone.
+    planner, descent
+        Planner, and problem without a cone.
     terrain
         Terrain; the end is at least `clearance` above it.
     clearance
         Minimum height of the path above the terrain, m.
-    sectors
-        Number of azimuth sectors of the majorant.
-    rounds
-        Maximum number of linearisations about the last path.
+    sectors, rounds
+        Number of azimuth sectors of the majorant; maximum number of linearisations.
 
     Raises
     ------
@@ -205,7 +201,7 @@ def least_propellant_over(
         If no path above the terrain is found.
     """
     if not isinstance(terrain, TerrainRaster):
-        raise InputError("optimal.terrain", type(terrain).__name__, "must be a Relief")
+        raise InputError("optimal.terrain", type(terrain).__name__, "must be a TerrainRaster")
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
     _check_ends(descent, terrain, clearance)
@@ -215,7 +211,7 @@ def least_propellant_over(
         majorant_path = least_propellant(planner, replace(descent, cone=cone))
     except (InfeasibleError, SolverError):
         pass  # a majorant may block every path, or be active so long that relaxation is lossy
-        # The majorant considers posts only; between and outside them, check the terrain itself.
+    # The majorant considers posts only; between and outside them, check the terrain itself.
     if majorant_path is not None and terrain.above(majorant_path) > clearance - 1e-3:
         if (
             majorant_path.half_space_multipliers.max(initial=0.0)
@@ -225,16 +221,12 @@ def least_propellant_over(
         best = majorant_path
     starts = _initial_paths(planner, descent, majorant_path)
     for start in starts:
-        is_last_start = best is None and start is starts[-1]
-        found = _linearise_terrain(
-            planner, descent, terrain, clearance, start, rounds, is_last_start
-        )
+        is_last = best is None and start is starts[-1]
+        found = _linearise_terrain(planner, descent, terrain, clearance, start, rounds, is_last)
         if best is None or (found is not None and found.increment < best.increment):
             best = found
     if best is None:
-        raise SolverError(
-            f"No path {clearance} m above the terrain is found in {rounds} linearisations."
-        )
+        raise SolverError(f"No path {clearance} m above the terrain in {rounds} linearisations.")
     return best
 
 
@@ -279,11 +271,11 @@ def _linearise_terrain(
     clearance: float,
     path: OptimalPath,
     rounds: int,
-    is_last_start: bool,
+    is_last: bool,
 ) -> OptimalPath | None:
     """Linearise the terrain until it agrees with the path; None if no path is found.
 
-    A path outside the posts raises an error if `is_last_start`: no other path or start is left.
+    A path outside the posts raises an error if `is_last`: no other path or start is left.
     """
     best: OptimalPath | None = None
     for _ in range(rounds):
@@ -294,7 +286,7 @@ def _linearise_terrain(
         except (InfeasibleError, SolverError):
             return best
         except InputError:
-            if is_last_start and best is None:
+            if is_last and best is None:
                 raise
             return best
         converged = abs(found.increment - path.increment) < _CONVERGED_CHANGE * path.increment

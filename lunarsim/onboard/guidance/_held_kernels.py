@@ -9,7 +9,7 @@ from lunarsim.onboard.guidance._kernels import measure
 
 
 @kernel(shared=True)
-def measured(share, state, targets, end_motion, times, table, powers, params, out):
+def measured(share, state, targets, final, times, table, powers, params, out):
     """Evaluate the path of a given time (n,), s, to each target (n, 3).
 
     Writes (n, 4) as `_reach_kernels.survey`: delta-v (inf if a limit is violated or the time is
@@ -18,7 +18,7 @@ def measured(share, state, targets, end_motion, times, table, powers, params, ou
     x = np.empty((2, 3))
     for n in range(share[0], len(targets), share[1]):
         good = times[n] > 0.0 and measure(
-            state, targets[n], end_motion, times[n], table, powers, params, x, out[n]
+            state, targets[n], final, times[n], table, powers, params, x, out[n]
         )
         if not good:
             out[n, 0] = np.inf

@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Columns of a sample table; rows of `state` and `end_motion`; indices of `params`.
+# Columns of a sample table; rows of `state` and `final`; indices of `params`.
 SHARE, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
@@ -15,11 +15,11 @@ HALVINGS = 5
 
 
 @kernel(inline=True, inner=True)
-def terms(state, target, end_motion, big_t, powers, out):
+def terms(state, target, final, big_t, powers, out):
     """Write each power's part of the mean acceleration (2, 3), as `PathShape`."""
     low, high = powers[0], powers[1]
     for k in range(3):
-        r, v, v_f, a_f = state[0, k], state[1, k], end_motion[0, k], end_motion[1, k]
+        r, v, v_f, a_f = state[0, k], state[1, k], final[0, k], final[1, k]
         p = (v_f - v) / big_t - a_f
         q = (v_f * big_t - target[k] + r) / big_t**2 - 0.5 * a_f
         out[0, k] = (low + 2.0) / (high - low) * ((high + 2.0) * q - p)
@@ -27,32 +27,29 @@ def terms(state, target, end_motion, big_t, powers, out):
 
 
 @kernel(inline=True, inner=True)
-def above_cone(target, end_motion, big_t, share, low, high, powers, x, glide):
+def above_cone(target, final, big_t, share, low, high, powers, x, glide):
     """Return whether a sample is above the glideslope, apex 0.5 m below the end."""
     left = share * big_t
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
-    east = left * (left * (0.5 * end_motion[1, 0] + x[0, 0] * f + x[1, 0] * g) - end_motion[0, 0])
-    north = left * (left * (0.5 * end_motion[1, 1] + x[0, 1] * f + x[1, 1] * g) - end_motion[0, 1])
-    up = (
-        left * (left * (0.5 * end_motion[1, 2] + x[0, 2] * f + x[1, 2] * g) - end_motion[0, 2])
-        + 0.5
-    )
+    east = left * (left * (0.5 * final[1, 0] + x[0, 0] * f + x[1, 0] * g) - final[0, 0])
+    north = left * (left * (0.5 * final[1, 1] + x[0, 1] * f + x[1, 1] * g) - final[0, 1])
+    up = left * (left * (0.5 * final[1, 2] + x[0, 2] * f + x[1, 2] * g) - final[0, 2]) + 0.5
     if glide > 0.0:
         return up >= 0.0 and up * up >= glide * glide * (east * east + north * north)
     return up >= glide * np.sqrt(east * east + north * north)
 
 
 @kernel(inline=True, inner=True)
-def measure(state, target, end_motion, big_t, table, powers, params, x, out):
+def measure(state, target, final, big_t, table, powers, params, x, out):
     """Evaluate one path; return whether it is admissible, and write its cost.
 
     Writes delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt into `out`
-    (4,); `x` (2, 3) is scratch. `state` and `end_motion` (2, 3): current position and velocity,
+    (4,); `x` (2, 3) is scratch. `state` and `final` (2, 3): current position and velocity,
     final velocity and acceleration. `table` (samples + 1, 3): fraction of time-to-go, from 1 to 0,
     and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust,
     tangents of maximum tilt and glideslope.
     """
-    terms(state, target, end_motion, big_t, powers, x)
+    terms(state, target, final, big_t, powers, x)
     d, e = powers[0] + 1.0, powers[1] + 1.0
     samples = table.shape[0] - 1
     step = big_t / samples
@@ -60,9 +57,9 @@ def measure(state, target, end_motion, big_t, table, powers, params, x, out):
     before, total, peak, tilt_squared = 0.0, 0.0, 0.0, 0.0
     for s in range(samples + 1):
         f, g = table[s, LOW], table[s, HIGH]
-        ax = end_motion[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
-        ay = end_motion[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
-        az = end_motion[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + params[GRAVITY]
+        ax = final[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
+        ay = final[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
+        az = final[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + params[GRAVITY]
         side = ax * ax + ay * ay
         size = np.sqrt(side + az * az)
         if s > 0:
@@ -79,9 +76,7 @@ def measure(state, target, end_motion, big_t, table, powers, params, x, out):
         bound = params[TAN_TILT] * az
         if thrust > params[MOST] or thrust < params[LEAST] or az <= 0.0 or side > bound * bound:
             return False
-        if not above_cone(
-            target, end_motion, big_t, table[s, SHARE], f, g, powers, x, params[GLIDE]
-        ):
+        if not above_cone(target, final, big_t, table[s, SHARE], f, g, powers, x, params[GLIDE]):
             return False
         peak = max(peak, thrust)
         tilt_squared = max(tilt_squared, side / (az * az))
@@ -96,16 +91,14 @@ def measure(state, target, end_motion, big_t, table, powers, params, x, out):
 
 
 @kernel(inner=True)
-def search_coarse(
-    state, target, end_motion, first, step, count, skip, table, powers, params, x, found
-):
+def search_coarse(state, target, final, first, step, count, skip, table, powers, params, x, found):
     """Return the best of `count` geometric steps from `first`, or -1."""
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
         time = first * np.exp(m * step)
-        good = measure(state, target, end_motion, time, table, powers, params, x, found)
+        good = measure(state, target, final, time, table, powers, params, x, found)
         if good and found[0] < least:
             best, least = m, found[0]
     return best
@@ -119,12 +112,10 @@ def _copy_result(found, out):
 
 
 @kernel(inner=True)
-def refine_time(
-    state, target, end_motion, first, at, step, span, table, powers, params, x, found, out
-):
+def refine_time(state, target, final, first, at, step, span, table, powers, params, x, found, out):
     """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
     time = first * np.exp(at)
-    if measure(state, target, end_motion, time, table, powers, params, x, found):
+    if measure(state, target, final, time, table, powers, params, x, found):
         _copy_result(found, out)
     for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
@@ -132,7 +123,7 @@ def refine_time(
         for near in (middle - step, middle + step):
             if 0.0 <= near <= span:
                 time = first * np.exp(near)
-                good = measure(state, target, end_motion, time, table, powers, params, x, found)
+                good = measure(state, target, final, time, table, powers, params, x, found)
                 if good and found[0] < out[0]:
                     _copy_result(found, out)
                     at = near

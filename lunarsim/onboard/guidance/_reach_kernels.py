@@ -34,27 +34,27 @@ _NOTHING = 1e30  # represents an infinite cost
 
 
 @kernel(inline=True)
-def acceleration_terms(w, place, state, end_motion, axis, powers, inverse):
+def acceleration_terms(w, place, state, final, axis, powers, inverse):
     """Return the lower power's part of the mean acceleration, and both parts' sum."""
-    p = (end_motion[0, axis] - state[1, axis]) * inverse - end_motion[1, axis]
-    q = ((state[0, axis] - load(w, place)) * inverse + end_motion[0, axis]) * inverse
-    q = q - 0.5 * end_motion[1, axis]
+    p = (final[0, axis] - state[1, axis]) * inverse - final[1, axis]
+    q = ((state[0, axis] - load(w, place)) * inverse + final[0, axis]) * inverse
+    q = q - 0.5 * final[1, axis]
     return (powers[0] + 2.0) / (powers[1] - powers[0]) * ((powers[1] + 2.0) * q - p), p
 
 
 @kernel(inline=True)
-def evaluate_lanes(w, state, end_motion, table, powers, params):
+def evaluate_lanes(w, state, final, table, powers, params):
     """Write the costs of sixteen paths whose times are in scratch, as `measure`.
 
     Inadmissible paths cost `_NOTHING`.
     """
     time = load(w, _TIME)
     inverse = 1.0 / time
-    ux, p = acceleration_terms(w, _EAST, state, end_motion, 0, powers, inverse)
+    ux, p = acceleration_terms(w, _EAST, state, final, 0, powers, inverse)
     vx = p - ux
-    uy, p = acceleration_terms(w, _NORTH, state, end_motion, 1, powers, inverse)
+    uy, p = acceleration_terms(w, _NORTH, state, final, 1, powers, inverse)
     vy = p - uy
-    uz, p = acceleration_terms(w, _UP, state, end_motion, 2, powers, inverse)
+    uz, p = acceleration_terms(w, _UP, state, final, 2, powers, inverse)
     vz = p - uz
     samples = table.shape[0] - 1
     half = time * (0.5 / samples / params[EXHAUST])
@@ -67,9 +67,9 @@ def evaluate_lanes(w, state, end_motion, table, powers, params):
     for s in range(samples + 1):
         low, high = table[s, LOW], table[s, HIGH]
         f, g = d * low, e * high
-        ax = ux * f + vx * g + end_motion[1, 0]
-        ay = uy * f + vy * g + end_motion[1, 1]
-        az = uz * f + vz * g + (end_motion[1, 2] + params[GRAVITY])
+        ax = ux * f + vx * g + final[1, 0]
+        ay = uy * f + vy * g + final[1, 1]
+        az = uz * f + vz * g + (final[1, 2] + params[GRAVITY])
         side, lift = ax * ax + ay * ay, az * az
         size = root(side + lift)
         if s > 0:
@@ -82,9 +82,9 @@ def evaluate_lanes(w, state, end_motion, table, powers, params):
         violation = larger(violation, larger(0.0 - az, side - tilt * lift))
         left = time * table[s, SHARE]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
-        x = left * (left * (ux * f + vx * g + 0.5 * end_motion[1, 0]) - end_motion[0, 0])
-        y = left * (left * (uy * f + vy * g + 0.5 * end_motion[1, 1]) - end_motion[0, 1])
-        up = left * (left * (uz * f + vz * g + 0.5 * end_motion[1, 2]) - end_motion[0, 2]) + 0.5
+        x = left * (left * (ux * f + vx * g + 0.5 * final[1, 0]) - final[0, 0])
+        y = left * (left * (uy * f + vy * g + 0.5 * final[1, 1]) - final[0, 1])
+        up = left * (left * (uz * f + vz * g + 0.5 * final[1, 2]) - final[0, 2]) + 0.5
         rim = glide * (x * x + y * y)
         if steep:
             violation = larger(violation, larger(0.0 - up, rim - up * up))
@@ -99,7 +99,7 @@ def evaluate_lanes(w, state, end_motion, table, powers, params):
 
 
 @kernel(inner=True)
-def search_lanes(w, state, end_motion, spans, count, skip, table, powers, params, best):
+def search_lanes(w, state, final, spans, count, skip, table, powers, params, best):
     """Write the best of `count` geometric steps (16,) for lanes without one yet.
 
     `spans` (3, 16): first time, its logarithmic span, step.
@@ -111,19 +111,19 @@ def search_lanes(w, state, end_motion, spans, count, skip, table, powers, params
             continue
         for k in range(LANES):
             w[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
-        evaluate_lanes(w, state, end_motion, table, powers, params)
+        evaluate_lanes(w, state, final, table, powers, params)
         for k in range(LANES):
             if open_[k] and w[_COST + k] < least[k]:
                 best[k], least[k] = m, w[_COST + k]
 
 
 @kernel(inner=True)
-def refine_lanes(w, state, end_motion, spans, table, powers, params, at):
+def refine_lanes(w, state, final, spans, table, powers, params, at):
     """Move logarithmic times (16,) to the best nearby, halving the steps."""
     least = np.empty(LANES)
     for k in range(LANES):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
-    evaluate_lanes(w, state, end_motion, table, powers, params)
+    evaluate_lanes(w, state, final, table, powers, params)
     for k in range(LANES):
         least[k] = w[_COST + k]
     step, middle, near = np.empty(LANES), np.empty(LANES), np.empty(LANES)
@@ -137,7 +137,7 @@ def refine_lanes(w, state, end_motion, spans, table, powers, params, at):
             for k in range(LANES):
                 near[k] = middle[k] + sense * step[k]
                 w[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
-            evaluate_lanes(w, state, end_motion, table, powers, params)
+            evaluate_lanes(w, state, final, table, powers, params)
             for k in range(LANES):
                 inside = 0.0 <= near[k] <= spans[1, k]
                 if inside and step[k] > 0.0 and w[_COST + k] < least[k]:
@@ -145,32 +145,28 @@ def refine_lanes(w, state, end_motion, spans, table, powers, params, at):
 
 
 @kernel(inner=True)
-def search_single(
-    state, target, end_motion, start, span, coarse, rough, table, powers, params, out
-):
+def search_one(state, target, final, start, span, coarse, rough, table, powers, params, out):
     """Search for one target in double precision, and write the best result (4,)."""
     found, x = np.empty(4), np.empty((2, 3))
     step = span / max(coarse - 1, 1)
     best = search_coarse(
-        state, target, end_motion, start, step, coarse, 0, rough, powers, params, x, found
+        state, target, final, start, step, coarse, 0, rough, powers, params, x, found
     )
     if best < 0 and step > 0.0:
         step /= 3.0
         count = 3 * (coarse - 1)
         best = search_coarse(
-            state, target, end_motion, start, step, count, 3, rough, powers, params, x, found
+            state, target, final, start, step, count, 3, rough, powers, params, x, found
         )
     if best >= 0:
         refine_time(
-            state, target, end_motion, start, best * step, step, span, table, powers, params, x,
+            state, target, final, start, best * step, step, span, table, powers, params, x,
             found, out,
         )  # fmt: skip
 
 
 @kernel(shared=True)
-def survey(
-    share, state, targets, end_motion, first, last, coarse, rough, table, powers, params, out
-):
+def survey(share, state, targets, final, first, last, coarse, rough, table, powers, params, out):
     """Find the admissible time-to-go with minimum delta-v for each target.
 
     Writes (n, 4): delta-v (inf if no time is admissible), time, maximum thrust (N) and maximum
@@ -199,7 +195,7 @@ def survey(
             spans[1, k] = np.log(last[n] / first[n]) if good else 0.0
             spans[2, k] = spans[1, k] / max(coarse - 1, 1)
             w[_EAST + k], w[_NORTH + k], w[_UP + k] = targets[n, 0], targets[n, 1], targets[n, 2]
-        search_lanes(w, state, end_motion, spans, coarse, 0, rough, powers, params, best)
+        search_lanes(w, state, final, spans, coarse, 0, rough, powers, params, best)
         for k in range(LANES):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
                 wanted = True
@@ -207,26 +203,24 @@ def survey(
             elif best[k] < 0:
                 valid[k] = False
         if wanted:
-            search_lanes(
-                w, state, end_motion, spans, 3 * (coarse - 1), 3, rough, powers, params, best
-            )
+            search_lanes(w, state, final, spans, 3 * (coarse - 1), 3, rough, powers, params, best)
         some = False
         for k in range(LANES):
             at[k] = max(best[k], 0) * spans[2, k]
             some = some or (valid[k] and best[k] >= 0)
         if not some:
             continue
-        refine_lanes(w, state, end_motion, spans, table, powers, params, at)
+        refine_lanes(w, state, final, spans, table, powers, params, at)
         for k in range(LANES):
             if not (valid[k] and best[k] >= 0):
                 continue
             n = here + k
             time = spans[0, k] * np.exp(at[k])
-            if not measure(state, targets[n], end_motion, time, table, powers, params, x, out[n]):
+            if not measure(state, targets[n], final, time, table, powers, params, x, out[n]):
                 # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan
-                search_single(
-                    state, targets[n], end_motion, spans[0, k], spans[1, k], coarse, rough, table,
+                search_one(
+                    state, targets[n], final, spans[0, k], spans[1, k], coarse, rough, table,
                     powers, params, out[n],
                 )  # fmt: skip
