@@ -52,7 +52,7 @@ def test_points_lie_where_the_rays_end():
         for r, d in zip(scan.scan.range, scan.scan.direction, strict=True)
     ]
     assert scan.points() == pytest.approx(np.array(wanted), abs=1e-12)
-    with pytest.raises(InputError, match="one a ray"):
+    with pytest.raises(InputError, match="must have shape"):
         LidarScan(0.0, np.ones(3), np.ones((2, 3)), DOWN, np.ones(3), (1, 3)).points(
             np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
         )
