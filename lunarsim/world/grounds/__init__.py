@@ -1,1 +1,1 @@
-"""Grounds that scenarios choose from, each a part: settings and building in one file."""
+"""Terrain models that scenarios choose from; each file has the settings and the builder of one."""
