@@ -22,6 +22,7 @@ Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
+class Truth:
     """True elevation and exact safety of the terrain or of a part of it.
 
     Attributes
@@ -83,7 +84,7 @@ Bounds = tuple[float, float, float, float]
         return np.asarray(cells * self.safety.grid.posting)
 
     def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether true points (..., 2) are exactly safe (nearest cell); False off the map."""
+        """Return whether points (..., 2) are exactly safe (nearest cell); False off the map."""
         grid = self.safety.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)

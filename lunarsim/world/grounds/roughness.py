@@ -68,6 +68,8 @@ class Roughness:
         "even",
         help="crater wear: even (all depths equally likely) or diffusion (most are shallow)",
     )
+
+    def procedural(
         self, grid: Grid, largest: float | None = None, *, detail: float | None = None
     ) -> Heightfield:
         """Return fractal relief with craters of up to `largest` diameter (m).
