@@ -1,4 +1,4 @@
-"""The ground: measured or procedural relief with rocks on it, and every question asked of it."""
+"""True terrain: measured or procedural relief with rocks, and queries of its surface."""
 
 from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
