@@ -85,7 +85,6 @@ def drop_rocks(
     x, y, base, placed
         Centres, the relief's elevation below them, and the number of placed discs.
     """
-    """
     np.random.seed(seed)  # noqa: NPY002  (Numba's own state, private to compiled code)
     x, y, base = np.empty(radius.size), np.empty(radius.size), np.empty(radius.size)
     of, sides = _size_classes(radius, (east - west) * (north - south))

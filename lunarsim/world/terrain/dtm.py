@@ -76,8 +76,8 @@ class DtmInfo:
         return 1.0 - found.known / found.posts if found else np.nan
 
     @property
+    def z_range(self) -> tuple[float, float]:
         """Minimum and maximum elevation, m; NaN if the heights were not read."""
-        """Lowest and highest elevation, m; NaN if the heights were not read."""
         return self.statistics.z_range if self.statistics else (np.nan, np.nan)
 
 
@@ -150,7 +150,6 @@ def read_size(
     ------
     InputError
         If the file is missing, or its header is refused.
-    """
     """
     with open_raster(Path(path)) as source:
         part = _window(window, source)

@@ -36,7 +36,6 @@ def add_fine_roughness(
     rng, hurst, rms_slope, baseline
         As for `fractal_relief`.
     """
-    """
     if not 0.0 < posting <= relief.grid.posting:
         raise InputError(
             "terrain.detail",

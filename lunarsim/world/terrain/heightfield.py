@@ -27,7 +27,6 @@ class Heightfield:
     z
         Elevation (rows, cols), float32, m; NaN for no data.
     """
-    """
 
     grid: Grid
     z: NDArray[np.float32]

@@ -49,7 +49,6 @@ _MAX_RELIEF_M = 1e5
 _CUSTOMARY_MARKERS = (
     -999, -9999, -99999, -999999, -32767, -32768, -(2**31), 9999, 99999, 32767, 65535, 2**31 - 1,
 )  # fmt: skip
-)  # fmt: skip
 # The sorted heights of natural terrain have no large gaps. A minimum or maximum that is separated
 # from all other heights is treated as an undeclared no-data value. Minimum gap for a customary
 # marker, m:

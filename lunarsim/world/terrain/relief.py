@@ -83,7 +83,6 @@ def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
     InputError
         If the grids do not match.
     """
-    """
     fine = measured.refined(detail.grid.posting)
     if fine.grid != detail.grid:
         raise InputError("terrain.detail", detail.grid.shape, f"must have the grid {fine.grid}")
