@@ -142,8 +142,8 @@ class HeightScale:
 
 
 @dataclass
+class Extremes:
     """Statistics of heights, m, accumulated block by block.
-    """Statistics of heights, m, gathered block by block.
 
     Attributes
     ----------
