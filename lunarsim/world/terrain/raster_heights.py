@@ -176,16 +176,16 @@ def _several_lowest(
     heights: NDArray[np.float64], before: list[tuple[float, int]]
 ) -> list[tuple[float, int]]:
     counts = dict(before)
-    if len(before) == _MOST_MARKERS:
+    if len(before) == _EXTREMES_PER_END:
         heights = heights[heights <= before[-1][0]]
-    for _ in range(_MOST_MARKERS):
+    for _ in range(_EXTREMES_PER_END):
         if heights.size == 0:
             break
         low = float(heights.min())
         above = heights[heights > low]
         counts[low] = counts.get(low, 0) + heights.size - above.size
         heights = above
-    return sorted(counts.items())[:_MOST_MARKERS]
+    return sorted(counts.items())[:_EXTREMES_PER_END]
 
 
 @dataclass(frozen=True)
