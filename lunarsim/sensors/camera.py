@@ -197,7 +197,7 @@ class Camera(CameraModel):
             )
         kept = None
         if truth:
-            # Rendered separately at the finest level, so that the request does not change the image.
+            # Rendered separately at full detail, so that the request does not change the image.
             image = renderer.render(view, world.light, truth=True)
             assert image.range is not None
             assert image.normal is not None

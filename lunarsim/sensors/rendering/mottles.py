@@ -1,4 +1,4 @@
-"""Albedo that varies: a field of mottles on the ground, and a number for every rock."""
+"""Albedo variation: a random field on the terrain, and a factor for every rock."""
 
 from __future__ import annotations
 
@@ -13,20 +13,15 @@ from lunarsim.world.light import Light
 Array = NDArray[np.float64]
 
 _SIDE = 1024
-# Texels in a correlation length.
+# Texels per correlation length.
 _DETAIL = 8
 
 
 @lru_cache(maxsize=4)
 def mottle_field(seed: int) -> NDArray[np.uint8]:
-    """Return a periodic field (1024, 1024) whose correlation is exp(-distance / 8 texels).
+    """Return a periodic random field (1024, 1024) of correlation exp(-distance / 8 texels).
 
-    It is normal with mean 128 and a standard deviation of an eighth of 255, cut off at four.
-
-    Parameters
-    ----------
-    seed
-        Of its generator.
+    Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
     """
     rng = np.random.default_rng([seed, 0])
     k = 2.0 * np.pi * np.fft.fftfreq(_SIDE)
@@ -39,15 +34,15 @@ def mottle_field(seed: int) -> NDArray[np.uint8]:
 
 
 def mottles_from_camera(light: Light, eye: Array) -> Array:
-    """Return scale and offset (4,) from metres about the camera to the field, which repeats."""
+        """Return scale and offset (4,) from metres relative to the camera to the periodic field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
     return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])
 
 
 def rock_albedos(light: Light, count: int) -> Array:
-    """Return the albedo of every rock (count,) over the mean ground's.
+    """Return the albedo of every rock (count,) over the mean of the terrain.
 
-    Log-normal about `boulder_albedo`; rock i has the same whatever the number of rocks.
+    It is log-normal around `boulder_albedo`; the value of rock i does not depend on `count`.
     """
     spread = np.sqrt(np.log1p(light.boulder_mottle**2))
     normal = np.random.default_rng([light.mottle_seed, 1]).standard_normal(count)

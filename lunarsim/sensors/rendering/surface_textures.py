@@ -1,4 +1,4 @@
-"""Textures of what varies over the ground: its albedo, and the light that it throws on itself."""
+"""Textures of the terrain's albedo variation and of its scattered light."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# Lights whose maps are kept.
+# Number of lights whose maps are cached.
 _KEPT = 4
 
 
 class SurfaceTextures:
-    """Makes them when a light first asks, and keeps those of the last few.
+    """Creates the textures when a light first needs them, and caches the last few.
 
     Parameters
     ----------
     ctx
-        The context.
+        OpenGL context.
     relief
-        The relief.
+        Relief of the terrain.
     """
 
     def __init__(self, ctx: moderngl.Context, relief: Heightfield) -> None:
@@ -38,16 +38,16 @@ class SurfaceTextures:
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
-        """Bind what a light needs, and write into the block of a picture how to find it.
+        """Bind the textures that a light needs, and write their coordinates into the block.
 
         Parameters
         ----------
         light
-            The light.
+            Light.
         eye
-            Camera (3,), ENU, m.
+            Position of the camera (3,), ENU, m.
         block
-            The block of uniforms.
+            Uniform block of the image.
         """
         if light.scattered:
             found, texture = self._glow_of(light)
@@ -58,7 +58,7 @@ class SurfaceTextures:
             self._mottles_of(light.mottle_seed).use(MOTTLES)
 
     def _glow_of(self, light: Light) -> tuple[GlowMap, moderngl.Texture]:
-        # What does not change the light thrown about.
+        # The scattered light does not depend on these fields.
         key = replace(light, diameter=0.0, earthshine=0.0, mottle=0.0, boulder_albedo=1.0,
                       boulder_mottle=0.0, mottle_seed=0, ambient=0.0)  # fmt: skip
         if key not in self._glow:

@@ -297,8 +297,8 @@ class Heights:
         declared = f"[{shown}]" if len(numbers) > 1 else shown
         raise InputError(
             "terrain.path", self.source.name,
-            f"has {sum(count for _, count in found)} posts of value {shown}, {gap:.0f} m {side} all "
-            "others",
+            f"has {sum(count for _, count in found)} posts of value {shown}, {gap:.0f} m {side} "
+            "all others",
             f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 
