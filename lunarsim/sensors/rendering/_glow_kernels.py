@@ -95,7 +95,6 @@ def gathered(
                 angle = 2.0 * np.pi * (k + 0.5) / azimuths
                 x, y = np.cos(angle), np.sin(angle)
                 # The post's own tangent plane hides what is below it.
-                # The post's own plane hides what is below it.
                 own = east * x + north * y
                 across, up = -own / length, 1.0 / length
                 seen = np.arctan(own)

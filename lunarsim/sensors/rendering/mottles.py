@@ -34,7 +34,7 @@ def mottle_field(seed: int) -> NDArray[np.uint8]:
 
 
 def mottles_from_camera(light: Light, eye: Array) -> Array:
-        """Return scale and offset (4,) from metres relative to the camera to the periodic field."""
+    """Return scale and offset (4,) from metres relative to the camera to the periodic field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
     return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])
 

@@ -288,7 +288,7 @@ class Renderer:
         self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
     ) -> MapReads:
         """Return which part of the shadow map an image reads."""
-        if reach > 1.0:  # the search for the edges of penumbrae goes far
+        if reach > 1.0:  # the search for penumbrae may read any texel
             return MapReads.anywhere(frame)
         low, high = self._rocks.heights(seen)
         low, high = min(low, float(choice.low[2])), max(high, float(choice.high[2]))
