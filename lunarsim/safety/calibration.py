@@ -13,7 +13,7 @@ Elsewhere a fit to other worlds cannot predict how often a site is safe. Near th
 that a site is unsafe are multiplied by twelve. Farther away the result is the minimum of that, of
 Eqs. 15 to 17 and of the probability that no unobserved rock is present. With a weight of one in a
 thousand the fits are used alone, so that the best of nearly hopeless sites can be distinguished.
-The probability is not increasing in worse evidence across all these boundaries. A scenario's own
+Across all these boundaries, worse evidence never increases the probability. A scenario's own
 calibration (`lunarsim.safety.refit`) has its own last stage and its own domain.
 """
 
@@ -79,8 +79,8 @@ PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
 # Near the domain, fits to all other worlds were conservative enough once the odds that a site is
 # unsafe were multiplied by this factor.
 FARTHER = float(np.log(12.0))
-# Weight of the case that the estimates of unobserved rocks are wrong. Where samples are sparse, these
-# estimates leave no site any probability, but the best sites must still be distinguishable.
+# Weight of the case that the estimates of unobserved rocks are wrong. Where samples are sparse,
+# these estimates leave no site any probability, but the best sites must still be distinguishable.
 UNSURE = 1e-3
 _NEAR = Domain(0.1, 2.0, NOISES, SPACINGS)
 _NEAR_SINKING = 0.1
@@ -369,8 +369,8 @@ def judged(
 
     Outside the domain of the fits, or below the threshold of claimed safety, it is that of the fits
     with a wider margin, and at most the bound. In its domain a refit accounts for rocks under the
-    pads through its scenario's own sites; elsewhere the probability that there is none is used. With
-    the weight `UNSURE`, neither that probability nor the bound applies.
+    pads through its scenario's own sites; elsewhere the probability that there is none is used.
+    With the weight `UNSURE`, neither that probability nor the bound applies.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Ensemble of regressions fitted to all worlds and to all but one.
 
 Worlds differ in more than their features, and the number of sites of one world does not predict
-the next world. Each fit leaves one world out (a relief, a rock distribution, a lander, a range). The
-reported probability is the minimum over the fits, reduced by a margin on the log odds and by a
+the next world. Each fit leaves one world out (a relief, a rock distribution, a lander, a range).
+The reported probability is the minimum over the fits, reduced by a margin on the log odds and by a
 floor on the probability of an unsafe site. It decreases wherever all fits decrease.
 
 It is a frequency where every fit classifies a site as almost certainly safe, or every fit as almost

@@ -270,7 +270,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
         spans = {row: (col, col + length) for row, col, length in polygon_runs(polygon)}
         lowest, highest = min(spans), max(spans)
         for start in range(lowest, highest + 1, block):
-            # The last band is shifted to end at the last row, so that no block leaves the footprint.
+            # The last band is shifted to end at the last row: no block leaves the footprint.
             row = min(start, max(highest - block + 1, lowest))
             band = np.array([spans.get(row + r, (0, 0)) for r in range(block)])
             there = band[:, 1] > band[:, 0]

@@ -104,8 +104,8 @@ class HeightCurve:
         than h, for every x below h; the minimum over x is used, times the ratio to it of a fraction
         that is a power of x. A sample misses the part of a rock above h with probability
         ``exp(-density a (H^2 - h^2))``: rocks slightly higher than h are nearly always missed. With
-        an exponential distribution of H^2 - h^2, this gives ``1 / (1 + density a mean)``. The result
-        never increases with `height` or `density`, and never decreases where the fraction increases
+        an exponential distribution of H^2 - h^2, this gives ``1 / (1 + density a mean)``. The
+        result never increases with `height` or `density`, and never decreases where the fraction increases
         at any height: neither more nor higher rocks ever reduce it.
 
         Parameters
@@ -116,7 +116,7 @@ class HeightCurve:
             Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), 2.0 * self.height[0], self.height[-1])
-        area = 0.25 * np.pi / _TALLEST**2
+        area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         tops, log_most = self._most
         most = np.exp(np.interp(np.log(h), np.log(tops), log_most))
         seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
@@ -144,11 +144,11 @@ class HeightCurve:
     @cached_property
     def _most(self) -> tuple[Array, Array]:
         """Heights (n,), m, and logarithm of the number of higher rocks per square metre."""
-        area = 0.25 * np.pi / _TALLEST**2
+        area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
         below = np.minimum(self.height, 0.95 * h[:, None])
         most = self.at(below) / (area * (h[:, None] ** 2 - below**2))
-        return h, np.log(_OF_MOST * most.min(axis=1) + 1e-12)
+        return h, np.log(_FRACTION_OF_MAX * most.min(axis=1) + 1e-12)
 
 
 def height_curve(
@@ -180,7 +180,7 @@ def height_curve(
 
 def _falling(share: Array) -> Array:
     """Return fractions (n,) limited to `_MAX_FRACTION` and made non-increasing with height."""
-    return np.asarray(np.minimum.accumulate(np.minimum(share, _MOST)))
+    return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
 def _times_law(
@@ -191,7 +191,7 @@ def _times_law(
     Samples are counted above some heights, without those within the noise; outside these the ratio
     is constant.
     """
-    above_noise = counted[counted >= _NOISE * noise]
+    above_noise = counted[counted >= _MIN_HEIGHT_SIGMAS * noise]
     counted = above_noise if above_noise.size else counted[-1:]
     above = (z[:, None] > counted).sum(axis=0)
     expected = np.exp(np.interp(np.log(counted), np.log(height), np.log(law)))
