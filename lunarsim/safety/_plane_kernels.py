@@ -54,7 +54,7 @@ def plane(feet, here, legs, inverse, place, h, s):
         gy = m[2] * u + m[3] * v
         return gx, gy, za - q[0] * gy - q[1] * gx
     zd = load(feet, here + legs[h, 3])
-    # The lander stands on the higher diagonal: plane 0 on a b c or a b d, plane 1 on a c d or b c d.
+    # The higher diagonal carries the lander: plane 0 on a b c or a b d, plane 1 on a c d or b c d.
     one = za + zc
     two = zb + zd
     if s == 0:

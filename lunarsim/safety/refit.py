@@ -222,7 +222,7 @@ class ScenarioCalibration:
         InputError
             If the file is missing, is not a calibration, or has an invalid number.
         """
-        data = read_tagged(path, "calibration", _FORMAT, f"; {_COMMAND}")
+        data = read_tagged(path, "calibration", _FORMAT, " (written by `lunarsim calibrate`)")
         return cls._parsed(data)
 
     @classmethod

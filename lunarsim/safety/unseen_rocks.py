@@ -105,8 +105,8 @@ class HeightCurve:
         that is a power of x. A sample misses the part of a rock above h with probability
         ``exp(-density a (H^2 - h^2))``: rocks slightly higher than h are nearly always missed. With
         an exponential distribution of H^2 - h^2, this gives ``1 / (1 + density a mean)``. The
-        result never increases with `height` or `density`, and never decreases where the fraction increases
-        at any height: neither more nor higher rocks ever reduce it.
+        result never increases with `height` or `density`, and never decreases where the fraction
+        increases at any height: neither more nor higher rocks ever reduce it.
 
         Parameters
         ----------
