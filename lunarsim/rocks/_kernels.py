@@ -143,7 +143,7 @@ def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
 
 
 @kernel()
-def cast_on_level_ground(origin, direction, rocks, planes, count, distance, normal):
+def cast_on_plane(origin, direction, rocks, planes, count, distance, normal):
     """Cast rays (n, 3) onto rock 0 on the plane z = 0; inf where both are missed.
 
     Writes the distance (n,) and the unit normal there (n, 3).

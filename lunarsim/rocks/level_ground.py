@@ -37,7 +37,7 @@ class RockOnLevelGround:
         distance = np.empty(len(origin))
         normal = np.empty((len(origin), 3))
         table = shape_table()
-        kernels.cast_on_level_ground(
+        kernels.cast_on_plane(
             np.ascontiguousarray(origin), np.ascontiguousarray(direction), self._row(),
             table.planes, table.count, distance, normal,
         )  # fmt: skip

@@ -157,14 +157,14 @@ def _lift_lids(ground, here, corners, lids):
 
 
 @kernel(inline=True)
-def _risen(lids, blocks, centres, n, gx, gy):
+def _lid_above_plane(lids, blocks, centres, n, gx, gy):
     """Return the height of the lid of block `n`, at its centre, above a plane through the site."""
     lid = load(lids, item(blocks, n) * LANES)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _open(z, here, wide, covers, n, gx, gy):
+def _max_in_block(z, here, wide, covers, n, gx, gy):
     """Return the maximum height of the polygon's cells in block `n` above a plane.
 
     `allowed` is 0 for these cells and -FAR for the others, which is faster than a test.
@@ -183,18 +183,18 @@ def _open(z, here, wide, covers, n, gx, gy):
 
 
 @kernel(inline=True)
-def _open_four(z, here, wide, covers, n, gx, gy, risen, need):
-    """Compute `_open` for those of blocks `n` to n + 3 whose lids rise above `need`."""
+def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
+    """Compute `_max_in_block` for those of blocks `n` to n + 3 whose lids rise above `need`."""
     a, b, c, d = risen
     top = spread(-FAR)
     if any_above(a, need):
-        top = _open(z, here, wide, covers, n, gx, gy)
+        top = _max_in_block(z, here, wide, covers, n, gx, gy)
     if any_above(b, need):
-        top = larger(top, _open(z, here, wide, covers, n + 1, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 1, gx, gy))
     if any_above(c, need):
-        top = larger(top, _open(z, here, wide, covers, n + 2, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 2, gx, gy))
     if any_above(d, need):
-        top = larger(top, _open(z, here, wide, covers, n + 3, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 3, gx, gy))
     return top
 
 
@@ -234,7 +234,7 @@ def _drop_steep(tangent, limit, lanes):
 
 
 @kernel()
-def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes,
+def _write_roughness(ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes,
            lids):  # fmt: skip
     """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
 
@@ -264,12 +264,12 @@ def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide
             lowest = base + out - HALF * slant - margin
             need = lowest + worst * stretch
             for n in range(item(first, h), item(first, h + 1), 4):
-                a = _risen(lids, blocks, centres, n, gx, gy)
-                b = _risen(lids, blocks, centres, n + 1, gx, gy)
-                c = _risen(lids, blocks, centres, n + 2, gx, gy)
-                d = _risen(lids, blocks, centres, n + 3, gx, gy)
+                a = _lid_above_plane(lids, blocks, centres, n, gx, gy)
+                b = _lid_above_plane(lids, blocks, centres, n + 1, gx, gy)
+                c = _lid_above_plane(lids, blocks, centres, n + 2, gx, gy)
+                d = _lid_above_plane(lids, blocks, centres, n + 3, gx, gy)
                 if any_above(larger(larger(a, b), larger(c, d)), need):
-                    top = _open_four(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
+                    top = _max_in_four_blocks(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
                     worst = larger(worst, (top - base) / stretch)
                     need = lowest + worst * stretch
                     last_raised = h
@@ -365,7 +365,7 @@ def _exact_tile(
             if not decide or _drop_steep(lanes[1], limit_slope, lanes[0]):
                 # The worst heading of one site is likely to be the worst of its neighbours.
                 _lift_lids(flat, here, corners, lids)
-                start = _rough(
+                start = _write_roughness(
                     flat, here, wide, legs, cells, covers, posting, limit_rough, decide, start,
                     lanes, lids,
                 )  # fmt: skip

@@ -83,19 +83,19 @@ def squared_tangent(gx, gy, posting):
 
 
 @kernel(inline=True)
-def _risen(tops, here, blocks, centres, n, gx, gy):
+def _block_above_plane(tops, here, blocks, centres, n, gx, gy):
     """Return the maximum of block `n` above a plane through the site."""
     top = load(tops, here + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _four_risen(tops, here, blocks, centres, n, gx, gy):
+def _four_blocks_above_plane(tops, here, blocks, centres, n, gx, gy):
     """Return the maxima of blocks `n` to n + 3 above a plane through the site."""
-    a = _risen(tops, here, blocks, centres, n, gx, gy)
-    b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
-    c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
-    d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+    a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
+    b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
+    c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
+    d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
     return a, b, c, d
 
 
@@ -106,14 +106,14 @@ def _highest(four):
 
 
 @kernel(inline=True)
-def _highest_risen(tops, here, blocks, centres, start, stop, gx, gy):
+def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
     """Return the largest maximum of blocks above a plane; their number is a multiple of four."""
     top = spread(-FAR)
     for n in range(start, stop, 4):
-        a = _risen(tops, here, blocks, centres, n, gx, gy)
-        b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
-        c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
-        d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+        a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
+        b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
+        c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
+        d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
         top = larger(top, larger(larger(a, b), larger(c, d)))
     return top
 
@@ -181,7 +181,7 @@ def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first,
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
             gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
-            top = _highest_risen(
+            top = _max_block_above_plane(
                 tops, here, blocks, centres, item(first, h), item(first, h + 1), gx, gy
             )
             # A block's maximum may lie at the corner where the plane is lowest.

@@ -32,7 +32,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.conservative import StochasticSafety
 from lunarsim.safety.domain import Domain
-from lunarsim.safety.ensemble import SURE, Ensemble, Odds, cautious, doubted
+from lunarsim.safety.ensemble import SURE, Ensemble, LogOddsBounds, cautious, doubted
 from lunarsim.safety.exact import SafetyMap
 from lunarsim.safety.exposure import footprint_area, pad_ring_area, tilting_height
 from lunarsim.safety.refit import ScenarioCalibration
@@ -46,7 +46,7 @@ BoolMap = NDArray[np.bool_]
 # Knots of the regression: probits, ratios to the limits, decades of unobserved rocks in the
 # footprint, decades of the fraction of terrain above a height.
 _PROBITS = np.array([-6.0, -4.0, -2.5, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 4.0])
-_SHARES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3, 1.6, 2.2, 3.0])
+_RATIOS = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3, 1.6, 2.2, 3.0])
 _ROCKS = np.array([-4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0])
 _COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
 # Heights and depths, over the roughness limit, at which the fraction of terrain is a feature.
@@ -54,14 +54,14 @@ _HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
 _DEPTHS = np.array([0.6, 1.0])
 # Intercept, noise, spacing and its square: weights of any sign.
 FREE = 4
-RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_SHARES) - 1) + 3 * (len(_ROCKS) - 1)
+RISING = 4 * (len(_PROBITS) - 1) + 2 * (len(_RATIOS) - 1) + 3 * (len(_ROCKS) - 1)
 RISING += (len(_HEIGHTS) + len(_DEPTHS)) * (len(_COVER) - 1)
 COUNT = FREE + RISING
 
 # Parameters of `ceiling` and `clear_of_pads`.
-_ODDS = 4.0
-_LEFT_OF_SLOPE = np.array([[0.94, 0.96], [1.0, 0.85]])
-_UNDER_PADS = 2.0
+_MAX_ODDS_FACTOR = 4.0
+_SLOPE_CEILING = np.array([[0.94, 0.96], [1.0, 0.85]])
+_PAD_ROCK_FACTOR = 2.0
 # Maximum probability where rocks too low to be counted would tilt the lander beyond its limit; it
 # is below the threshold of claimed safety.
 UNCOUNTED = 0.94
@@ -75,15 +75,15 @@ MOST_SINKING = 0.003
 NOISES = (0.0, 0.5)
 SPACINGS = (0.01, 1.0)
 STEEPEST = tuple(np.deg2rad((4.5, 22.0)))
-PACKAGED = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
+PACKAGED_DOMAIN = Domain(MOST_HAZARDS, MOST_TILTING, NOISES, SPACINGS)
 # Near the domain, fits to all other worlds were conservative enough once the odds that a site is
 # unsafe were multiplied by this factor.
 FARTHER = float(np.log(12.0))
 # Weight of the case that the estimates of unobserved rocks are wrong. Where samples are sparse,
 # these estimates leave no site any probability, but the best sites must still be distinguishable.
 UNSURE = 1e-3
-_NEAR = Domain(0.1, 2.0, NOISES, SPACINGS)
-_NEAR_SINKING = 0.1
+_NEAR_DOMAIN = Domain(0.1, 2.0, NOISES, SPACINGS)
+_NEAR_DOMAIN_SINKING = 0.1
 
 
 @dataclass(frozen=True)
@@ -250,12 +250,12 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
     """
     terms = _terms(evidence, where)
     n = int(np.count_nonzero(where))
-    return np.column_stack((np.tile(_free(evidence), (n, 1)), columns(terms, n)))
+    return np.column_stack((np.tile(_free_features(evidence), (n, 1)), columns(terms, n)))
 
 
-def odds_of(evidence: Evidence, where: NDArray[np.bool_], model: Ensemble) -> Odds:
+def odds_of(evidence: Evidence, where: NDArray[np.bool_], model: Ensemble) -> LogOddsBounds:
     """Return the bounds of the log odds of sites (n,), selected by a mask (rows, cols)."""
-    return model.judge(_free(evidence), _terms(evidence, where))
+    return model.judge(_free_features(evidence), _terms(evidence, where))
 
 
 def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
@@ -264,7 +264,7 @@ def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
     for p in (e.level.p_slope, e.level.p_roughness, e.planes.p_slope, e.planes.p_roughness):
         probit = ndtri(np.clip(p[where].astype(np.float64), 1e-12, 1.0 - 1e-9))
         terms.append(Term(probit, _PROBITS, falls=False))
-    terms += [Term(share[where], _SHARES) for share in (e.slope, e.roughness)]
+    terms += [Term(share[where], _RATIOS) for share in (e.slope, e.roughness)]
     for rocks in (e.tilting(), e.piercing(), e.sinking()):
         terms.append(Term(np.log10(rocks[where] + 1e-6), _ROCKS))
     shares = np.log10(e.curve.at(_HEIGHTS * e.lander.roughness_limit))
@@ -272,14 +272,14 @@ def _terms(e: Evidence, where: NDArray[np.bool_]) -> list[Term]:
     return terms + [Term(share, _COVER) for share in (*shares, *depths)]
 
 
-def _free(e: Evidence) -> Array:
+def _free_features(e: Evidence) -> Array:
     """Return the features of the measurement quality (`FREE`,)."""
     noise = np.log(e.noise / e.lander.roughness_limit + 1e-3)
     spacing = np.log(e.spacing / e.lander.leg_radius)
     return np.array([1.0, noise, spacing, spacing**2])
 
 
-def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
+def in_domain(evidence: Evidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
     """Return where few enough unobserved rocks are expected for the regression (rows, cols).
 
     The expectation uses the map's own samples; noise and spacing must be in the range of the fit.
@@ -296,8 +296,8 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED) -> BoolMap:
     e = evidence
     if not domain.measured(e.noise_ratio, e.spacing_ratio):
         return np.zeros(e.level.grid.shape, np.bool_)
-    if domain is PACKAGED:
-        return _within(e, PACKAGED, MOST_SINKING)
+    if domain is PACKAGED_DOMAIN:
+        return _within(e, PACKAGED_DOMAIN, MOST_SINKING)
     return np.asarray(e.observed & domain.few(e.hazards(), e.tilting()))
 
 
@@ -402,12 +402,12 @@ def ceiling(evidence: Evidence) -> Array:
     """Return the upper bound of the probability from observed terrain (rows, cols).
 
     In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
-    therefore at most `_ODDS` times the lower of slope and roughness safety by support planes. Close
+    therefore at most `_MAX_ODDS_FACTOR` times the lower of slope and roughness safety by support planes. Close
     to the slope limit, no fit has enough sites to claim safety.
     """
     e = evidence
     least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    return np.asarray(np.minimum(np.interp(e.slope, *_LEFT_OF_SLOPE), _ODDS * least))
+    return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_ODDS_FACTOR * least))
 
 
 def clear_of_pads(evidence: Evidence) -> Array:
@@ -420,7 +420,7 @@ def clear_of_pads(evidence: Evidence) -> Array:
     e = evidence
     rocks = e.expected_under_pads()
     low = e._tilting_height < e.curve.gravel_counted
-    return np.asarray(np.exp(-_UNDER_PADS * rocks) * np.where(low, UNCOUNTED, 1.0))
+    return np.asarray(np.exp(-_PAD_ROCK_FACTOR * rocks) * np.where(low, UNCOUNTED, 1.0))
 
 
 def bound(evidence: Evidence) -> Array:
@@ -431,4 +431,4 @@ def bound(evidence: Evidence) -> Array:
     """
     none = np.exp(-np.nan_to_num(evidence.piercing(), nan=np.inf))
     far = np.minimum(evidence.level.p_safe.astype(np.float64), none)
-    return np.asarray(np.where(_within(evidence, _NEAR, _NEAR_SINKING), 1.0, far))
+    return np.asarray(np.where(_within(evidence, _NEAR_DOMAIN, _NEAR_DOMAIN_SINKING), 1.0, far))

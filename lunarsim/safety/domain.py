@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.errors import InputError
 
 # Quantile of the fit's sites that limits quantities without a natural limit.
-_QUANTILE = 0.99
+_COVERED_QUANTILE = 0.99
 # Noise and spacing are constant over a map, and there are few maps: factor by which their range is
 # extended.
-_WIDER = 1.25
+_RANGE_FACTOR = 1.25
 # Minimum limits of the domain: below these, the expected numbers no longer matter.
-_LEAST_HAZARDS = 1e-3
-_LEAST_TILTING = 1e-2
+_MIN_HAZARDS_LIMIT = 1e-3
+_MIN_TILTING_LIMIT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,12 @@ class Domain:
         hazards, tilting, noise, spacing
             Values of the attributes for each site (n,); at least one site.
         """
-        h, t = (float(np.quantile(np.asarray(v), _QUANTILE)) for v in (hazards, tilting))
-        ranges = [(float(np.min(v)) / _WIDER, float(np.max(v)) * _WIDER) for v in (noise, spacing)]
-        return cls(max(h, _LEAST_HAZARDS), max(t, _LEAST_TILTING), *ranges)
+        h, t = (float(np.quantile(np.asarray(v), _COVERED_QUANTILE)) for v in (hazards, tilting))
+        ranges = [
+            (float(np.min(v)) / _RANGE_FACTOR, float(np.max(v)) * _RANGE_FACTOR)
+            for v in (noise, spacing)
+        ]
+        return cls(max(h, _MIN_HAZARDS_LIMIT), max(t, _MIN_TILTING_LIMIT), *ranges)
 
     def measured(self, noise: ArrayLike, spacing: ArrayLike) -> NDArray[np.bool_]:
         """Return whether noise and spacing (...) are in the range of the fit."""

@@ -48,7 +48,7 @@ _MAX_WEIGHT = 1e6
 
 
 @dataclass(frozen=True)
-class Odds:
+class LogOddsBounds:
     """Bounds of the log odds of sites (n,) over the fits.
 
     Attributes
@@ -62,7 +62,7 @@ class Odds:
 
     def verdict(
         self, most: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
-    ) -> Verdict:
+    ) -> SafetyEstimate:
         """Return the reported probability of the sites (n,).
 
         Parameters
@@ -76,11 +76,11 @@ class Odds:
         """
         p = told(self.low, most)
         never = expit(self.high) <= hopeless
-        return Verdict(p, (p >= SURE) | (never if doomed is None else never & doomed))
+        return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SafetyEstimate:
     """Reported probability of sites (n,).
 
     Attributes
@@ -154,7 +154,7 @@ class Ensemble:
         """Identifier of the weights: 16 hexadecimal digits of their SHA-256."""
         return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
-    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> Odds:
+    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> LogOddsBounds:
         """Return the bounds of the log odds of sites.
 
         Parameters
@@ -166,12 +166,12 @@ class Ensemble:
         """
         w, f = np.array(self.weights), np.asarray(free, dtype=np.float64)
         count = f.shape[-1]
-        return Odds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
+        return LogOddsBounds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
 
-    def of_features(self, features: ArrayLike) -> Odds:
+    def of_features(self, features: ArrayLike) -> LogOddsBounds:
         """Return the bounds of the log odds of sites with features (n, k)."""
         odds = np.asarray(features, dtype=np.float64) @ np.array(self.weights).T
-        return Odds(odds.min(axis=1), odds.max(axis=1))
+        return LogOddsBounds(odds.min(axis=1), odds.max(axis=1))
 
     @classmethod
     def fit(

@@ -152,7 +152,7 @@ class Footprint:
     @cached_property
     def cells(self) -> Cells:
         """Arrays for the kernels."""
-        inverse, place = _supports(self.legs)
+        inverse, place = _support_geometry(self.legs)
         return Cells(
             self.legs,
             self.pad_windows,
@@ -214,7 +214,7 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
-def _lines(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
+def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
     """Return a set of cells as pairs of windows along rows, (level, row, col, row, col)."""
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
@@ -229,13 +229,13 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = F
     With `columns`, the rows near the middle are covered by windows along columns, for the number of
     rows that gives the fewest windows: the sides of a ring are a few long columns.
     """
-    best = _lines(mask, row0, col0)
+    best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))
     for most in range(1, int(rows.max()) + 2) if columns else ():
         caps = np.where((rows >= most)[:, None], mask, False)
         sides = np.where((rows < most)[:, None], mask, False)
-        found = _lines(caps, row0, col0)
-        found += [(-level, a, b, c, d) for level, b, a, d, c in _lines(sides.T, col0, row0)]
+        found = _row_windows(caps, row0, col0)
+        found += [(-level, a, b, c, d) for level, b, a, d, c in _row_windows(sides.T, col0, row0)]
         best = min(best, found, key=len)
     best += [best[-1]] * (-len(best) % 4)
     return np.array(best, dtype=np.int64)
@@ -245,7 +245,7 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = F
 _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
 
 
-def _supports(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return `inverse` and `place` of `Cells`."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))

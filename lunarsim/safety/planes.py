@@ -70,14 +70,14 @@ def plane_stochastic_safety(
     )
     slope_sigma = np.float32(np.sqrt(2.0) / footprint.least_height) * leg
     rough_sigma = np.hypot((raised - nominal) / np.float32(3.0), leg)
-    p_slope = _below(np.float32(np.tan(lander.slope_limit)) - tangent, slope_sigma)
-    p_rough = _below(np.float32(lander.roughness_limit) - nominal, rough_sigma)
+    p_slope = _probability_below(np.float32(np.tan(lander.slope_limit)) - tangent, slope_sigma)
+    p_rough = _probability_below(np.float32(lander.roughness_limit) - nominal, rough_sigma)
     p_slope = np.where(level.observed, np.maximum(p_slope, level.p_slope), np.float32(0.0))
     p_rough = np.where(level.observed, np.maximum(p_rough, level.p_roughness), np.float32(0.0))
     return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, level.observed)
 
 
-def _below(margin: FloatMap, sigma: FloatMap) -> FloatMap:
+def _probability_below(margin: FloatMap, sigma: FloatMap) -> FloatMap:
     """Return P(x < margin) for x ~ N(0, sigma^2); a step function where sigma is 0."""
     certain = sigma <= 0.0
     p = ndtr(margin / np.where(certain, np.float32(1.0), sigma))

@@ -57,11 +57,11 @@ def ground(name: str, values: ArrayLike, grid: Grid, footprint: Footprint) -> Gr
         If it does not contain real numbers, does not fit the grid, or the grid is smaller than the
         footprint.
     """
-    raster = _numbers(name, values)
+    raster = _real_numbers(name, values)
     if raster.dtype != np.float32:
-        raster = _as(np.float64, raster)
+        raster = _cast(np.float64, raster)
     _check_shape(name, raster, grid, footprint)
-    return Ground(_own(raster), _middle(raster))
+    return Ground(_contiguous(raster), _middle(raster))
 
 
 def variances(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np.float32]:
@@ -72,16 +72,16 @@ def variances(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np
     InputError
         As `ground`, and if a variance is negative.
     """
-    raster = _numbers("variance", values)
+    raster = _real_numbers("variance", values)
     _check_shape("variance", raster, grid, footprint)
-    raster = _as(np.float32, raster)
+    raster = _cast(np.float32, raster)
     least = float(np.fmin.reduce(raster, axis=None))
     if least < 0.0:
         raise InputError("variance", least, "must not be negative")
-    return _own(raster)
+    return _contiguous(raster)
 
 
-def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
+def _real_numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return real numbers, with NaN where masked."""
     raster: NDArray[Any] = np.ma.getdata(values)
     if raster.dtype.kind not in "iuf":
@@ -93,12 +93,12 @@ def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
     return raster
 
 
-def _as(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
+def _cast(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
     with np.errstate(over="ignore"):  # overflow becomes infinity, hence unknown
         return raster.astype(kind, copy=False)
 
 
-def _own(raster: NDArray[Any]) -> NDArray[Any]:
+def _contiguous(raster: NDArray[Any]) -> NDArray[Any]:
     """Return a contiguous writable raster, the only kind that kernels are compiled for."""
     raster = np.ascontiguousarray(raster)
     return raster if raster.flags.writeable else raster.copy()

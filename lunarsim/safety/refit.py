@@ -35,8 +35,8 @@ Figures = Mapping[str, Mapping[str, float | None]]
 # Fields of the lander that affect the safety of a site.
 _LANDER = ("legs", "leg_radius", "pad_diameter", "slope_limit", "roughness_limit")
 _FORMAT = "lunarsim scenario calibration 1"
-_COMMAND = "Write such a file with `lunarsim calibrate`."
-_ADVICE = "Fit it again with `lunarsim calibrate`, or omit the calibration."
+_WRITE_REMEDY = "Write such a file with `lunarsim calibrate`."
+_REFIT_REMEDY = "Fit it again with `lunarsim calibrate`, or omit the calibration."
 
 
 # Minimum number of safe and of unsafe sites for fitting a stage.
@@ -188,7 +188,7 @@ class ScenarioCalibration:
                 raise InputError(
                     f"vehicle.{key}", value,
                     f"must be {self.lander[key]:g}, as in the calibration of {self.scenario!r}",
-                    _ADVICE,
+                    _REFIT_REMEDY,
                 )  # fmt: skip
 
     def check_regression(self, model: Ensemble) -> None:
@@ -196,7 +196,7 @@ class ScenarioCalibration:
         if model.digest != self.regression:
             raise InputError(
                 "calibration.regression", self.regression,
-                f"must be {model.digest}, the regression of this version", _ADVICE,
+                f"must be {model.digest}, the regression of this version", _REFIT_REMEDY,
             )  # fmt: skip
 
     # --- files ----------------------------------------------------------------------------
@@ -264,7 +264,7 @@ def lander_figures(lander: Lander) -> dict[str, float]:
 
 def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
     if key not in data:
-        raise InputError("calibration", key, "must have an entry of that name", _COMMAND)
+        raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
     value = data[key]
     if not isinstance(value, kind) or isinstance(value, bool):
         words = {str: "must be a text", int: "must be an integer", dict: "must be a table"}
@@ -281,7 +281,7 @@ def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
     """Return the finite number of a key, or `value` if given."""
     if value is None:
         if key not in data:
-            raise InputError("calibration", key, "must have an entry of that name", _COMMAND)
+            raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
         value = data[key]
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not (number and abs(value) <= sys.float_info.max):  # also refuses NaN

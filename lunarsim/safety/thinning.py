@@ -144,8 +144,8 @@ class Thinning:
             Heights, m, () or (rows, cols).
         """
         h = np.asarray(height, dtype=np.float64)
-        out: Array = unseen(h) * self._mean(h, self._fewer)
-        for least, (where, further) in zip(self.diameter, self._further, strict=True):
+        out: Array = unseen(h) * self._mean(h, self._falling_reduction)
+        for least, (where, further) in zip(self.diameter, self._excess, strict=True):
             if len(further):
                 above = np.maximum(h[where] if h.ndim else h, self.height_ratio * least)
                 out[where] += further * unseen(above, where)
@@ -158,18 +158,18 @@ class Thinning:
         with threads_for(0.05 * out.size):
             mean_ratios(
                 _of_sites(height, self.shape), flat, np.asarray(self.diameter, float),
-                _number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio, _LOG_TABLE[0],
-                _LOG_TABLE[1] - _LOG_TABLE[0], _law(self.cover), out,
+                _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio, _LOG_TABLE[0],
+                _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
             )  # fmt: skip
         return out.reshape(self.shape)
 
     @cached_property
-    def _fewer(self) -> Array:
+    def _falling_reduction(self) -> Array:
         """Like `_falling`, with ratios limited to 1."""
         return self._falling_of(np.minimum(self.ratio, np.float32(1.0)))
 
     @cached_property
-    def _further(self) -> list[tuple[NDArray[np.bool_], Array]]:
+    def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
         """Where a class has more excess than the next smaller one (rows, cols), and it (n,)."""
         out, before = [], np.zeros(self.shape, np.float32)
         for ratio in self.ratio:
@@ -186,13 +186,13 @@ def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
     return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 
 
-def _number(diameter: ArrayLike, cover: float) -> Array:
+def _rock_number(diameter: ArrayLike, cover: float) -> Array:
     """Return `golombek_number`, interpolated with a relative error of 1e-6."""
     d = np.log(np.asarray(diameter, dtype=np.float64))
-    return np.asarray(np.exp(np.interp(d, _LOG_TABLE, _law(cover))))
+    return np.asarray(np.exp(np.interp(d, _LOG_TABLE, _log_rock_number(cover))))
 
 
 @lru_cache(maxsize=8)
-def _law(cover: float) -> Array:
+def _log_rock_number(cover: float) -> Array:
     """Return the logarithm of the number of rocks at the diameters `_TABLE` (n,)."""
     return np.asarray(np.log(np.maximum(golombek_number(_TABLE, cover), 1e-300)))

@@ -20,16 +20,16 @@ Array = NDArray[np.float64]
 # Heights at which the fraction is tabulated, over the lander's roughness limit.
 _HEIGHTS = np.geomspace(0.08, 8.0, 40)
 # Heights at which samples are counted, over the limit; those within the noise are omitted.
-_COUNTED = np.array([0.4, 0.6, 0.8, 1.0])
+_COUNT_HEIGHTS = np.array([0.4, 0.6, 0.8, 1.0])
 # The same including gravel, which tilts a lander on a slope; the regressions were fitted without.
-_GRAVEL = np.array([0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
+_GRAVEL_COUNT_HEIGHTS = np.array([0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
 # Minimum counted height over the noise of a sample.
 _MIN_HEIGHT_SIGMAS = 3.5
 # Weight of the rock distribution, in samples.
 _PRIOR_SAMPLES = 60.0
 _MAX_FRACTION = 0.5
 # Cover of holes over that of rocks, before any sample.
-_HOLES = 0.1
+_HOLE_COVER_RATIO = 0.1
 # Diameters of the distribution, m.
 _DIAMETERS = np.geomspace(0.04, 6.0, 240)
 # Assumed height of rocks over their width: most are flatter and cover more terrain.
@@ -117,7 +117,7 @@ class HeightCurve:
         """
         h = np.clip(np.asarray(height, dtype=np.float64), 2.0 * self.height[0], self.height[-1])
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
-        tops, log_most = self._most
+        tops, log_most = self._max_numbers
         most = np.exp(np.interp(np.log(h), np.log(tops), log_most))
         seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
         return np.asarray(most / (1.0 + seen))
@@ -142,7 +142,7 @@ class HeightCurve:
         return np.asarray(self.at(depth) / area * missed)
 
     @cached_property
-    def _most(self) -> tuple[Array, Array]:
+    def _max_numbers(self) -> tuple[Array, Array]:
         """Heights (n,), m, and logarithm of the number of higher rocks per square metre."""
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
@@ -171,8 +171,8 @@ def height_curve(
     height = limit * _HEIGHTS
     law = law_share(height, cover, height_ratio)
     z = np.asarray(rises, dtype=np.float64)
-    times, counted = _times_law(z, noise, limit * _COUNTED, height, law)
-    lower, least = _times_law(z, noise, limit * _GRAVEL, height, law)
+    times, counted = _ratio_to_distribution(z, noise, limit * _COUNT_HEIGHTS, height, law)
+    lower, least = _ratio_to_distribution(z, noise, limit * _GRAVEL_COUNT_HEIGHTS, height, law)
     lower = np.where(height < least, np.maximum(lower, 1.0), lower)
     share = _falling(law * times)
     return HeightCurve(height, share, counted, _falling(np.maximum(law * lower, share)), least)
@@ -183,7 +183,7 @@ def _falling(share: Array) -> Array:
     return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
-def _times_law(
+def _ratio_to_distribution(
     z: Array, noise: float, counted: Array, height: Array, law: Array
 ) -> tuple[Array, float]:
     """Return the ratio of the fraction to the distribution's at heights (n,), and the lowest count.
@@ -208,7 +208,7 @@ def depth_curve(
     Parameters are those of `height_curve`. The mission does not specify holes; a tenth of the cover
     of rocks is assumed.
     """
-    return height_curve(-np.asarray(rises), noise, limit, _HOLES * cover, height_ratio)
+    return height_curve(-np.asarray(rises), noise, limit, _HOLE_COVER_RATIO * cover, height_ratio)
 
 
 def law_share(height: ArrayLike, cover: float, height_ratio: float) -> Array:

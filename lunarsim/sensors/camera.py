@@ -16,7 +16,7 @@ from lunarsim.frames import is_rotation, quat_from_rotation_vector, quat_multipl
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
-from lunarsim.sensors.detector import counted, dark_current, fall_off
+from lunarsim.sensors.detector import counts_from_electrons, dark_current, illumination_falloff
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
@@ -187,9 +187,9 @@ class Camera(CameraModel):
 
         _check_pose(state)
         renderer = renderer_of(world.terrain)
-        view = self._drawn(self.view(state))
+        view = self._with_border(self.view(state))
         rate = self.mount.T @ np.asarray(state.rate)
-        radiance = self._smear(self._render(world, state, view), view, rate)
+        radiance = self._blur_motion(self._render(world, state, view), view, rate)
         radiance = self._distort(radiance, cv2.INTER_LINEAR)
         if self.blur_sigma > 0.0:
             radiance = cv2.GaussianBlur(
@@ -218,12 +218,12 @@ class Camera(CameraModel):
             bands = self._bands(world, state, view)
         pictures = []
         for first, last, then in bands:
-            whole = self._drawn(self.view(then))
+            whole = self._with_border(self.view(then))
             band = View(
                 whole.position, whole.axes, whole.fx, whole.fy, whole.cx, whole.cy - first,
                 whole.width, last - first,
             )  # fmt: skip
-            pictures.append(_averaged(world, band, self.antialias))
+            pictures.append(_supersample(world, band, self.antialias))
         return pictures[0] if len(pictures) == 1 else np.concatenate(pictures)
 
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
@@ -242,7 +242,7 @@ class Camera(CameraModel):
         out = []
         for first, last in pairwise(edges):
             late = self.line_time * (0.5 * (first + last) - 0.5 * view.height)
-            out.append((int(first), int(last), _moved(state, late)))
+            out.append((int(first), int(last), _propagate(state, late)))
         return out
 
     @property
@@ -256,7 +256,7 @@ class Camera(CameraModel):
         """Pixels to render beyond each edge so that distortion finds its sources."""
         if not any(self.distortion):
             return 0
-        x, y = self._sources
+        x, y = self._source_pixels
         assert self.cx is not None
         over = max(
             -float(x.min()), float(x.max()) - self.width + 1,
@@ -269,14 +269,14 @@ class Camera(CameraModel):
         return int(np.ceil(over)) + 2
 
     @cached_property
-    def _sources(self) -> tuple[Array, Array]:
+    def _source_pixels(self) -> tuple[Array, Array]:
         """Undistorted pixel coordinates x, y (height, width) of each pixel of the image."""
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None
         return self.fx * x + self.cx, self.fy * y + self.cy
 
-    def _drawn(self, view: View) -> View:
+    def _with_border(self, view: View) -> View:
         """Return the view extended by the border that distortion requires."""
         b = self._border
         return View(
@@ -287,10 +287,12 @@ class Camera(CameraModel):
     def _distort(self, image: NDArray[Any], how: int) -> NDArray[Any]:
         if self._border == 0:
             return image
-        x, y = ((s + self._border).astype(np.float32) for s in self._sources)
+        x, y = ((s + self._border).astype(np.float32) for s in self._source_pixels)
         return np.asarray(cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE))
 
-    def _smear(self, image: NDArray[np.float32], view: View, rate: Array) -> NDArray[np.float32]:
+    def _blur_motion(
+        self, image: NDArray[np.float32], view: View, rate: Array
+    ) -> NDArray[np.float32]:
         """Return the mean image during the exposure of a rotating camera.
 
         A rotation moves pixels by the homography K R K^-1, independent of range. The translation
@@ -320,13 +322,13 @@ class Camera(CameraModel):
     ) -> NDArray[np.unsignedinteger[Any]]:
         electrons = radiance * np.float32(self.sensitivity * self.exposure)
         if self.vignetting > 0.0:
-            electrons *= fall_off(self.model, self.vignetting)
+            electrons *= illumination_falloff(self.model, self.vignetting)
         if self.stray_light > 0.0:
             veil = self.stray_light * float(electrons.mean(dtype=np.float64))
             electrons = electrons * np.float32(1.0 - self.stray_light) + np.float32(veil)
         if self.hot_pixels > 0.0:
             electrons = electrons + (self.exposure * self.dark_current).astype(np.float32)
-        return counted(
+        return counts_from_electrons(
             electrons, rng, shot_noise=self.shot_noise, read_noise=self.read_noise,
             full_well=self.full_well, gain=self.gain, bits=self.bits,
         )  # fmt: skip
@@ -340,7 +342,7 @@ def _check_pose(state: State) -> None:
         raise InputError("camera.attitude", list(state.attitude), "must be a unit quaternion")
 
 
-def _moved(state: State, time: float) -> State:
+def _propagate(state: State, time: float) -> State:
     """Return the state a short time (s) later, at constant velocity and rate."""
     turn = quat_from_rotation_vector(time * np.asarray(state.rate))
     return replace(
@@ -349,7 +351,7 @@ def _moved(state: State, time: float) -> State:
     )  # fmt: skip
 
 
-def _averaged(world: World, view: View, side: int) -> NDArray[np.float32]:
+def _supersample(world: World, view: View, side: int) -> NDArray[np.float32]:
     """Return the mean radiance over `side` x `side` rays per pixel of a view."""
     from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
 

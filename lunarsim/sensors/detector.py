@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _MIN_NORMAL_ELECTRONS = 300.0
 
 
-def fall_off(camera: CameraModel, power: float) -> NDArray[np.float32]:
+def illumination_falloff(camera: CameraModel, power: float) -> NDArray[np.float32]:
     """Return the relative illumination of each pixel (height, width).
 
     It is a power of the cosine of the angle to the boresight.
@@ -47,7 +47,7 @@ def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -
     return np.where(hot, rng.exponential(1.0, shape) * mean, 0.0)
 
 
-def counted(
+def counts_from_electrons(
     electrons: NDArray[np.float32],
     rng: np.random.Generator,
     *,

@@ -177,7 +177,11 @@ class FlashLidar:
         `origin` is (3,) for all rays or (n, 3).
         """
         hits = world.terrain.cast(origin, rays, self.max_range)
-        true = hits.range if self.divergence == 0.0 else self._beam(world, origin, rays, hits.range)
+        true = (
+            hits.range
+            if self.divergence == 0.0
+            else self._average_over_beam(world, origin, rays, hits.range)
+        )
         cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
         incidence = np.arccos(cosine)
         measured = true * (1.0 + self.noise_ratio * rng.standard_normal(true.size))
@@ -191,7 +195,7 @@ class FlashLidar:
             values[lost] = np.nan
         return measured, sigma
 
-    def _beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
+    def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
         """Return the mean range over the beam's footprint; NaN where its centre ray misses.
 
         Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.

@@ -49,9 +49,9 @@ class NavigationFixes:
     gives: ClassVar[type] = NavigationFix
     tasked: ClassVar[bool] = False
 
-    def build(self, rng: np.random.Generator, step: float) -> FixInstrument:
+    def build(self, rng: np.random.Generator, step: float) -> NavigationFixSource:
         """Return the instrument of one flight."""
-        return FixInstrument(self, rng)
+        return NavigationFixSource(self, rng)
 
     def calibration(self) -> None:
         """Return None: every fix includes its covariance."""
@@ -60,7 +60,7 @@ class NavigationFixes:
         check_bounds(self, "navigation")
 
 
-class FixInstrument:
+class NavigationFixSource:
     """Source of the true state with errors of a given budget.
 
     Hazard maps use the estimated frame, so that the constant bias displaces map and lander
@@ -81,7 +81,7 @@ class FixInstrument:
         self._drift = np.zeros(3)
         self._velocity = budget.velocity * rng.standard_normal(3)
         # Variance of the drift over its final variance.
-        self._drifted = 0.0
+        self._drift_variance_ratio = 0.0
         self._time: float | None = None
 
     def measure(
@@ -100,7 +100,7 @@ class FixInstrument:
             noise = rng.standard_normal((2, 3))
             self._drift = keep * self._drift + b.position_drift * spread * noise[0]
             self._velocity = keep * self._velocity + b.velocity * spread * noise[1]
-            self._drifted = keep * keep * self._drifted + spread * spread
+            self._drift_variance_ratio = keep * keep * self._drift_variance_ratio + spread * spread
         self._time = time
         return NavigationFix(
             time,
@@ -112,5 +112,5 @@ class FixInstrument:
 
     def _covariance(self) -> Array:
         b = self.budget
-        position = b.position_bias**2 + b.position_drift**2 * self._drifted
+        position = b.position_bias**2 + b.position_drift**2 * self._drift_variance_ratio
         return np.diag(np.repeat([position, b.velocity**2, b.attitude**2], 3))

@@ -51,9 +51,9 @@ class StarTracker:
         check_direction("star_tracker.boresight", self.boresight)
         check_bounds(self, "star_tracker")
 
-    def build(self, rng: np.random.Generator, step: float) -> MountedTracker:
+    def build(self, rng: np.random.Generator, step: float) -> MisalignedStarTracker:
         """Return the tracker of one flight."""
-        return MountedTracker(self, rng)
+        return MisalignedStarTracker(self, rng)
 
     def calibration(self) -> StarInstrument:
         """Return what the onboard computer knows of the tracker."""
@@ -66,7 +66,7 @@ class StarTracker:
         return np.asarray(self.across**2 * (np.eye(3) - along) + self.about**2 * along)
 
 
-class MountedTracker:
+class MisalignedStarTracker:
     """A star tracker with the misalignment of one flight.
 
     Parameters
@@ -79,7 +79,7 @@ class MountedTracker:
 
     def __init__(self, figures: StarTracker, rng: np.random.Generator) -> None:
         self.figures = figures
-        self._off = figures.misalignment * rng.standard_normal(3)
+        self._misalignment = figures.misalignment * rng.standard_normal(3)
         self._covariance = figures.covariance()
         self._spread = np.linalg.cholesky(self._covariance)
 
@@ -92,13 +92,13 @@ class MountedTracker:
         mount: Array | None = None,
     ) -> AttitudeReading:
         """Return one reading; random numbers are drawn even if no stars are visible."""
-        turn = self._off + self._spread @ rng.standard_normal(3)
-        if not self._sees(world, state):
+        turn = self._misalignment + self._spread @ rng.standard_normal(3)
+        if not self._has_stars(world, state):
             return AttitudeReading(time, np.full(4, np.nan), np.full((3, 3), np.nan))
         measured = quat_multiply(state.attitude, quat_from_rotation_vector(turn))
         return AttitudeReading(time, measured, self._covariance.copy())
 
-    def _sees(self, world: World, state: State) -> bool:
+    def _has_stars(self, world: World, state: State) -> bool:
         f = self.figures
         axis = quat_rotate(state.attitude, f.boresight)
         away = np.arccos(np.clip(axis @ world.light.direction, -1.0, 1.0))

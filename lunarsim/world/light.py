@@ -141,14 +141,16 @@ class Light:
     @property
     def diffuse_albedo(self) -> float:
         """I/F under uniform diffuse illumination, over its irradiance."""
-        return float(_hemispheric(self._law)[1])
+        return float(_hemispheric(self._photometry_key)[1])
 
     def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
         """Return the hemispherical albedo at cosines of incidence `mu0`."""
-        return np.asarray(np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._law)[0]))
+        return np.asarray(
+            np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._photometry_key)[0])
+        )
 
     @property
-    def _law(self) -> Light:
+    def _photometry_key(self) -> Light:
         """Same photometry with a fixed Sun, a cache key for what does not depend on the Sun."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,

@@ -84,7 +84,7 @@ class Hapke:
         )
         lit = mu0 > 0.0
         low, eye = np.asarray(np.maximum(mu0, _MIN_COSINE)), np.asarray(np.maximum(mu, 1e-4))
-        mu0_rough, mu_rough, shadow = self._rough(low, eye, cos_g)
+        mu0_rough, mu_rough, shadow = self._roughness_correction(low, eye, cos_g)
         single = self._phase_function(cos_g) * (1.0 + self._surge(cos_g))
         several = self._h(mu0_rough) * self._h(mu_rough) - 1.0
         out = 0.25 * self.w * mu0_rough / (mu0_rough + mu_rough) * (single + several) * shadow
@@ -107,7 +107,9 @@ class Hapke:
             1.0 / (1.0 - self.w * x * (r + 0.5 * (1.0 - 2.0 * r * x) * np.log((1.0 + x) / x)))
         )
 
-    def _rough(self, mu0: Array, mu: Array, cos_g: Array) -> tuple[Array, Array, Array]:
+    def _roughness_correction(
+        self, mu0: Array, mu: Array, cos_g: Array
+    ) -> tuple[Array, Array, Array]:
         """Return effective cosines of incidence and emission, and the shadowing function S."""
         tangent = np.tan(self.roughness)
         chi = 1.0 / np.sqrt(1.0 + np.pi * tangent**2)

@@ -74,13 +74,13 @@ class Surroundings:
         for size, posting in zip(self.sizes, self.postings, strict=True):
             check_side("surroundings.sizes", size, posting, _MAX_POSTS_PER_SIDE, "posts")
 
-    def build(self, terrain: Terrain, moon: CentralGravity, streams: Streams) -> Surrounded:
+    def build(self, terrain: Terrain, moon: CentralGravity, streams: Streams) -> FarTerrain:
         """Return the far terrain of one flight; random levels use its streams."""
 
         @cache
         def level(n: int) -> Heightfield:
             if n == 0 and self.path is not None:
-                return _measured(self)
+                return _load_measured(self)
             grid = Grid.centred((0.0, 0.0), self.sizes[n], self.postings[n])
             drawn = fractal_relief(
                 grid, streams.get(f"surroundings.{n}"), hurst=self.hurst,
@@ -88,10 +88,10 @@ class Surroundings:
             )  # fmt: skip
             return Heightfield(grid, drawn.z - drawn.z[grid.rows // 2, grid.cols // 2])
 
-        return Surrounded(terrain, moon, self, level)
+        return FarTerrain(terrain, moon, self, level)
 
 
-def _measured(settings: Surroundings) -> Heightfield:
+def _load_measured(settings: Surroundings) -> Heightfield:
     """Return the raster as first level, with height 0 at its centre, the origin."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
@@ -120,14 +120,14 @@ def _measured(settings: Surroundings) -> Heightfield:
     return Heightfield(Grid(x0, y0, g.posting, g.rows, g.cols), z.z - middle)
 
 
-def _smooth(share: Array) -> Array:
+def _smoothstep(share: Array) -> Array:
     """Return 1 for values up to 0, 0 from 1 on, with a smooth step between (smoothstep)."""
     s = np.clip(share, 0.0, 1.0)
     return np.asarray(1.0 - s * s * (3.0 - 2.0 * s))
 
 
 @dataclass(frozen=True)
-class Surrounded:
+class FarTerrain:
     """A map, the levels around it, and the sphere; built by `Surroundings`.
 
     Attributes
@@ -163,7 +163,7 @@ class Surrounded:
         edge = np.clip(flat, (west, south), (east, north))
         beyond = np.hypot(*(flat - edge).T)
         over = self.settings.margin * 0.5 * min(east - west, north - south)
-        share = _smooth(beyond / over)
+        share = _smoothstep(beyond / over)
         z = np.zeros(len(flat))
         outside = beyond > 0.0
         if outside.any():
@@ -186,7 +186,7 @@ class Surrounded:
                 continue
             one = self.level(n)
             half = min(half, -one.grid.x0, -one.grid.y0)
-            share = _smooth((most / half - 1.0) / self.settings.margin + 1.0)
+            share = _smoothstep((most / half - 1.0) / self.settings.margin + 1.0)
             g = one.grid
             at = (flat[:, 1] - g.y0) / g.posting, (flat[:, 0] - g.x0) / g.posting
             z += share * ndimage.map_coordinates(one.z, at, order=1, mode="nearest")

@@ -113,7 +113,7 @@ def survey(
     area = grid.rows * grid.cols * grid.posting**2
     patches = round(stale_share * area / stale_side**2)
     if patches:
-        mean = mean + _changes(grid, patches, stale_side, stale_sigma, rng)
+        mean = mean + _stale_patches(grid, patches, stale_side, stale_sigma, rng)
     elevation = mean + sigma * _noise(grid, correlation, rng)
     if void_share > 0.0:
         elevation[rng.random(grid.shape) < void_share] = np.nan
@@ -136,7 +136,7 @@ def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
     return np.asarray(smooth[inner] / gain)
 
 
-def _changes(
+def _stale_patches(
     grid: Grid, patches: int, side: float, sigma: float, rng: np.random.Generator
 ) -> Array:
     """Return the height errors of the out-of-date patches of the map (rows, cols), m."""

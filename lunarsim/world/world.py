@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.world.light import Light
-from lunarsim.world.surroundings import Surrounded
+from lunarsim.world.surroundings import FarTerrain
 from lunarsim.world.terrain import RayHits, Terrain
 
 
@@ -36,7 +36,7 @@ class World:
     gravity: float
     light: Light = field(default_factory=Light)
     moon: CentralGravity | None = None
-    surroundings: Surrounded | None = None
+    surroundings: FarTerrain | None = None
 
     def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
         """Cast rays onto the map, then those that miss onto the far terrain.

@@ -121,8 +121,8 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 @kernel()
 def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
-    """Return whether a box of texels meets all strips or the map's border, as `MapReads.meet`."""
-    # As `MapReads.meet` has it.
+    """Return whether a box of texels meets all strips or the map's border, as `ShadowMapReads.meet`."""
+    # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
     for k in range(least.size):
@@ -142,7 +142,7 @@ def shading_rocks(
     """Return the texels (m, 4) that each rock of `number` (m,) may shadow, and whether any (m,).
 
     `axes` (2, 2) transforms ENU to the map's axes, `corner` is the map's corner in them, m. Texels
-    outside the strips of `MapReads` (`normal`, `least`, `most`) are omitted.
+    outside the strips of `ShadowMapReads` (`normal`, `least`, `most`) are omitted.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)

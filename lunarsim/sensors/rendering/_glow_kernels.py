@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @kernel(inline=True, inner=True)
-def between(values: Array, row: float, column: float) -> float:
+def interpolate(values: Array, row: float, column: float) -> float:
     """Interpolate an array bilinearly at a fractional row and column."""
     a, b = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)
     v, u = row - a, column - b
@@ -54,14 +54,14 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
                 height += rise
                 if height > highest or not (0.0 <= x <= cols - 1.0 and 0.0 <= y <= rows - 1.0):
                     break
-                if between(z, y, x) > height:
+                if interpolate(z, y, x) > height:
                     lit = False
             out[i, j] = lit
     return out
 
 
 @kernel(parallel=True)
-def gathered(
+def scattered_irradiance(
     z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
 ) -> Array:
     """Return the irradiance (rows, cols) of posts by visible terrain, over the Sun's.
@@ -104,7 +104,7 @@ def gathered(
                     row, column = i + distance * y, j + distance * x
                     if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= cols - 1.0):
                         break
-                    here = np.arctan((between(z, row, column) - z[i, j]) / (distance * posting))
+                    here = np.arctan((interpolate(z, row, column) - z[i, j]) / (distance * posting))
                     if here > seen + 1e-7:
                         top = np.sin(here)
                         # Integral of (n . direction) cos(elevation) over the band.
@@ -112,7 +112,7 @@ def gathered(
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
                         # Rounding may make the integral over a narrow band negative.
-                        total += between(shine, row, column) * max(band, 0.0)
+                        total += interpolate(shine, row, column) * max(band, 0.0)
                         seen, sine = here, top
                     distance = max(distance + 1.0, distance * growth)
             out[i, j] = 2.0 * total / azimuths

@@ -10,7 +10,7 @@ import numpy as np
 from lunarsim._jit import kernel
 
 # Relative margin of bounds, with a minimum of this many metres or texels.
-_SPARE = 1e-6
+_RELATIVE_MARGIN = 1e-6
 
 
 @kernel()
@@ -72,7 +72,7 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
                 most += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
             begin = near if s == 0 else 0.0
-            spare = _SPARE * (scale + size[s] * (1.0 + radius[t]))
+            spare = _RELATIVE_MARGIN * (scale + size[s] * (1.0 + radius[t]))
             if most < begin - radius[t] * size[s] - spare:
                 kept[t] = False
                 break
@@ -100,7 +100,7 @@ def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, h
                 least += min(lower, upper)
                 most += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
-            spare = texel + _SPARE * scale
+            spare = texel + _RELATIVE_MARGIN * scale
             last = (width if s == 0 else height) * texel
             if most < -spare or least > last + spare:
                 kept[t] = False

@@ -24,11 +24,11 @@ from lunarsim.errors import RenderingError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_INSTALL = (
+_MISSING_OPENGL = (
     "Rendering needs OpenGL 3.3 through EGL. On Debian or Ubuntu: "
     "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
 )
-_NARROW = (
+_NARROW_VECTORS = (
     "Rendering with 128-bit vectors crashes in Mesa (seen with 22.3). "
     "Set LP_NATIVE_VECTOR_WIDTH=256."
 )
@@ -72,10 +72,10 @@ def gl_context() -> moderngl.Context:
     try:
         context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
-        raise RenderingError(f"{_INSTALL} ({error})") from error
+        raise RenderingError(f"{_MISSING_OPENGL} ({error})") from error
     renderer = context.info["GL_RENDERER"]
     if renderer.startswith("llvmpipe") and "128 bits" in renderer:
-        raise RenderingError(_NARROW)
+        raise RenderingError(_NARROW_VECTORS)
     context.gc_mode = "context_gc"
     os.register_at_fork(after_in_child=forks.mark_unsafe)
     return context

@@ -15,13 +15,13 @@ from lunarsim.world.terrain import Heightfield
 Array = NDArray[np.float64]
 
 # Maximum number of posts along a side: scattered light varies slowly.
-_SIDE = 192
+_MAX_POSTS_PER_SIDE = 192
 _AZIMUTHS = 16
-_GROWTH = 1.2
+_DISTANCE_FACTOR = 1.2
 
 
 @dataclass(frozen=True)
-class GlowMap:
+class ScatteredLightMap:
     """Irradiance of a relief by its own scattered light, single scattering.
 
     Attributes
@@ -46,7 +46,7 @@ class GlowMap:
         return np.concatenate((1.0 / (self.posting * size), (posts + 0.5) / size))
 
 
-def glow_map(relief: Heightfield, light: Light) -> GlowMap:
+def scattered_light_map(relief: Heightfield, light: Light) -> ScatteredLightMap:
     """Return the irradiance of a relief by its own scattered light.
 
     Terrain reflects equally in all directions, with the hemispherical albedo at its angle of
@@ -59,7 +59,7 @@ def glow_map(relief: Heightfield, light: Light) -> GlowMap:
     light
         Sun and photometry.
     """
-    step = max(1, -(-max(relief.z.shape) // _SIDE))
+    step = max(1, -(-max(relief.z.shape) // _MAX_POSTS_PER_SIDE))
     z = relief.z[::step, ::step].astype(np.float64)
     z = np.where(np.isfinite(z), z, np.nanmin(relief.z))
     posting = step * relief.grid.posting
@@ -73,8 +73,10 @@ def glow_map(relief: Heightfield, light: Light) -> GlowMap:
         cosine = np.where(lit, np.maximum(cosine, 0.0), 0.0)
         shine = cosine * light.hemispheric_albedo(cosine)
         slope = np.stack((east, north), axis=-1)
-        values[..., 0] = kernels.gathered(z, slope, posting, shine, _AZIMUTHS, _GROWTH)
+        values[..., 0] = kernels.scattered_irradiance(
+            z, slope, posting, shine, _AZIMUTHS, _DISTANCE_FACTOR
+        )
         # The filter's running sums leave values of about -1e-17 in dark areas.
         values[..., 1] = np.maximum(ndimage.uniform_filter(shine, 5, mode="nearest"), 0.0)
     corner = np.array([relief.grid.x0, relief.grid.y0])
-    return GlowMap(corner, posting, values)
+    return ScatteredLightMap(corner, posting, values)

@@ -16,11 +16,11 @@ Array = NDArray[np.float64]
 
 # Tolerance on the slope of the Sun's rays for faces turned away from the Sun, because a driver
 # rounds corners to a fraction of a texel; and the texel size, in postings, up to which it suffices.
-_SHARE = 0.05
-_TEXELS = 3.0
+_SLOPE_TOLERANCE = 0.05
+_MAX_TEXEL_POSTINGS = 3.0
 
 
-class LeeBlocks:
+class ShadowCasterBlocks:
     """Blocks of 8 x 8 cells that have a face turned away from the Sun.
 
     Parameters
@@ -55,14 +55,14 @@ class LeeBlocks:
             Texel size of the shadow map, m.
         """
         p = self._relief.grid.posting
-        if texel > _TEXELS * p:
+        if texel > _MAX_TEXEL_POSTINGS * p:
             return np.ones((len(picked), BLOCKS * BLOCKS), np.bool_)
         if not np.array_equal(sun, self._sun):
             self._sun = np.array(sun)
             self._known[:] = False
         new = picked[~self._known[picked]]
         self._lee[new] = kernels.lee_blocks(
-            self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SHARE
+            self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SLOPE_TOLERANCE
         )
         self._known[new] = True
         lee = self._lee[picked]

@@ -33,7 +33,7 @@ _EDGES = np.array(
 
 
 @dataclass(frozen=True)
-class MapReads:
+class ShadowMapReads:
     """Strips of a shadow map that contain all points an image reads, except at the map's border.
 
     Attributes
@@ -52,12 +52,12 @@ class MapReads:
     size: tuple[int, int]
 
     @classmethod
-    def anywhere(cls, frame: ShadowFrame) -> MapReads:
+    def anywhere(cls, frame: ShadowFrame) -> ShadowMapReads:
         """Return reads without bounds."""
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0), frame.size)
 
     @classmethod
-    def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> MapReads:
+    def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> ShadowMapReads:
         """Return the reads of a view that shows only points between two elevations, m."""
         drop = float(view.position[2]) - lowest
         top = highest + _DISPLACEMENT * drop

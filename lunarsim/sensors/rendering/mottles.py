@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.shading_model import MOTTLE_RANGE
+from lunarsim.sensors.rendering.shading_model import ALBEDO_FIELD_RANGE
 from lunarsim.world.light import Light
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ _DETAIL = 8
 
 
 @lru_cache(maxsize=4)
-def mottle_field(seed: int) -> NDArray[np.uint8]:
+def albedo_field(seed: int) -> NDArray[np.uint8]:
     """Return a periodic random field (1024, 1024) of correlation exp(-distance / 8 texels).
 
     Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
@@ -29,11 +29,11 @@ def mottle_field(seed: int) -> NDArray[np.uint8]:
     power[0, 0] = 0.0
     noise = np.fft.rfft2(rng.standard_normal((_SIDE, _SIDE)))
     field = np.fft.irfft2(noise * np.sqrt(power), (_SIDE, _SIDE))
-    field *= 255.0 / (2.0 * MOTTLE_RANGE * field.std())
+    field *= 255.0 / (2.0 * ALBEDO_FIELD_RANGE * field.std())
     return np.clip(np.rint(128.0 + field), 0, 255).astype(np.uint8)
 
 
-def mottles_from_camera(light: Light, eye: Array) -> Array:
+def albedo_from_camera(light: Light, eye: Array) -> Array:
     """Return scale and offset (4,) from metres relative to the camera to the periodic field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
     return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])

@@ -6,14 +6,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, plain
+from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, disable_filtering
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
 
 Array = NDArray[np.float64]
 
 # Maximum search distance for an edge, blocks of the shadow map.
-_FARTHEST = 128
+_MAX_SEARCH_BLOCKS = 128
 
 
 def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
@@ -49,7 +49,7 @@ class PenumbraBounds:
         self.size = size
         self._textures = [ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         for texture in self._textures:
-            plain(texture)
+            disable_filtering(texture)
         self._buffers = [ctx.framebuffer([texture]) for texture in self._textures]
         self._programs = programs
         self._screens = {
@@ -69,7 +69,7 @@ class PenumbraBounds:
             Maximum half width of a penumbra, texels.
         """
         last = [-(-n // BLOCK) - 1 for n in frame.size]
-        far = int(min(np.ceil(reach / BLOCK) + 1, _FARTHEST))
+        far = int(min(np.ceil(reach / BLOCK) + 1, _MAX_SEARCH_BLOCKS))
         self._shadow.texture.use(SHADOW)
         self._programs["bounds"]["last"] = (frame.size[0] - 1, frame.size[1] - 1)
         self._pass("bounds", 0, last)

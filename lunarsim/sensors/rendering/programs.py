@@ -29,11 +29,11 @@ def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture
         data = np.pad(data, ((0, 0), (0, 16), (0, 0)), mode="edge")
     rows, cols, parts = data.shape
     texture = ctx.texture((cols, rows), parts, data.tobytes(), dtype="f4")
-    plain(texture)
+    disable_filtering(texture)
     return texture
 
 
-def plain(texture: moderngl.Texture) -> None:
+def disable_filtering(texture: moderngl.Texture) -> None:
     """Read a texture without filtering, and clamp it at its edges."""
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
@@ -104,7 +104,7 @@ def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str
             shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
             shader(*before, f"{stem}_shadow_fragment", defines=shape),
         )
-    return _ready(programs)
+    return _bind_inputs(programs)
 
 
 @lru_cache(maxsize=16)
@@ -130,7 +130,7 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
                 shader(*before, "rock_vertex", defines=(*shape, *own)),
                 shader(*lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)),
             )
-    return _ready(programs)
+    return _bind_inputs(programs)
 
 
 def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
@@ -143,7 +143,7 @@ def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
     return (f"MOST {most}", f"FACES {faces}"), (), "hull"
 
 
-def _ready(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
+def _bind_inputs(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
     """Bind textures, uniform block and rock shapes of programs."""
     table = shape_table()
     # Unused faces of the table become half spaces that contain everything.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.sensors.rendering.lee_blocks import LeeBlocks
+from lunarsim.sensors.rendering.lee_blocks import ShadowCasterBlocks
 from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
 from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 _INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
 
 
-class ReliefPainter:
+class ReliefRenderer:
     """Draws the depth and the shadow map of a relief.
 
     Parameters
@@ -45,7 +45,7 @@ class ReliefPainter:
         self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], relief: Heightfield
     ) -> None:
         self.tiles = ReliefTiles.of(relief)
-        self._lee = LeeBlocks(relief, self.tiles)
+        self._lee = ShadowCasterBlocks(relief, self.tiles)
         self._grid = relief.grid
         # Elevations are relative to the middle, in whole metres, for the precision of float32.
         finite = relief.z[np.isfinite(relief.z)]

@@ -21,7 +21,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.mottles import rock_albedos
 from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
 from lunarsim.sensors.rendering.programs import (
@@ -32,9 +32,9 @@ from lunarsim.sensors.rendering.programs import (
     shade_name,
     shading_programs,
 )
-from lunarsim.sensors.rendering.relief_painter import ReliefPainter
+from lunarsim.sensors.rendering.relief_painter import ReliefRenderer
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
-from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.rock_painter import RockRenderer
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shading_model import ShadingModel
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -82,8 +82,8 @@ class Renderer:
             )
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._programs = geometry_programs(ctx, holes)
-        self._ground = ReliefPainter(ctx, self._programs, relief)
-        self._rocks = RockPainter(ctx, self._programs, terrain)
+        self._ground = ReliefRenderer(ctx, self._programs, relief)
+        self._rocks = RockRenderer(ctx, self._programs, terrain)
         tiles = self._ground.tiles
         self._tiles = tiles
         self._corners = tiles.corners()
@@ -137,12 +137,12 @@ class Renderer:
         shades = self._shading_tiles(view, sun, frame)
         reach = self._set_penumbra(block, frame, light, bool(shades.any()))
         programs = self._set_surface(block, light, view, wide=reach > 1.0)
-        self._hand_over(block)
+        self._upload_frame(block)
         seen = self._rocks.seen(view, clip[0])
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
-                reads = self._reads(view, frame, choice, seen, reach)
+                reads = self._map_reads(view, frame, choice, seen, reach)
                 leaks = self._draw_shadows(view, sun, frame, reads, shades, choice.shadow_level)
                 if reach > 1.0:
                     self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
@@ -158,7 +158,7 @@ class Renderer:
             self._rocks.draw(programs, view, clip[0], seen, truth)
             return read_image(target, view, truth)
 
-    def _hand_over(self, block: NDArray[np.void]) -> None:
+    def _upload_frame(self, block: NDArray[np.void]) -> None:
         """Pass the parameters of an image to the shaders."""
         self._block.orphan()
         self._block.write(block.tobytes())
@@ -209,12 +209,12 @@ class Renderer:
         along = (self._corners.reshape(-1, 3) - view.position) @ view.axes[:, 2]
         far = max(float(along.max(initial=1.0)) * 1.01 + 10.0, 1.0)
         # No ray hits anything before it descends to the top of the highest rock.
-        steepest = np.linalg.norm([self._tan(view), 1.0])
+        steepest = np.linalg.norm([self._corner_tangent(view), 1.0])
         drop = float(view.position[2] - self._highest - self._rocks.tallest)
         return max(0.5 * drop / float(steepest), 2e-4 * far, 0.02), far
 
     @staticmethod
-    def _tan(view: View) -> float:
+    def _corner_tangent(view: View) -> float:
         """Return the tangent of the angle between boresight and the most distant corner."""
         left, right, upper, lower = view.border
         return float(np.hypot(max(-left, right), max(-upper, lower)))
@@ -284,20 +284,20 @@ class Renderer:
         steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
         return np.asarray(steep & frame.shades(self._corners, view.position))
 
-    def _reads(
+    def _map_reads(
         self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
-    ) -> MapReads:
+    ) -> ShadowMapReads:
         """Return which part of the shadow map an image reads."""
         if reach > 1.0:  # the search for penumbrae may read any texel
-            return MapReads.anywhere(frame)
+            return ShadowMapReads.anywhere(frame)
         low, high = self._rocks.heights(seen)
         low, high = min(low, float(choice.low[2])), max(high, float(choice.high[2]))
         if not np.isfinite([low, high]).all():
-            return MapReads.anywhere(frame)
-        return MapReads.of(view, frame, low, high)
+            return ShadowMapReads.anywhere(frame)
+        return ShadowMapReads.of(view, frame, low, high)
 
     def _draw_shadows(
-        self, view: View, sun: Array, frame: ShadowFrame, reads: MapReads,
+        self, view: View, sun: Array, frame: ShadowFrame, reads: ShadowMapReads,
         shades: NDArray[np.bool_], level: NDArray[np.int64],
     ) -> bool:  # fmt: skip
         """Draw the shadow map; return whether light may leak through ridges in it."""

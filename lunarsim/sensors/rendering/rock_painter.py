@@ -13,7 +13,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, shape_table
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks, RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -27,7 +27,7 @@ _TEXTURE = 1024
 _TEXELS_PER_POINT = 100
 
 
-class RockPainter:
+class RockRenderer:
     """Draws the rocks of one terrain.
 
     Parameters
@@ -127,7 +127,7 @@ class RockPainter:
         self._draw_points(programs["small-rocks" + suffix], points[hit])
 
     def draw_shadows(
-        self, view: View, frame: ShadowFrame, reads: MapReads, shadow: ShadowMap
+        self, view: View, frame: ShadowFrame, reads: ShadowMapReads, shadow: ShadowMap
     ) -> None:
         """Initialize a shadow map with all rocks that shadow the texels to be read."""
         shading = self._tiles.shading(view, frame, reads)

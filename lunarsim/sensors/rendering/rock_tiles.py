@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ class RockTiles:
         )
         return DrawnRocks(*cull.gather(box, number, seen))
 
-    def shading(self, view: View, frame: ShadowFrame, reads: MapReads) -> DrawnRocks:
+    def shading(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
         """Return the rocks that may shadow those texels of a view's shadow map that are read."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)

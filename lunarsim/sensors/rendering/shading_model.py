@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 # Strips of the Sun's disc that are sampled, samples per strip, and samples of the blocker search.
 _STRIPS, _STEPS, _SEARCHES = 5, 5, 16
 # Half the range of the albedo field, standard deviations.
-MOTTLE_RANGE = 4.0
+ALBEDO_FIELD_RANGE = 4.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ShadingModel:
         if light.earthshine > 0.0 and light.earth[2] > 0.0:
             found.append("EARTH " + ", ".join(map(_number, light.earthshine * light.earth)))
         if light.mottle > 0.0:
-            found.append(f"MOTTLE {_number(2.0 * MOTTLE_RANGE * light.mottle)}")
+            found.append(f"MOTTLE {_number(2.0 * ALBEDO_FIELD_RANGE * light.mottle)}")
         if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
             found.append("BOULDERS")
         return cls(tuple(found))

@@ -8,8 +8,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.glow import GlowMap, glow_map
-from lunarsim.sensors.rendering.mottles import mottle_field, mottles_from_camera
+from lunarsim.sensors.rendering.glow import ScatteredLightMap, scattered_light_map
+from lunarsim.sensors.rendering.mottles import albedo_field, albedo_from_camera
 from lunarsim.sensors.rendering.programs import GLOW, MOTTLES
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
@@ -17,7 +17,7 @@ from lunarsim.world.terrain import Heightfield
 Array = NDArray[np.float64]
 
 # Number of lights whose maps are cached.
-_KEPT = 4
+_MAX_CACHED_LIGHTS = 4
 
 
 class SurfaceTextures:
@@ -34,7 +34,7 @@ class SurfaceTextures:
     def __init__(self, ctx: moderngl.Context, relief: Heightfield) -> None:
         self._ctx = ctx
         self._relief = relief
-        self._glow: dict[Light, tuple[GlowMap, moderngl.Texture]] = {}
+        self._glow: dict[Light, tuple[ScatteredLightMap, moderngl.Texture]] = {}
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
@@ -54,17 +54,17 @@ class SurfaceTextures:
             block["glow_from"] = found.from_camera(eye)
             texture.use(GLOW)
         if light.mottle > 0.0:
-            block["mottle_from"] = mottles_from_camera(light, eye)
+            block["mottle_from"] = albedo_from_camera(light, eye)
             self._mottles_of(light.mottle_seed).use(MOTTLES)
 
-    def _glow_of(self, light: Light) -> tuple[GlowMap, moderngl.Texture]:
+    def _glow_of(self, light: Light) -> tuple[ScatteredLightMap, moderngl.Texture]:
         # The scattered light does not depend on these fields.
         key = replace(light, diameter=0.0, earthshine=0.0, mottle=0.0, boulder_albedo=1.0,
                       boulder_mottle=0.0, mottle_seed=0, ambient=0.0)  # fmt: skip
         if key not in self._glow:
-            if len(self._glow) >= _KEPT:
+            if len(self._glow) >= _MAX_CACHED_LIGHTS:
                 del self._glow[next(iter(self._glow))]
-            found = glow_map(self._relief, light)
+            found = scattered_light_map(self._relief, light)
             rows, cols = found.values.shape[:2]
             texture = self._ctx.texture((cols, rows), 2, found.values.tobytes(), dtype="f4")
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -74,7 +74,7 @@ class SurfaceTextures:
 
     def _mottles_of(self, seed: int) -> moderngl.Texture:
         if self._mottles is None or self._mottles[0] != seed:
-            field = mottle_field(seed)
+            field = albedo_field(seed)
             texture = self._ctx.texture(field.shape[::-1], 1, field.tobytes())
             texture.build_mipmaps()
             texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)

@@ -9,10 +9,10 @@ import numpy as np
 
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
-from lunarsim.sensors.rendering.programs import plain
+from lunarsim.sensors.rendering.programs import disable_filtering
 
 # Factor on each side of a shadow map, so that it fits images of slightly different sizes.
-_SPARE = 1.15
+_SIZE_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Target:
         size = (width, height)
         depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
-        plain(depth)
+        disable_filtering(depth)
         colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
         return cls(
             depth,
@@ -61,16 +61,16 @@ class ShadowMap:
     def of(cls, ctx: moderngl.Context, size: tuple[int, int]) -> ShadowMap:
         """Create a map that holds at least `size` texels."""
         # The extra columns prevent cache conflicts between rows a power of two apart.
-        width, height = (64 * -(-int(_SPARE * n) // 64) for n in size)
+        width, height = (64 * -(-int(_SIZE_MARGIN * n) // 64) for n in size)
         texture = ctx.texture((width + 16, height), 1, dtype="f4")
-        plain(texture)
+        disable_filtering(texture)
         return cls(texture, ctx.framebuffer([texture]))
 
     def suits(self, size: tuple[int, int]) -> bool:
         """Return whether `size` texels fit without leaving most of the map unused."""
         width, height = self.texture.width, self.texture.height
         fits = size[0] <= width and size[1] <= height
-        return fits and width * height < int(_SPARE**3 * (size[0] + 80) * (size[1] + 64))
+        return fits and width * height < int(_SIZE_MARGIN**3 * (size[0] + 80) * (size[1] + 64))
 
 
 def read_image(target: Target, view: View, truth: bool) -> RenderedImage:

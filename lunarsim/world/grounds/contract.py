@@ -13,16 +13,16 @@ from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
 from lunarsim.world.terrain import (
     AgedCraters,
-    Clusters,
+    CraterClusters,
     Heightfield,
     Terrain,
     add_fillets,
     place_rocks,
 )
-from lunarsim.world.terrain.placement import NOWHERE
+from lunarsim.world.terrain.placement import NO_CLUSTERS
 
-MOST_POSTS = 20_000
-LEAST_POSTS = 2
+MAX_POSTS_PER_SIDE = 20_000
+MIN_POSTS_PER_SIDE = 2
 
 
 class Ground(Protocol):
@@ -64,7 +64,7 @@ def strewn(
         rng = streams.get("rocks")
         area = rocks.share * (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
-        clusters = NOWHERE
+        clusters = NO_CLUSTERS
         if rocks.clustered > 0.0:
             if craters is None:
                 raise InputError(
@@ -75,17 +75,17 @@ def strewn(
             found = craters()
             old = found.diameter >= rocks.block_crater
             middles = found.x[old], found.y[old]
-            clusters = Clusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
+            clusters = CraterClusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
         field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
     return Terrain(add_fillets(relief, field, rocks.fillet), field)
 
 
 def check_posts(size: float, posting: float) -> None:
     """Refuse relief with less than 2 or more than 20,000 posts (1.6 GB) along a side."""
-    check_side("size", size, posting, MOST_POSTS, "posts")
-    if round(size / posting) < LEAST_POSTS:
+    check_side("size", size, posting, MAX_POSTS_PER_SIDE, "posts")
+    if round(size / posting) < MIN_POSTS_PER_SIDE:
         raise InputError(
-            "posting", posting, f"must be at most half of size_m: {size / LEAST_POSTS:g}"
+            "posting", posting, f"must be at most half of size_m: {size / MIN_POSTS_PER_SIDE:g}"
         )
 
 

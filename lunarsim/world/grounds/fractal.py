@@ -71,10 +71,10 @@ class FractalGround(Roughness):
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
-        return _relief(self)
+        return _cached_relief(self)
 
 
 @lru_cache(maxsize=4)
-def _relief(ground: FractalGround) -> Heightfield:
+def _cached_relief(ground: FractalGround) -> Heightfield:
     grid = Grid.centred((0.0, 0.0), ground.size, ground.posting)
     return ground.procedural(grid, detail=ground.detail_posting)

@@ -10,7 +10,7 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.grounds.contract import MOST_POSTS, strewn
+from lunarsim.world.grounds.contract import MAX_POSTS_PER_SIDE, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
@@ -73,7 +73,7 @@ class MeasuredGround(Roughness):
 
     def check_files(self) -> None:
         """Refuse a raster that cannot be read or does not suit these settings."""
-        _measured(self)
+        _load_measured(self)
 
     def posts(self) -> tuple[int, float]:
         """Return the numbers of posts to read and of the relief, from the file's header."""
@@ -91,10 +91,10 @@ class MeasuredGround(Roughness):
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
-        return _relief(self)
+        return _cached_relief(self)
 
 
-def _measured(ground: MeasuredGround) -> Heightfield:
+def _load_measured(ground: MeasuredGround) -> Heightfield:
     """Return the raster's elevations, dequantized, scaled and mirrored."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
@@ -116,16 +116,16 @@ def _measured(ground: MeasuredGround) -> Heightfield:
 
 def _check_posts(ground: MeasuredGround, side: float) -> None:
     """Refuse a posting too fine for a square of the given side, m."""
-    if side / ground.posting > MOST_POSTS:
+    if side / ground.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
-            "terrain.posting_m", ground.posting, f"must be at least {side / MOST_POSTS:.3g} m",
-            f"At most {MOST_POSTS} posts are allowed along the {side:.0f} m of the raster.",
+            "terrain.posting_m", ground.posting, f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
+            f"At most {MAX_POSTS_PER_SIDE} posts are allowed along the {side:.0f} m of the raster.",
         )  # fmt: skip
 
 
 @lru_cache(maxsize=4)
-def _relief(ground: MeasuredGround) -> Heightfield:
-    measured = _measured(ground)
+def _cached_relief(ground: MeasuredGround) -> Heightfield:
+    measured = _load_measured(ground)
     fine = measured.refined(ground.posting)
     if not ground.detail:
         return fine

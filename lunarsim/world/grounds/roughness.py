@@ -77,13 +77,13 @@ class Roughness:
         If a `detail` posting (m) is given, the same relief is sampled at that posting, with
         roughness down to it and craters from four postings up.
         """
-        hurst, slope, density = self._figures()
+        hurst, slope, density = self._parameters()
         rng = np.random.default_rng(_RELIEF_SEED)
         relief = fractal_relief(grid, rng, hurst=hurst, rms_slope=slope)
         if detail is not None:
             fine = np.random.default_rng([_RELIEF_SEED, 2])
             relief = add_fine_roughness(relief, detail, fine, hurst=hurst, rms_slope=slope)
-            relief = self._small_craters(relief, fine, density)
+            relief = self._add_small_craters(relief, fine, density)
         if density == 0.0:
             return relief
         if self.crater_ageing == "diffusion":
@@ -91,7 +91,7 @@ class Roughness:
         law = CraterLaw(density, self.crater_saturation)
         return add_craters(relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law)
 
-    def _small_craters(
+    def _add_small_craters(
         self, relief: Heightfield, rng: np.random.Generator, density: float
     ) -> Heightfield:
         """Return relief with the craters that the coarser posting could not resolve."""
@@ -111,7 +111,7 @@ class Roughness:
         InputError
             If there are no craters or their ageing is not "diffusion".
         """
-        density = self._figures()[2]
+        density = self._parameters()[2]
         if density == 0.0 or self.crater_ageing != "diffusion":
             raise InputError(
                 "rocks.clustered",
@@ -124,7 +124,7 @@ class Roughness:
             relief, rng, minimum=self.crater_min_diameter, maximum=largest, law=law
         )
 
-    def _figures(self) -> tuple[float, float, float]:
+    def _parameters(self) -> tuple[float, float, float]:
         """Return Hurst exponent, RMS slope and crater density, from the preset where omitted."""
         own = (self.hurst, self.rms_slope, self.crater_density)
         hurst, slope, density = (

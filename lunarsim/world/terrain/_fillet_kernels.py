@@ -8,7 +8,7 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def bank(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
+def raise_fillets(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
     """Raise the soil heights on posts (rows, cols), m, to the fillets of all rocks (n,).
 
     The posts start at (x0, y0) and are `p` apart, m. Rocks have centres x, y and half axes a, b, m;

@@ -27,29 +27,29 @@ from scipy.special import i0e
 
 from lunarsim.errors import InputError
 from lunarsim.world.terrain._crater_kernels import stamp_profiles
-from lunarsim.world.terrain.craters import CraterLaw, crater_profile, sizes_and_places
+from lunarsim.world.terrain.craters import CraterLaw, crater_profile, draw_sizes_and_positions
 from lunarsim.world.terrain.heightfield import Heightfield
 
 Array = NDArray[np.float64]
 
 # Depth of the oldest counted crater over that of a fresh one.
-LEAST_DEPTH = 0.07
+MIN_RELATIVE_DEPTH = 0.07
 # Outer radius of the profiles, crater radii; at the maximum age 1e-3 of the depth remains outside.
-REACH = 5.0
+PROFILE_RADII = 5.0
 _AGES, _RADII = 33, 251
 # Depth over diameter of fresh craters of 1 km or more, and of 10 m or less.
 _DEEP, _SHALLOW = 0.2, 0.1
 _LARGE, _SMALL = 1000.0, 10.0
 
 
-def fresh_depth(diameter: ArrayLike) -> Array:
+def fresh_depth_ratio(diameter: ArrayLike) -> Array:
     """Return the rim-to-floor depth of fresh craters over their diameter (m)."""
     d = np.asarray(diameter, dtype=np.float64)
     share = np.log(np.clip(d, _SMALL, _LARGE) / _SMALL) / np.log(_LARGE / _SMALL)
     return np.asarray(_SHALLOW + (_DEEP - _SHALLOW) * share)
 
 
-def diffused(radius: ArrayLike, age: float) -> Array:
+def diffuse_profile(radius: ArrayLike, age: float) -> Array:
     """Return the profile of a crater of a given age, over its fresh rim-to-floor depth.
 
     Parameters
@@ -69,43 +69,43 @@ def diffused(radius: ArrayLike, age: float) -> Array:
     if not (np.isfinite(age) and age >= 0.0):
         raise InputError("age", age, "must be a finite kappa t / R^2 of 0 or more")
     r = np.asarray(radius, dtype=np.float64)
-    fresh = crater_profile(r, 2.0, 1.0) / fresh_rim_to_floor()
+    fresh = crater_profile(r, 2.0, 1.0) / fresh_profile_depth()
     if age < 1e-4:
         return np.asarray(fresh)
     # Midpoint rule with steps much smaller than the kernel's width.
     step = min(0.01, 0.2 * np.sqrt(2.0 * age))
     s = np.arange(0.5 * step, 3.0 + step, step)
-    source = crater_profile(s, 2.0, 1.0) / fresh_rim_to_floor() * s * step
+    source = crater_profile(s, 2.0, 1.0) / fresh_profile_depth() * s * step
     x = r[:, None] * s / (2.0 * age)
     # exp(-(r - s)^2 / 4 age) times I0 scaled by exp(-x) does not overflow.
     kernel = np.exp(-((r[:, None] - s) ** 2) / (4.0 * age)) * i0e(x) / (2.0 * age)
     return np.asarray(kernel @ source)
 
 
-def fresh_rim_to_floor() -> float:
+def fresh_profile_depth() -> float:
     """Return the depth of the fresh `crater_profile` from rim to floor, for a diameter of 2 m."""
     rim, floor = crater_profile(np.array([1.0, 0.0]), 2.0, 1.0)
     return float(rim - floor)
 
 
-def depth_left(age: float) -> float:
+def relative_depth(age: float) -> float:
     """Return the rim-to-floor depth of a crater over that of a fresh one."""
-    profile = diffused(np.linspace(0.0, REACH, _RADII), age)
+    profile = diffuse_profile(np.linspace(0.0, PROFILE_RADII, _RADII), age)
     return float(profile.max() - profile[0])
 
 
 @lru_cache(maxsize=1)
-def greatest_age() -> float:
-    """Return the age (kappa t / R^2) at which the relative depth is `LEAST_DEPTH`."""
-    return float(brentq(lambda age: depth_left(age) - LEAST_DEPTH, 0.0, 5.0))
+def max_crater_age() -> float:
+    """Return the age (kappa t / R^2) at which the relative depth is `MIN_RELATIVE_DEPTH`."""
+    return float(brentq(lambda age: relative_depth(age) - MIN_RELATIVE_DEPTH, 0.0, 5.0))
 
 
 @lru_cache(maxsize=1)
 def _profiles() -> Array:
     """Return profiles (ages, radii) at uniform steps of the square root of age, and of radius."""
-    r = np.linspace(0.0, REACH, _RADII)
-    ages = np.linspace(0.0, np.sqrt(greatest_age()), _AGES) ** 2
-    return np.stack([diffused(r, age) for age in ages])
+    r = np.linspace(0.0, PROFILE_RADII, _RADII)
+    ages = np.linspace(0.0, np.sqrt(max_crater_age()), _AGES) ** 2
+    return np.stack([diffuse_profile(r, age) for age in ages])
 
 
 @dataclass(frozen=True)
@@ -146,16 +146,16 @@ class AgedCraters:
         minimum, maximum, law
             As for `lunarsim.world.terrain.craters.add_craters`.
         """
-        diameter, x, y = sizes_and_places(relief, rng, REACH, minimum, maximum, law)
+        diameter, x, y = draw_sizes_and_positions(relief, rng, PROFILE_RADII, minimum, maximum, law)
         return cls(x, y, diameter, rng.random(diameter.size))
 
     def on(self, relief: Heightfield) -> Heightfield:
         """Return the relief with these craters added, shifted to zero mean."""
-        depth = fresh_depth(self.diameter) * self.diameter
+        depth = fresh_depth_ratio(self.diameter) * self.diameter
         z = relief.z.astype(np.float64)
         g = relief.grid
         stamp_profiles(
             z, g.x0, g.y0, g.posting, self.x, self.y, 0.5 * self.diameter, depth,
-            np.sqrt(self.age), _profiles(), REACH,
+            np.sqrt(self.age), _profiles(), PROFILE_RADII,
         )  # fmt: skip
         return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))

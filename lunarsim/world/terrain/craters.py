@@ -21,10 +21,10 @@ from lunarsim.world.terrain.heightfield import Heightfield
 Array = NDArray[np.float64]
 
 # Depth from rim to floor and rim height of a fresh crater, over its diameter.
-DEPTH = 0.2
-RIM = 0.036
+DEPTH_RATIO = 0.2
+RIM_HEIGHT_RATIO = 0.036
 # Outer radius of the ejecta apron, in crater radii.
-APRON = 3.0
+APRON_RADII = 3.0
 
 
 @dataclass(frozen=True)
@@ -78,10 +78,10 @@ def crater_profile(r: ArrayLike, diameter: float, freshness: float) -> Array:
     depth is proportional to it, the height of the rim, which erodes faster, to its square.
     """
     x = np.asarray(r, dtype=np.float64) / (0.5 * diameter)
-    rim = RIM * diameter * freshness**2
-    bowl = rim + DEPTH * diameter * freshness * (x**2 - 1.0)
+    rim = RIM_HEIGHT_RATIO * diameter * freshness**2
+    bowl = rim + DEPTH_RATIO * diameter * freshness * (x**2 - 1.0)
     safe = np.maximum(x, 1.0)
-    fade = np.clip((APRON - safe) / (APRON - 1.0), 0.0, 1.0)
+    fade = np.clip((APRON_RADII - safe) / (APRON_RADII - 1.0), 0.0, 1.0)
     apron = rim * safe**-3.0 * fade * fade * (3.0 - 2.0 * fade)
     return np.asarray(np.where(x < 1.0, bowl, apron))
 
@@ -107,15 +107,27 @@ def add_craters(
     law
         Size-frequency distribution; omitted: mare in equilibrium below 200 m.
     """
-    diameter, x, y = sizes_and_places(relief, rng, APRON, minimum, maximum, law)
+    diameter, x, y = draw_sizes_and_positions(relief, rng, APRON_RADII, minimum, maximum, law)
     freshness = rng.random(diameter.size)
     z = relief.z.astype(np.float64)
     g = relief.grid
-    stamp(z, g.x0, g.y0, g.posting, x, y, diameter, freshness, DEPTH, RIM, APRON)
+    stamp(
+        z,
+        g.x0,
+        g.y0,
+        g.posting,
+        x,
+        y,
+        diameter,
+        freshness,
+        DEPTH_RATIO,
+        RIM_HEIGHT_RATIO,
+        APRON_RADII,
+    )
     return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))
 
 
-def sizes_and_places(
+def draw_sizes_and_positions(
     relief: Heightfield,
     rng: np.random.Generator,
     reach: float,

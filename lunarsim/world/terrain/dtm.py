@@ -16,8 +16,13 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
-from lunarsim.world.terrain.raster_frame import Frame, frame_of, is_placed
-from lunarsim.world.terrain.raster_heights import Extremes, Heights, HeightScale, check_count
+from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
+from lunarsim.world.terrain.raster_heights import (
+    HeightStatistics,
+    Heights,
+    HeightScale,
+    check_count,
+)
 from lunarsim.world.terrain.spline import GappySpline
 
 # Rows of a resampled terrain that are computed at a time.
@@ -67,7 +72,7 @@ class DtmInfo:
     map_scale: tuple[float, float] | None
     resampled: bool
     height_scale: HeightScale
-    statistics: Extremes | None
+    statistics: HeightStatistics | None
 
     @property
     def no_data_share(self) -> float:
@@ -103,7 +108,7 @@ def read_info(
         part = _window(window, source)
         heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
         placed = is_placed(source)
-        frame = frame_of(source, part, None if placed else 1.0)
+        frame = frame_of_window(source, part, None if placed else 1.0)
         square, steps = frame.square_posting(), np.hypot(*frame.steps)
         spacing = (float(steps[0]), float(steps[1]))
         map_scale = None
@@ -153,7 +158,7 @@ def read_size(
     """
     with open_raster(Path(path)) as source:
         part = _window(window, source)
-        width, height = frame_of(source, part, posting).extent()
+        width, height = frame_of_window(source, part, posting).extent()
         return DtmSize(int(part.width) * int(part.height), width, height)
 
 
@@ -217,7 +222,7 @@ def _heights(
         raise InputError(
             "terrain.path", source.name, f"must have at least 2 x 2 posts, but has {shape}"
         )
-    frame = frame_of(source, part, posting)
+    frame = frame_of_window(source, part, posting)
     square = frame.square_posting()
     heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
     if square is not None and _fits(posting, square):
@@ -269,7 +274,7 @@ def _resampled(
             "terrain.dtm_posting_m", posting, "must be fine enough for at least 2 x 2 posts"
         )
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), carry_slopes=True)
+    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
     out = np.empty((rows, cols))
     east = (np.arange(cols) - 0.5 * (cols - 1)) * step
     north = (np.arange(rows) - 0.5 * (rows - 1)) * step

@@ -6,12 +6,12 @@ import numpy as np
 
 from lunarsim.errors import InputError
 from lunarsim.rocks.field import RockField
-from lunarsim.world.terrain._fillet_kernels import bank
+from lunarsim.world.terrain._fillet_kernels import raise_fillets
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.terrain import Terrain
 
 # Width of a fillet, in rock radii.
-REACH = 0.6
+FILLET_WIDTH_RADII = 0.6
 
 
 def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfield:
@@ -38,8 +38,8 @@ def add_fillets(relief: Heightfield, rocks: RockField, share: float) -> Heightfi
     ground = Terrain(relief).elevation(np.column_stack((rocks.x, rocks.y)))
     height = share * np.clip(np.nan_to_num(rocks.base + rocks.height - ground), 0.0, None)
     soil = np.zeros(g.shape, np.float32)
-    bank(
+    raise_fillets(
         soil, g.x0, g.y0, g.posting, rocks.x, rocks.y, rocks.a, rocks.b, np.cos(rocks.yaw),
-        np.sin(rocks.yaw), height, REACH,
+        np.sin(rocks.yaw), height, FILLET_WIDTH_RADII,
     )  # fmt: skip
     return Heightfield(g, relief.z + soil)

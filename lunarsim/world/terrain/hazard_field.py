@@ -12,7 +12,7 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain._crater_kernels import stamp
-from lunarsim.world.terrain.craters import APRON, DEPTH, RIM
+from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.relief import fractal_relief
 from lunarsim.world.terrain.terrain import Terrain
@@ -62,16 +62,28 @@ def hazard_field(
     grid = Grid.centred((0.0, 0.0), surround, posting)
     waves = fractal_relief(grid, rng, hurst=0.95, rms_slope=np.deg2rad(1.0)).z.astype(np.float64)
     z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
-    x, y, diameter = _scattered(rng, craters, 2.0, 5.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, craters, 2.0, 5.0, size, turn)
     fresh = np.full(craters, _FRESHNESS)
-    stamp(z, grid.x0, grid.y0, grid.posting, x, y, diameter, fresh, DEPTH, RIM, APRON)
+    stamp(
+        z,
+        grid.x0,
+        grid.y0,
+        grid.posting,
+        x,
+        y,
+        diameter,
+        fresh,
+        DEPTH_RATIO,
+        RIM_HEIGHT_RATIO,
+        APRON_RADII,
+    )
     relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
-    x, y, diameter = _scattered(rng, boulders, 0.4, 1.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, boulders, 0.4, 1.0, size, turn)
     ground = Terrain(relief).elevation(np.column_stack((x, y)))
     return Terrain(relief, RockField.hemispheres(x, y, ground, 0.5 * diameter))
 
 
-def _scattered(
+def _scatter_objects(
     rng: np.random.Generator, count: int, least: float, greatest: float, size: float, turn: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return east, north and diameter of objects on the rotated square, largest first.

@@ -13,11 +13,11 @@ from lunarsim.world.terrain._placement_kernels import drop_rocks
 from lunarsim.world.terrain.heightfield import Heightfield
 
 # Outer limit of the blocks around a crater, crater radii.
-_FARTHEST = 5.0
+_MAX_CLUSTER_RADII = 5.0
 
 
 @dataclass(frozen=True)
-class Clusters:
+class CraterClusters:
     """Craters with clusters of blocks around them.
 
     The density of blocks falls with the cube of the distance from the crater's centre, like ejecta
@@ -54,7 +54,7 @@ class Clusters:
         return np.stack((self.x, self.y, self.radius, total))
 
 
-NOWHERE = Clusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+NO_CLUSTERS = CraterClusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
 
 
 def place_rocks(
@@ -64,7 +64,7 @@ def place_rocks(
     *,
     model: RockModel | None = None,
     tries: int = 200,
-    clusters: Clusters = NOWHERE,
+    clusters: CraterClusters = NO_CLUSTERS,
 ) -> RockField:
     """Place rocks at random on the relief without overlap, widest first.
 
@@ -99,7 +99,7 @@ def place_rocks(
     seed = int(rng.integers(2**32))
     x, y, ground, placed = drop_rocks(
         reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
-        clusters.share, clusters.rows(), _FARTHEST,
+        clusters.share, clusters.rows(), _MAX_CLUSTER_RADII,
     )  # fmt: skip
     if placed < reach.size:
         raise InputError(

@@ -64,11 +64,11 @@ class Frame:
 
     def local(self, cols: ArrayLike, rows: ArrayLike) -> tuple[Array, Array]:
         """Return east and north, m, at fractional columns and rows of the window."""
-        return self.to_local(*_moved(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
+        return self.to_local(*_transformed(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
 
     def pixels(self, east: Array, north: Array) -> tuple[Array, Array]:
         """Return fractional columns and rows of points in the local frame."""
-        return _moved(~self.pixel_to_map, *self.to_map(east, north))
+        return _transformed(~self.pixel_to_map, *self.to_map(east, north))
 
     @property
     def steps(self) -> Array:
@@ -151,7 +151,7 @@ class Orientation:
         )
 
 
-def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Frame:
+def frame_of_window(source: DatasetReader, window: Window, posting: float | None) -> Frame:
     """Return the local frame of a window of a raster.
 
     Parameters
@@ -191,15 +191,15 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
         if abs(across - along) > 1e-6 * across:
             raise _refusal(source, "has no coordinate reference system and unequal steps")
         name, metres = "none", posting / across
-        mappings = _plane(centre, metres)
+        mappings = _plane_mappings(centre, metres)
     elif _is_engineering(source.crs):
         name, metres = _name(source.crs), _engineering_unit(source)
-        mappings = _plane(centre, metres)
+        mappings = _plane_mappings(centre, metres)
     elif source.crs.is_geographic or source.crs.is_projected:
         _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
-        mappings = _globe(source, transform, cols, rows)
+        mappings = _spherical_mappings(source, transform, cols, rows)
     else:
         raise _refusal(
             source,
@@ -238,7 +238,7 @@ def _check_axes(source: DatasetReader) -> None:
         )  # fmt: skip
 
 
-def _moved(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
+def _transformed(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
     """Return points transformed by an affine transform."""
     a, b, c, d, e, f = transform[:6]
     return a * x + b * y + c, d * x + e * y + f
@@ -249,7 +249,7 @@ def _step_lengths(transform: Affine) -> tuple[float, float]:
     return float(np.hypot(transform.a, transform.d)), float(np.hypot(transform.b, transform.e))
 
 
-def _plane(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping]:
+def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping]:
     """Return the mappings of a plane with axes along east and north."""
     cx, cy = centre
 
@@ -262,7 +262,7 @@ def _plane(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping
     return to_local, to_map
 
 
-def _globe(
+def _spherical_mappings(
     source: DatasetReader, transform: Affine, cols: int, rows: int
 ) -> tuple[Mapping, Mapping]:
     """Return the mappings to an azimuthal equidistant frame about the centre of a window."""
@@ -281,7 +281,7 @@ def _globe(
 
     def warped(start: CRS, end: CRS, x: Array, y: Array) -> tuple[Array, Array]:
         try:
-            return _warped(start, end, x, y)
+            return _reproject(start, end, x, y)
         except CPLE_BaseError:
             raise edge from None
 
@@ -297,9 +297,9 @@ def _globe(
         return to_map
 
     at = np.meshgrid([0.5, cols / 2, cols - 0.5], [0.5, rows / 2, rows - 0.5])
-    x, y = _moved(transform, at[0].ravel(), at[1].ravel())
+    x, y = _transformed(transform, at[0].ravel(), at[1].ravel())
     east, north = to_local(x, y)
-    for period in (0.0, _turn(crs, globe, lon, lat)):
+    for period in (0.0, _longitude_period(crs, globe, lon, lat)):
         to_map = back(period)
         again = to_map(east, north)
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
@@ -308,14 +308,14 @@ def _globe(
     raise edge
 
 
-def _turn(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
+def _longitude_period(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
     """Return the map units in 360 degrees of longitude."""
-    x, _ = _warped(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
+    x, _ = _reproject(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
     # One of the two steps may cross the edge of the map.
     return float(np.abs(np.diff(x)).min()) * 360_000.0
 
 
-def _warped(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]:
+def _reproject(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]:
     east, north = warp(source, target, x.ravel(), y.ravel())
     return np.reshape(east, x.shape), np.reshape(north, y.shape)
 

@@ -15,7 +15,7 @@ from rasterio.windows import Window
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import bytes_in_words
 from lunarsim.world.terrain.raster_label import (
-    counts_down,
+    has_downward_heights,
     declared_units,
     has_hexadecimal_no_data,
     special_values,
@@ -109,7 +109,7 @@ class HeightScale:
                 "terrain.path", source.name,
                 f"has an unusable scale {scale:g} or offset {offset:g} of heights",
             )  # fmt: skip
-        if counts_down(source):
+        if has_downward_heights(source):
             raise InputError(
                 "terrain.path", source.name, "must have heights that increase upwards, not depths",
                 "Change their sign: `gdal_calc.py -A FILE --calc=-A --outfile out.tif`.",
@@ -142,7 +142,7 @@ class HeightScale:
 
 
 @dataclass
-class Extremes:
+class HeightStatistics:
     """Statistics of heights, m, accumulated block by block.
 
     Attributes
@@ -162,9 +162,9 @@ class Extremes:
         heights = z[np.isfinite(z)]
         self.posts += z.size
         self.known += heights.size
-        self.lowest = _several_lowest(heights, self.lowest)
+        self.lowest = _lowest_values(heights, self.lowest)
         negative = [(-value, count) for value, count in self.highest]
-        self.highest = [(-value, count) for value, count in _several_lowest(-heights, negative)]
+        self.highest = [(-value, count) for value, count in _lowest_values(-heights, negative)]
 
     @property
     def z_range(self) -> tuple[float, float]:
@@ -172,7 +172,7 @@ class Extremes:
         return (self.lowest[0][0], self.highest[0][0]) if self.known else (np.nan, np.nan)
 
 
-def _several_lowest(
+def _lowest_values(
     heights: NDArray[np.float64], before: list[tuple[float, int]]
 ) -> list[tuple[float, int]]:
     counts = dict(before)
@@ -226,7 +226,7 @@ class Heights:
             z[missing] = np.nan
             yield top, z
 
-    def extremes(self, window: Window) -> Extremes:
+    def extremes(self, window: Window) -> HeightStatistics:
         """Return statistics of a window, without loading it into memory.
 
         Raises
@@ -234,7 +234,7 @@ class Heights:
         InputError
             If `check` refuses the heights.
         """
-        found = Extremes()
+        found = HeightStatistics()
         for _, z in self.blocks(window):
             found.add(z)
         self.check(found)
@@ -250,7 +250,7 @@ class Heights:
         """
         rows, cols = int(window.height), int(window.width)
         check_count("terrain.path", self.source.name, rows, cols, "Set terrain.dtm_window.")
-        z, found = np.empty((rows, cols)), Extremes()
+        z, found = np.empty((rows, cols)), HeightStatistics()
         for top, block in self.blocks(window):
             found.add(block)
             z[top : top + len(block)] = block
@@ -259,7 +259,7 @@ class Heights:
             raise InputError("terrain.path", self.source.name, "has no elevations")
         return z
 
-    def check(self, found: Extremes) -> None:
+    def check(self, found: HeightStatistics) -> None:
         """Refuse undeclared no-data values and heights that are not plausible for any body."""
         if not found.known:
             return

@@ -41,7 +41,7 @@ def declared_units(source: DatasetReader) -> list[str]:
     return [unit.strip() for unit in found if unit and unit.strip()]
 
 
-def counts_down(source: DatasetReader) -> bool:
+def has_downward_heights(source: DatasetReader) -> bool:
     """Return whether the heights are depths, by vertical reference or attribute `positive`."""
     if source.driver == "netCDF" and str(source.tags(1).get("positive", "")).lower() == "down":
         return True

@@ -16,12 +16,12 @@ class GappySpline:
     ----------
     z
         Values (rows, cols); NaN in gaps, but not everywhere.
-    carry_slopes
+    extrapolate_slopes
         Whether to extrapolate slopes into gaps, which prevents oscillation next to them;
         otherwise gaps take the value of the nearest post.
     """
 
-    def __init__(self, z: NDArray[np.floating], *, carry_slopes: bool = False) -> None:
+    def __init__(self, z: NDArray[np.floating], *, extrapolate_slopes: bool = False) -> None:
         self._known = np.isfinite(z)
         self.filled = z.astype(np.float64)
         if not self._known.all():
@@ -29,11 +29,11 @@ class GappySpline:
                 ~self._known, return_distances=False, return_indices=True
             )
             self.filled = self.filled[tuple(nearest)]
-            if carry_slopes:
-                self._carry_slopes(nearest)
+            if extrapolate_slopes:
+                self._extrapolate_slopes(nearest)
         self._coefficients = ndimage.spline_filter(self.filled, order=3, mode="mirror")
 
-    def _carry_slopes(self, nearest: NDArray[np.int32]) -> None:
+    def _extrapolate_slopes(self, nearest: NDArray[np.int32]) -> None:
         """Fill gaps by point reflection of the raster through the nearest post."""
         rows, cols = np.nonzero(~self._known)
         at = nearest[:, rows, cols]

@@ -23,7 +23,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.terrain import Terrain
 from lunarsim.world.terrain.dtm import load_dtm, read_info
-from lunarsim.world.terrain.raster_heights import Extremes, metres_in
+from lunarsim.world.terrain.raster_heights import HeightStatistics, metres_in
 from tests.world.terrain.rasters import COLS, ROWS, SPHERE, Case, degrees, equirectangular
 from tests.worlds import SCENARIOS
 
@@ -310,7 +310,7 @@ def test_a_relief_that_no_body_has_is_refused(tmp_path):
 
 
 def test_extremes_are_counted_across_blocks():
-    found = Extremes()
+    found = HeightStatistics()
     found.add(np.arange(20.0))
     found.add(np.array([7.0, 12.0, np.nan, -1.0]))
     assert found.lowest == [(-1.0, 1), *((float(v), 1) for v in range(7))]
