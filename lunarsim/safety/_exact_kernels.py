@@ -234,8 +234,9 @@ def _drop_steep(tangent, limit, lanes):
 
 
 @kernel()
-def _write_roughness(ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes,
-           lids):  # fmt: skip
+def _write_roughness(
+    ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
+):  # fmt: skip
     """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
 
     lanes[0] is FAR for sites to skip, lanes[3] the margin for rounding; `lids` is from

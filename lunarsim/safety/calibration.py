@@ -59,7 +59,7 @@ RISING += (len(_HEIGHTS) + len(_DEPTHS)) * (len(_COVER) - 1)
 COUNT = FREE + RISING
 
 # Parameters of `ceiling` and `clear_of_pads`.
-_MAX_ODDS_FACTOR = 4.0
+_MAX_P_FACTOR = 4.0
 _SLOPE_CEILING = np.array([[0.94, 0.96], [1.0, 0.85]])
 _PAD_ROCK_FACTOR = 2.0
 # Maximum probability where rocks too low to be counted would tilt the lander beyond its limit; it
@@ -402,12 +402,12 @@ def ceiling(evidence: Evidence) -> Array:
     """Return the upper bound of the probability from observed terrain (rows, cols).
 
     In a sum of evidence, much good evidence can outweigh one fatal defect. The probability is
-    therefore at most `_MAX_ODDS_FACTOR` times the lower of slope and roughness safety by support planes. Close
-    to the slope limit, no fit has enough sites to claim safety.
+    therefore at most `_MAX_P_FACTOR` times the lower of slope and roughness safety by support
+    planes. Close to the slope limit, no fit has enough sites to claim safety.
     """
     e = evidence
     least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_ODDS_FACTOR * least))
+    return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_P_FACTOR * least))
 
 
 def clear_of_pads(evidence: Evidence) -> Array:

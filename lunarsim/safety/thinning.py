@@ -158,8 +158,8 @@ class Thinning:
         with threads_for(0.05 * out.size):
             mean_ratios(
                 _of_sites(height, self.shape), flat, np.asarray(self.diameter, float),
-                _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio, _LOG_TABLE[0],
-                _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
+                _rock_number(self.diameter, self.cover), _MIN_HEIGHT_M, self.height_ratio,
+                _LOG_TABLE[0], _LOG_TABLE[1] - _LOG_TABLE[0], _log_rock_number(self.cover), out,
             )  # fmt: skip
         return out.reshape(self.shape)
 

@@ -84,7 +84,7 @@ def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
     # One site of 250 unsafe: none of 750 shows it in one case of twenty.
     hidden = (1.0 - UNTOLD) ** 750
     assert hidden == pytest.approx(0.05, abs=0.001)
-    # LogOddsBounds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
+    # Odds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
     even = LogOddsBounds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
     assert even == pytest.approx((1.0 - UNTOLD) / 3.0)
     near = cautious(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), FARTHER)

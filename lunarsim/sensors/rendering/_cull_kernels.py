@@ -121,7 +121,7 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 @kernel()
 def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
-    """Return whether a box of texels meets all strips or the map's border, as `ShadowMapReads.meet`."""
+    """Return whether a box of texels meets all strips of the reads, or the map's border."""
     # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True

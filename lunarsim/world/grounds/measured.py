@@ -118,7 +118,8 @@ def _check_posts(ground: MeasuredGround, side: float) -> None:
     """Refuse a posting too fine for a square of the given side, m."""
     if side / ground.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
-            "terrain.posting_m", ground.posting, f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
+            "terrain.posting_m", ground.posting,
+            f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
             f"At most {MAX_POSTS_PER_SIDE} posts are allowed along the {side:.0f} m of the raster.",
         )  # fmt: skip
 

@@ -18,9 +18,9 @@ from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
 from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
 from lunarsim.world.terrain.raster_heights import (
-    HeightStatistics,
     Heights,
     HeightScale,
+    HeightStatistics,
     check_count,
 )
 from lunarsim.world.terrain.spline import GappySpline

@@ -15,8 +15,8 @@ from rasterio.windows import Window
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import bytes_in_words
 from lunarsim.world.terrain.raster_label import (
-    has_downward_heights,
     declared_units,
+    has_downward_heights,
     has_hexadecimal_no_data,
     special_values,
 )
@@ -270,8 +270,7 @@ class Heights:
         if max(-low, high) > _MAX_HEIGHT_M or high - low > _MAX_RELIEF_M:
             raise InputError(
                 "terrain.path", self.source.name,
-                f"has heights from {low:.6g} to {high:.6g} m, beyond {_MAX_HEIGHT_M:g} m or more "
-                f"than {_MAX_RELIEF_M:g} m apart",
+                f"has heights from {low:.6g} to {high:.6g} m, which no known body has",
                 "Declare the marker of missing posts: terrain.dtm_nodata.",
             )  # fmt: skip
 

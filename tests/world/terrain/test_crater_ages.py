@@ -11,10 +11,10 @@ from lunarsim.world.terrain import AgedCraters, CraterLaw, Heightfield
 from lunarsim.world.terrain.crater_ages import (
     MIN_RELATIVE_DEPTH,
     PROFILE_RADII,
-    relative_depth,
     diffuse_profile,
     fresh_depth_ratio,
     max_crater_age,
+    relative_depth,
 )
 from tests.reference import craters as reference
 
