@@ -39,10 +39,10 @@ def extremes(share, base, values, knots, first, heights, low, high):
                 share = (x - knots[a]) / (knots[a + 1] - knots[a])
                 for m in range(fits):
                     total[m] += heights[a, m] + share * (heights[a + 1, m] - heights[a, m])
-        least = total[0]
-        most = total[0]
+        minimum = total[0]
+        maximum = total[0]
         for m in range(1, fits):
-            least = min(least, total[m])
-            most = max(most, total[m])
-        low[i] = least
-        high[i] = most
+            minimum = min(minimum, total[m])
+            maximum = max(maximum, total[m])
+        low[i] = minimum
+        high[i] = maximum

@@ -372,9 +372,11 @@ def _exact_tile(
                 )  # fmt: skip
             for k in range(min(LANES, todo.shape[1] - j)):
                 if todo[i, j + k] and size[i, j + k] < FAR:
-                    least = limit_rough if decide else np.float32(2.0) * lanes[3, k]
+                    min_roughness = limit_rough if decide else np.float32(2.0) * lanes[3, k]
                     slope_out[i, j + k] = lanes[1, k]
-                    rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+                    rough_out[i, j + k] = (
+                        lanes[2, k] if lanes[2, k] > min_roughness else np.float32(0.0)
+                    )
 
 
 @kernel(shared=True)

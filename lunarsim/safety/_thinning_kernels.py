@@ -8,7 +8,9 @@ from lunarsim._jit import kernel
 
 
 @kernel(shared=True)
-def mean_ratios(share, height, falling, least, numbers, shortest, ratio, first, step, law, out):
+def mean_ratios(
+    share, height, falling, min_diameter, numbers, shortest, ratio, first, step, law, out
+):
     """Write the mean of ratios over the distribution's rocks above a height at each site.
 
     Parameters
@@ -19,7 +21,7 @@ def mean_ratios(share, height, falling, least, numbers, shortest, ratio, first, 
         Height for all sites (1,) or for each (sites,), m; at least `shortest`; NaN gives NaN.
     falling
         Ratios (classes + 1, sites), starting with those of rocks smaller than all classes.
-    least, numbers
+    min_diameter, numbers
         Minimum diameter of each class (classes,), m, and the number of rocks above it.
     shortest, ratio
         Minimum height, m, and height over diameter of rocks.
@@ -40,9 +42,9 @@ def mean_ratios(share, height, falling, least, numbers, shortest, ratio, first, 
         k = min(int(at), last)
         number = np.exp(law[k] + (at - k) * (law[k + 1] - law[k]))
         mean = falling[0, site]
-        for n in range(least.size):
+        for n in range(min_diameter.size):
             # Fraction of the rocks above the height in this class or a larger one.
-            larger = numbers[n] if d < least[n] else number
+            larger = numbers[n] if d < min_diameter[n] else number
             if number > 0.0:
                 mean += (falling[n + 1, site] - falling[n, site]) * (larger / number)
             else:

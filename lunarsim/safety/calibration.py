@@ -348,19 +348,21 @@ def calibrated_safety(
     covered = known if refit is None else in_domain(evidence, refit.domain) & seen
     p, claimed = np.zeros(seen.shape, np.float32), covered.copy()
     if seen.any():
-        most, clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]
-        least, said = bound(evidence)[seen], odds_of(evidence, seen, model)
-        p[seen] = judged(said.low, most, clear, least, known[seen], covered[seen], refit)
+        upper_bound, p_clear = ceiling(evidence)[seen], clear_of_pads(evidence)[seen]
+        outside_bound, said = bound(evidence)[seen], odds_of(evidence, seen, model)
+        p[seen] = judged(
+            said.low, upper_bound, p_clear, outside_bound, known[seen], covered[seen], refit
+        )
         if refit is None:
-            claimed[seen] &= said.verdict(np.minimum(most, clear)).agreed
+            claimed[seen] &= said.verdict(np.minimum(upper_bound, p_clear)).agreed
     return p, claimed
 
 
 def judged(
     odds: Array,
-    most: Array,
-    clear: Array,
-    least: Array,
+    upper_bound: Array,
+    p_clear: Array,
+    outside_bound: Array,
     known: BoolMap,
     covered: BoolMap,
     refit: ScenarioCalibration | None = None,
@@ -376,7 +378,7 @@ def judged(
     ----------
     odds
         Minimum log odds of the sites (n,).
-    most, clear, least
+    upper_bound, p_clear, outside_bound
         `ceiling`, `clear_of_pads` and `bound` of the sites (n,).
     known, covered
         Whether each is in the domain of the regression, and in that of the refit (n,); equal
@@ -384,15 +386,15 @@ def judged(
     refit
         As for `calibrated_safety`.
     """
-    both = np.minimum(most, clear)
-    unbound = SURE * np.minimum(expit(odds), most)
+    both = np.minimum(upper_bound, p_clear)
+    unbound = SURE * np.minimum(expit(odds), upper_bound)
     if refit is None:
-        p = cautious(odds, both, least, covered, FARTHER)
+        p = cautious(odds, both, outside_bound, covered, FARTHER)
         whole = p >= SURE
     else:
-        inside = np.minimum(refit.probability(odds, known), most)
+        inside = np.minimum(refit.probability(odds, known), upper_bound)
         unbound = np.minimum(unbound, inside)
-        lowest = doubted(odds, both, least, FARTHER)
+        lowest = doubted(odds, both, outside_bound, FARTHER)
         p = np.where(covered, inside, np.minimum(inside, lowest))
         whole = covered
     return np.asarray(np.where(whole, p, (1.0 - UNSURE) * p + UNSURE * unbound))
@@ -406,8 +408,8 @@ def ceiling(evidence: Evidence) -> Array:
     planes. Close to the slope limit, no fit has enough sites to claim safety.
     """
     e = evidence
-    least = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
-    return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_P_FACTOR * least))
+    p_worst = np.minimum(e.planes.p_slope, e.planes.p_roughness).astype(np.float64)
+    return np.asarray(np.minimum(np.interp(e.slope, *_SLOPE_CEILING), _MAX_P_FACTOR * p_worst))
 
 
 def clear_of_pads(evidence: Evidence) -> Array:

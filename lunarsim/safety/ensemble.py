@@ -61,20 +61,20 @@ class LogOddsBounds:
     high: Array
 
     def verdict(
-        self, most: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
+        self, upper_bound: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
     ) -> SafetyEstimate:
         """Return the reported probability of the sites (n,).
 
         Parameters
         ----------
-        most
+        upper_bound
             Upper bound of the probability (n,).
         hopeless
             Probability up to which sites are almost certainly unsafe.
         doomed
             Where sites may be classified as such (n,); omitted: anywhere.
         """
-        p = told(self.low, most)
+        p = told(self.low, upper_bound)
         never = expit(self.high) <= hopeless
         return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
@@ -95,24 +95,24 @@ class SafetyEstimate:
     agreed: BoolArray
 
 
-def told(low: Array, most: Array, margin: float = MARGIN) -> Array:
+def told(low: Array, upper_bound: Array, margin: float = MARGIN) -> Array:
     """Return the probability (n,) from the minimum log odds (n,), reduced by a margin.
 
-    It is also reduced by the factor 1 - `UNTOLD`, and is at most `most`.
+    It is also reduced by the factor 1 - `UNTOLD`, and is at most `upper_bound`.
     """
-    return np.asarray(np.minimum((1.0 - UNTOLD) * expit(low - margin), most))
+    return np.asarray(np.minimum((1.0 - UNTOLD) * expit(low - margin), upper_bound))
 
 
-def doubted(low: Array, most: Array, least: Array, margin: float) -> Array:
+def doubted(low: Array, upper_bound: Array, outside_bound: Array, margin: float) -> Array:
     """Return the probability of sites (n,) where it is not a frequency: at most `SURE`.
 
     Parameters are those of `cautious`.
     """
-    return np.asarray(SURE * np.minimum(told(low, most, margin), least))
+    return np.asarray(SURE * np.minimum(told(low, upper_bound, margin), outside_bound))
 
 
 def cautious(
-    low: Array, most: Array, least: Array, known: BoolArray, margin: float = MARGIN
+    low: Array, upper_bound: Array, outside_bound: Array, known: BoolArray, margin: float = MARGIN
 ) -> Array:
     """Return the probability of sites (n,), limited by a bound unless almost certainly safe.
 
@@ -120,15 +120,17 @@ def cautious(
     ----------
     low
         Minimum log odds (n,).
-    most, least
+    upper_bound, outside_bound
         Upper bounds everywhere, and where the probability is not a frequency (n,).
     known
         Whether the sites are in the domain of the fits (n,).
     margin
         Margin on the log odds where the probability is not a frequency.
     """
-    plain = told(low, most)
-    return np.where(known & (plain >= SURE), plain, doubted(low, most, least, margin))
+    plain = told(low, upper_bound)
+    return np.where(
+        known & (plain >= SURE), plain, doubted(low, upper_bound, outside_bound, margin)
+    )
 
 
 @dataclass(frozen=True)

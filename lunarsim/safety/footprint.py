@@ -231,9 +231,9 @@ def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = F
     """
     best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))
-    for most in range(1, int(rows.max()) + 2) if columns else ():
-        caps = np.where((rows >= most)[:, None], mask, False)
-        sides = np.where((rows < most)[:, None], mask, False)
+    for first_cap_row in range(1, int(rows.max()) + 2) if columns else ():
+        caps = np.where((rows >= first_cap_row)[:, None], mask, False)
+        sides = np.where((rows < first_cap_row)[:, None], mask, False)
         found = _row_windows(caps, row0, col0)
         found += [(-level, a, b, c, d) for level, b, a, d, c in _row_windows(sides.T, col0, row0)]
         best = min(best, found, key=len)
@@ -338,7 +338,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
             leg_mask[spots[:, 0], spots[:, 1]] = True
         for row, col, length in polygon_runs(polygon):
             body_mask[row + reach, col + reach : col + reach + length] = True
-    least = min(
+    min_height = min(
         _triangle_height(polygon[list(triple)].astype(np.float64))
         for polygon in cells
         for triple in combinations(range(legs), 3)
@@ -357,7 +357,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         body_windows=body_windows,
         depth=1 + int(levels.max()),
         height=1 - int(levels.min()),
-        least_height=least * posting,
+        least_height=min_height * posting,
         reach=reach,
     )
 

@@ -61,16 +61,16 @@ class Logistic:
                 "calibration.safe", float(y.mean()), "must include both safe and unsafe sites"
             )
 
-        least = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
+        lower_bounds = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
         w = np.zeros(x.shape[1]) if start is None else np.asarray(start, dtype=np.float64)
         before = np.inf
         for _ in range(_MAX_NEWTON_STEPS):
             loss, gradient, curvature = _likelihood(x, y, w)
             if before - loss < _MIN_LOSS_DECREASE:
                 break
-            before, w = loss, _newton_step(x, y, w, least, loss, gradient, curvature)
+            before, w = loss, _newton_step(x, y, w, lower_bounds, loss, gradient, curvature)
         # Rounding leaves weights slightly below their bounds.
-        return cls(tuple(float(v) for v in np.maximum(w, least)))
+        return cls(tuple(float(v) for v in np.maximum(w, lower_bounds)))
 
 
 def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:
@@ -88,12 +88,18 @@ def _loss(x: Array, y: Array, w: Array) -> float:
 
 
 def _newton_step(
-    x: Array, y: Array, w: Array, least: Array, loss: float, gradient: Array, curvature: Array
+    x: Array,
+    y: Array,
+    w: Array,
+    lower_bounds: Array,
+    loss: float,
+    gradient: Array,
+    curvature: Array,
 ) -> Array:
     """Return the weights (k,) after a bounded Newton step with backtracking."""
     root = cholesky(curvature)
     aim = root @ w - solve_triangular(root, gradient, trans="T")
-    step = lsq_linear(root, aim, (least, np.inf), method="bvls").x - w
+    step = lsq_linear(root, aim, (lower_bounds, np.inf), method="bvls").x - w
     share = 1.0
     while share > 1e-6 and _loss(x, y, w + share * step) > loss:
         share *= 0.5

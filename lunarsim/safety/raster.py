@@ -75,9 +75,9 @@ def variances(values: ArrayLike, grid: Grid, footprint: Footprint) -> NDArray[np
     raster = _real_numbers("variance", values)
     _check_shape("variance", raster, grid, footprint)
     raster = _cast(np.float32, raster)
-    least = float(np.fmin.reduce(raster, axis=None))
-    if least < 0.0:
-        raise InputError("variance", least, "must not be negative")
+    minimum = float(np.fmin.reduce(raster, axis=None))
+    if minimum < 0.0:
+        raise InputError("variance", minimum, "must not be negative")
     return _contiguous(raster)
 
 

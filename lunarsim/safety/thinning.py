@@ -145,9 +145,9 @@ class Thinning:
         """
         h = np.asarray(height, dtype=np.float64)
         out: Array = unseen(h) * self._mean(h, self._falling_reduction)
-        for least, (where, further) in zip(self.diameter, self._excess, strict=True):
+        for min_diameter, (where, further) in zip(self.diameter, self._excess, strict=True):
             if len(further):
-                above = np.maximum(h[where] if h.ndim else h, self.height_ratio * least)
+                above = np.maximum(h[where] if h.ndim else h, self.height_ratio * min_diameter)
                 out[where] += further * unseen(above, where)
         return out
 

@@ -118,9 +118,9 @@ class HeightCurve:
         h = np.clip(np.asarray(height, dtype=np.float64), 2.0 * self.height[0], self.height[-1])
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         tops, log_most = self._max_numbers
-        most = np.exp(np.interp(np.log(h), np.log(tops), log_most))
+        max_number = np.exp(np.interp(np.log(h), np.log(tops), log_most))
         seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
-        return np.asarray(most / (1.0 + seen))
+        return np.asarray(max_number / (1.0 + seen))
 
     def sunk(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
         """Return the number of holes of a depth that no sample has met, per square metre (...).
@@ -147,8 +147,8 @@ class HeightCurve:
         area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
         below = np.minimum(self.height, 0.95 * h[:, None])
-        most = self.at(below) / (area * (h[:, None] ** 2 - below**2))
-        return h, np.log(_FRACTION_OF_MAX * most.min(axis=1) + 1e-12)
+        max_number = self.at(below) / (area * (h[:, None] ** 2 - below**2))
+        return h, np.log(_FRACTION_OF_MAX * max_number.min(axis=1) + 1e-12)
 
 
 def height_curve(
@@ -172,10 +172,14 @@ def height_curve(
     law = law_share(height, cover, height_ratio)
     z = np.asarray(rises, dtype=np.float64)
     times, counted = _ratio_to_distribution(z, noise, limit * _COUNT_HEIGHTS, height, law)
-    lower, least = _ratio_to_distribution(z, noise, limit * _GRAVEL_COUNT_HEIGHTS, height, law)
-    lower = np.where(height < least, np.maximum(lower, 1.0), lower)
+    lower, min_counted = _ratio_to_distribution(
+        z, noise, limit * _GRAVEL_COUNT_HEIGHTS, height, law
+    )
+    lower = np.where(height < min_counted, np.maximum(lower, 1.0), lower)
     share = _falling(law * times)
-    return HeightCurve(height, share, counted, _falling(np.maximum(law * lower, share)), least)
+    return HeightCurve(
+        height, share, counted, _falling(np.maximum(law * lower, share)), min_counted
+    )
 
 
 def _falling(share: Array) -> Array:

@@ -159,9 +159,9 @@ def hapke_of_albedo(
         return float(law.radiance_factor(1.0, 1.0, 1.0)) - albedo
 
     if excess(1.0 - 1e-9) < 0.0:
-        most = albedo + excess(1.0 - 1e-9)
+        max_albedo = albedo + excess(1.0 - 1e-9)
         raise InputError(
-            "sun.albedo", albedo, f"must be at most {most:.3f} with this phase function"
+            "sun.albedo", albedo, f"must be at most {max_albedo:.3f} with this phase function"
         )
     w = brentq(excess, 0.0, 1.0 - 1e-9, xtol=1e-12)
     return Hapke(float(w), b, c, surge, surge_width, roughness)

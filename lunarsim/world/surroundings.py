@@ -179,14 +179,14 @@ class FarTerrain:
         """Return the sum of the levels at arcs (n, 2), m."""
         z = np.zeros(len(flat))
         for n, size in enumerate(self.settings.sizes):
-            most = np.abs(flat).max(axis=1)
+            max_offset = np.abs(flat).max(axis=1)
             half = 0.5 * size
-            inside = most < half
+            inside = max_offset < half
             if not inside.any():
                 continue
             one = self.level(n)
             half = min(half, -one.grid.x0, -one.grid.y0)
-            share = _smoothstep((most / half - 1.0) / self.settings.margin + 1.0)
+            share = _smoothstep((max_offset / half - 1.0) / self.settings.margin + 1.0)
             g = one.grid
             at = (flat[:, 1] - g.y0) / g.posting, (flat[:, 0] - g.x0) / g.posting
             z += share * ndimage.map_coordinates(one.z, at, order=1, mode="nearest")

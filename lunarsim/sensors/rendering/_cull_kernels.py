@@ -120,29 +120,42 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 
 @kernel()
-def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
+def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
     """Return whether a box of texels meets all strips of the reads, or the map's border."""
     # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
-    for k in range(least.size):
+    for k in range(lower_bound.size):
         a = normal[k, 0]
         b = normal[k, 1]
-        if max(a * u0, a * u1) + max(b * v0, b * v1) < least[k]:
+        if max(a * u0, a * u1) + max(b * v0, b * v1) < lower_bound[k]:
             return False
-        if min(a * u0, a * u1) + min(b * v0, b * v1) > most[k]:
+        if min(a * u0, a * u1) + min(b * v0, b * v1) > upper_bound[k]:
             return False
     return True
 
 
 @kernel()
 def shading_rocks(
-    rocks, reach, foot, number, eye, lean, axes, corner, texel, width, height, normal, least, most
+    rocks,
+    reach,
+    foot,
+    number,
+    eye,
+    lean,
+    axes,
+    corner,
+    texel,
+    width,
+    height,
+    normal,
+    lower_bound,
+    upper_bound,
 ):
     """Return the texels (m, 4) that each rock of `number` (m,) may shadow, and whether any (m,).
 
     `axes` (2, 2) transforms ENU to the map's axes, `corner` is the map's corner in them, m. Texels
-    outside the strips of `ShadowMapReads` (`normal`, `least`, `most`) are omitted.
+    outside the strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are omitted.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -176,7 +189,7 @@ def shading_rocks(
         v1 /= texel
         # Centres of texels are at half integers.
         seen[m] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m) and _is_read(
-            u0, v0, u1, v1, width, height, normal, least, most
+            u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound
         )
     return box, seen
 

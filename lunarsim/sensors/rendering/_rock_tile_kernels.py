@@ -64,16 +64,16 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
     for t in range(count):
         kept[t] = True
         for s in range(5):
-            most = 0.0
+            maximum = 0.0
             scale = 0.0
             for k in range(3):
                 lower = (low[t, k] - eye[k]) * normal[s, k]
                 upper = (high[t, k] - eye[k]) * normal[s, k]
-                most += max(lower, upper)
+                maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
             begin = near if s == 0 else 0.0
             spare = _RELATIVE_MARGIN * (scale + size[s] * (1.0 + radius[t]))
-            if most < begin - radius[t] * size[s] - spare:
+            if maximum < begin - radius[t] * size[s] - spare:
                 kept[t] = False
                 break
     return kept
@@ -89,20 +89,20 @@ def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, h
         for s in range(2):
             # The map position is linear in the point.
             rise = -(axes[s, 0] * lean[0] + axes[s, 1] * lean[1])
-            least = -corner[s]
-            most = -corner[s]
+            minimum = -corner[s]
+            maximum = -corner[s]
             scale = abs(corner[s]) + margin[t]
             for k in range(3):
                 slope = rise if k == 2 else axes[s, k]
                 wider = 0.0 if k == 2 else margin[t]
                 lower = (low[t, k] - wider - eye[k]) * slope
                 upper = (high[t, k] + wider - eye[k]) * slope
-                least += min(lower, upper)
-                most += max(lower, upper)
+                minimum += min(lower, upper)
+                maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
             spare = texel + _RELATIVE_MARGIN * scale
             last = (width if s == 0 else height) * texel
-            if most < -spare or least > last + spare:
+            if maximum < -spare or minimum > last + spare:
                 kept[t] = False
                 break
     return kept

@@ -107,7 +107,7 @@ def shade(
 
 
 @kernel()
-def least(points, hit, height, width):
+def min_depth(points, hit, height, width):
     """Return the minimum depth (height, width), float32, of points that hit; 1 if there is none.
 
     `points` (m, 3) are column, row and depth.

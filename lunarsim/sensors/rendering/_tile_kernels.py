@@ -141,10 +141,10 @@ def cell_corners(z, ground):
 
 
 @kernel()
-def _coarsest(error, n, most):
-    """Return the coarsest level of tile n up to which all errors are within `most`."""
+def _coarsest(error, n, max_error):
+    """Return the coarsest level of tile n up to which all errors are within `max_error`."""
     level = 0
-    while level + 1 < error.shape[0] and error[level + 1, n] <= most:
+    while level + 1 < error.shape[0] and error[level + 1, n] <= max_error:
         level += 1
     return level
 
@@ -162,8 +162,8 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_toleranc
     level = np.zeros(count, np.int64)
     shadow_level = np.zeros(count, np.int64)
     nearest = np.inf
-    least = np.full(3, np.inf)
-    most = np.full(3, -np.inf)
+    box_low = np.full(3, np.inf)
+    box_high = np.full(3, -np.inf)
     for n in range(count):
         square = 0.0
         run = 0.0
@@ -195,6 +195,6 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_toleranc
         if shown[n]:
             nearest = min(nearest, distance)
             for k in range(3):
-                least[k] = min(least[k], low[n, k])
-                most[k] = max(most[k], high[n, k])
-    return shown, level, shadow_level, nearest, least, most
+                box_low[k] = min(box_low[k], low[n, k])
+                box_high[k] = max(box_high[k], high[n, k])
+    return shown, level, shadow_level, nearest, box_low, box_high

@@ -40,15 +40,15 @@ class ShadowMapReads:
     ----------
     normal
         Unit normals of the strips (k, 2), map axes; empty if any texel may be read.
-    least, most
+    lower_bound, upper_bound
         Bounds of the strips along their normals (k,), texels.
     size
         Size of the map along its axes, texels.
     """
 
     normal: Array
-    least: Array
-    most: Array
+    lower_bound: Array
+    upper_bound: Array
     size: tuple[int, int]
 
     @classmethod
@@ -80,7 +80,7 @@ class ShadowMapReads:
     def meet(self, place: Array) -> NDArray[np.bool_]:
         """Return which convex bodies with corners (n, c, 2), in texels, may shadow what is read."""
         along = place @ self.normal.T
-        within = ((along.max(1) >= self.least) & (along.min(1) <= self.most)).all(-1)
+        within = ((along.max(1) >= self.lower_bound) & (along.min(1) <= self.upper_bound)).all(-1)
         # A point outside the map reads its border.
         last = np.array(self.size) - _NEIGHBOURHOOD - 1.0
         border = ((place.min(1) < _NEIGHBOURHOOD + 1.0) | (place.max(1) > last)).any(-1)

@@ -138,9 +138,9 @@ def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
     if kind == "half-sphere":
         return (), ("half_sphere",), "half_sphere"
     table = shape_table()
-    most = table.planes.shape[1]
-    faces = int(table.count[CUBE]) if kind == "cube" else most
-    return (f"MOST {most}", f"FACES {faces}"), (), "hull"
+    max_faces = table.planes.shape[1]
+    faces = int(table.count[CUBE]) if kind == "cube" else max_faces
+    return (f"MOST {max_faces}", f"FACES {faces}"), (), "hull"
 
 
 def _bind_inputs(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:

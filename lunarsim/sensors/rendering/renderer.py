@@ -74,11 +74,11 @@ class Renderer:
         self._ctx = ctx
         relief = terrain.relief
         self._relief = relief
-        most = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        if max(relief.z.shape) > most:
+        max_size = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        if max(relief.z.shape) > max_size:
             raise RenderingError(
-                f"The relief has {relief.z.shape} posts, but this device holds at most {most} per "
-                "side."
+                f"The relief has {relief.z.shape} posts, but this device holds at most {max_size} "
+                "per side."
             )
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._programs = geometry_programs(ctx, holes)

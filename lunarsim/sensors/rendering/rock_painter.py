@@ -139,7 +139,7 @@ class RockRenderer:
         )  # fmt: skip
         shadow.buffer.viewport = (0, 0, *frame.size)
         if len(points) * _TEXELS_PER_POINT > frame.size[0] * frame.size[1]:
-            dark = small_rocks.least(points, hit, frame.size[1], frame.size[0])
+            dark = small_rocks.min_depth(points, hit, frame.size[1], frame.size[0])
             shadow.texture.write(dark, viewport=(0, 0, *frame.size))
         else:
             # Clear the complete map: drivers clear a part far more slowly.

@@ -102,6 +102,6 @@ class RockTiles:
         number = kernels.rocks_of(self.order, self.start, kept)
         box, seen = cull.shading_rocks(
             self.rocks, self.reach, self.foot, number, view.position, *map_,
-            reads.normal, reads.least, reads.most,
+            reads.normal, reads.lower_bound, reads.upper_bound,
         )  # fmt: skip
         return DrawnRocks(*cull.gather(box, number, seen))

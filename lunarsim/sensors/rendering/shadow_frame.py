@@ -94,8 +94,10 @@ class ShadowFrame:
         """Return which boxes (n, 8, 3) may cast a shadow onto the area of the map."""
         place = corners - eye
         place = (place[..., :2] - place[..., 2:] * self.lean) @ self.axes.T
-        most = self.corner + self.texel * np.array(self.size)
-        return np.asarray((place.max(1) >= self.corner).all(1) & (place.min(1) <= most).all(1))
+        high_corner = self.corner + self.texel * np.array(self.size)
+        return np.asarray(
+            (place.max(1) >= self.corner).all(1) & (place.min(1) <= high_corner).all(1)
+        )
 
     def texels_of(self, points: Array) -> Array:
         """Return the map positions (..., 2), texels, of points (..., 3) relative to the camera."""
@@ -146,7 +148,7 @@ def _extent(
     in_view, in_box = (
         (points[:, :2] - points[:, 2:] * lean) @ axes.T for points in (np.array(seen), box)
     )
-    least = np.maximum(in_view.min(0), in_box.min(0))
-    most = np.minimum(in_view.max(0), in_box.max(0))
-    margin = 0.01 * np.maximum(most - least, 0.0) + 1e-3
-    return least - margin, np.maximum(most - least, 0.0) + 2.0 * margin
+    low_corner = np.maximum(in_view.min(0), in_box.min(0))
+    high_corner = np.minimum(in_view.max(0), in_box.max(0))
+    margin = 0.01 * np.maximum(high_corner - low_corner, 0.0) + 1e-3
+    return low_corner - margin, np.maximum(high_corner - low_corner, 0.0) + 2.0 * margin

@@ -81,8 +81,8 @@ class MeasuredGround(Roughness):
 
         assert self.path is not None
         size = read_size(self.path, posting=self.dtm_posting, window=self.dtm_window)
-        least = self.mirrored_to or 0.0
-        cols, rows = (max(side, least) / self.posting for side in size[1:])
+        min_side = self.mirrored_to or 0.0
+        cols, rows = (max(side, min_side) / self.posting for side in size[1:])
         return size.posts, cols * rows
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:

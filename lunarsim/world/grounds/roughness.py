@@ -95,13 +95,18 @@ class Roughness:
         self, relief: Heightfield, rng: np.random.Generator, density: float
     ) -> Heightfield:
         """Return relief with the craters that the coarser posting could not resolve."""
-        least, most = _MIN_CRATER_POSTS * relief.grid.posting, self.crater_min_diameter
-        if density == 0.0 or least >= most:
+        min_diameter, max_diameter = (
+            _MIN_CRATER_POSTS * relief.grid.posting,
+            self.crater_min_diameter,
+        )
+        if density == 0.0 or min_diameter >= max_diameter:
             return relief
         law = CraterLaw(density, self.crater_saturation)
         if self.crater_ageing == "even":
-            return add_craters(relief, rng, minimum=least, maximum=most, law=law)
-        return AgedCraters.draw(relief, rng, minimum=least, maximum=most, law=law).on(relief)
+            return add_craters(relief, rng, minimum=min_diameter, maximum=max_diameter, law=law)
+        return AgedCraters.draw(
+            relief, rng, minimum=min_diameter, maximum=max_diameter, law=law
+        ).on(relief)
 
     def craters(self, relief: Heightfield, largest: float | None = None) -> AgedCraters:
         """Return the craters of a relief of this grid that are degraded by diffusion.

@@ -16,11 +16,11 @@ def _size_classes(radius, area):
     last class contains all rocks that would need smaller buckets.
     """
     count = radius.size
-    least = np.sqrt(area / count)
-    sides = [max(2.0 * radius[0], least)]
+    min_side = np.sqrt(area / count)
+    sides = [max(2.0 * radius[0], min_side)]
     of = np.zeros(count, np.int64)
     for n in range(count):
-        while 4.0 * radius[n] <= sides[-1] and 0.5 * sides[-1] >= least:
+        while 4.0 * radius[n] <= sides[-1] and 0.5 * sides[-1] >= min_side:
             sides.append(0.5 * sides[-1])
         of[n] = len(sides) - 1
     return of, np.array(sides)

@@ -92,10 +92,10 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
 def build_pyramid(z, rocks, start, index, base, offset, high, wide):
     """Return the pyramid of maxima `peak` and the buckets' maxima without rocks, `ground`."""
     peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
-    least = np.float32(-np.inf)
+    lowest = np.float32(-np.inf)
     for i in range(high[0]):
         for j in range(wide[0]):
-            best = least
+            best = lowest
             # A comparison with NaN is false, so that no-data is ignored.
             for r in range(2):
                 for c in range(2):
@@ -107,7 +107,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
             below = level - 1
             for i in range(high[level]):
                 for j in range(wide[level]):
-                    best = least
+                    best = lowest
                     for r in range(2 * i, min(2 * i + 2, high[below])):
                         for c in range(2 * j, min(2 * j + 2, wide[below])):
                             best = max(best, peak[offset[below] + r * wide[below] + c])

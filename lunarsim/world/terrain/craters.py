@@ -61,9 +61,9 @@ class CraterLaw:
             raise InputError(
                 "craters.min_diameter_m", minimum, f"must be more than 0 and less than {maximum}"
             )
-        most, least = float(self.number(minimum)), float(self.number(maximum))
-        count = int(rng.poisson(area * (most - least)))
-        n = least + rng.random(count) * (most - least)
+        max_number, min_number = float(self.number(minimum)), float(self.number(maximum))
+        count = int(rng.poisson(area * (max_number - min_number)))
+        n = min_number + rng.random(count) * (max_number - min_number)
         equilibrium = np.sqrt(self.density / n)
         production = np.cbrt(self.density * self.saturation / n)
         diameter = np.where(equilibrium < self.saturation, equilibrium, production)

@@ -18,9 +18,9 @@ from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
 from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
 from lunarsim.world.terrain.raster_heights import (
-    Heights,
     HeightScale,
     HeightStatistics,
+    RasterHeights,
     check_count,
 )
 from lunarsim.world.terrain.spline import GappySpline
@@ -106,7 +106,7 @@ def read_info(
     path = Path(path)
     with open_raster(path) as source:
         part = _window(window, source)
-        heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
+        heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
         placed = is_placed(source)
         frame = frame_of_window(source, part, None if placed else 1.0)
         square, steps = frame.square_posting(), np.hypot(*frame.steps)
@@ -224,7 +224,7 @@ def _heights(
         )
     frame = frame_of_window(source, part, posting)
     square = frame.square_posting()
-    heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
+    heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
     if square is not None and _fits(posting, square):
         z, step = frame.orientation().apply(heights.read(part)), square
     elif square is not None and square == frame.nominal_posting:

@@ -84,14 +84,19 @@ def hazard_field(
 
 
 def _scatter_objects(
-    rng: np.random.Generator, count: int, least: float, greatest: float, size: float, turn: float
+    rng: np.random.Generator,
+    count: int,
+    min_diameter: float,
+    max_diameter: float,
+    size: float,
+    turn: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return east, north and diameter of objects on the rotated square, largest first.
 
     N(D) falls as D^-2; objects do not overlap.
     """
     u = rng.random(count)
-    diameter = np.sort(1.0 / np.sqrt(u / least**2 + (1.0 - u) / greatest**2))[::-1]
+    diameter = np.sort(1.0 / np.sqrt(u / min_diameter**2 + (1.0 - u) / max_diameter**2))[::-1]
     placed = np.zeros((0, 3))
     for d in diameter:
         for _ in range(1000):

@@ -72,12 +72,12 @@ def metres_in(unit: str) -> float | None:
 
 def check_count(field_name: str, value: object, rows: int, cols: int, remedy: str) -> None:
     """Refuse more posts than fit into memory (400 million: 3 GB)."""
-    most = 400_000_000
-    if rows * cols > most:
+    max_posts = 400_000_000
+    if rows * cols > max_posts:
         raise InputError(
             field_name, value,
             f"needs {rows} x {cols} posts ({bytes_in_words(8.0 * rows * cols)}), but at most "
-            f"{most} posts are read", remedy,
+            f"{max_posts} posts are read", remedy,
         )  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def _lowest_values(
 
 
 @dataclass(frozen=True)
-class Heights:
+class RasterHeights:
     """Heights of a raster file.
 
     Attributes
