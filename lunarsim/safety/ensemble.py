@@ -266,7 +266,11 @@ class Ensemble:
         if any(len(row) != features for row in weights):
             raise InputError("calibration", name, f"must have {features} weights per fit")
         if rising and min(min(row[-rising:]) for row in weights) < 0.0:
-            raise InputError("calibration", name, f"must have last {rising} weights of 0 or more")
+            raise InputError(
+                "calibration",
+                name,
+                f"must have non-negative weights for the last {rising} features",
+            )
         return cls(weights, tuple(worlds), note)
 
 

@@ -80,7 +80,7 @@ class Thinning:
         d = np.asarray(self.diameter)
         if not (d.ndim == 1 and d.size and d[0] > 0.0 and (np.diff(d) > 0.0).all()):
             raise InputError(
-                "thinning.diameter", self.diameter, "must be positive and increasing lengths"
+                "thinning.diameter", self.diameter, "must be positive, increasing lengths"
             )
         if self.ratio.ndim != 3 or len(self.ratio) != d.size:
             raise InputError(

@@ -223,7 +223,7 @@ class BiasedLidar:
 
     Parameters
     ----------
-    figures
+    params
         Parameters of the LiDAR.
     rng
         Source of its errors.
@@ -238,9 +238,9 @@ class BiasedLidar:
         Time of the true flash before the reported time, s.
     """
 
-    def __init__(self, figures: FlashLidar, rng: np.random.Generator) -> None:
-        f, drawn = figures, rng.standard_normal(5)
-        self.figures = figures
+    def __init__(self, params: FlashLidar, rng: np.random.Generator) -> None:
+        f, drawn = params, rng.standard_normal(5)
+        self.params = params
         self.range_bias = f.range_bias + f.range_sigma * float(drawn[0])
         self.boresight = f.boresight_sigma * drawn[1:4] + [f.boresight_off, 0.0, 0.0]
         self.latency = f.late + f.latency_sigma * float(drawn[4])
@@ -262,7 +262,7 @@ class BiasedLidar:
             position=state.position - self.latency * state.velocity,
             attitude=quat_multiply(state.attitude, turn),
         )
-        scan = self.figures.measure(world, then, time, rng, told @ aim)
+        scan = self.params.measure(world, then, time, rng, told @ aim)
         # A negative measured range is not a return.
         biased = scan.range + self.range_bias
         return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=told)

@@ -71,16 +71,16 @@ class MisalignedStarTracker:
 
     Parameters
     ----------
-    figures
+    params
         Parameters of the tracker.
     rng
         Source of its misalignment.
     """
 
-    def __init__(self, figures: StarTracker, rng: np.random.Generator) -> None:
-        self.figures = figures
-        self._misalignment = figures.misalignment * rng.standard_normal(3)
-        self._covariance = figures.covariance()
+    def __init__(self, params: StarTracker, rng: np.random.Generator) -> None:
+        self.params = params
+        self._misalignment = params.misalignment * rng.standard_normal(3)
+        self._covariance = params.covariance()
         self._spread = np.linalg.cholesky(self._covariance)
 
     def measure(
@@ -99,7 +99,7 @@ class MisalignedStarTracker:
         return AttitudeReading(time, measured, self._covariance.copy())
 
     def _has_stars(self, world: World, state: State) -> bool:
-        f = self.figures
+        f = self.params
         axis = quat_rotate(state.attitude, f.boresight)
         away = np.arccos(np.clip(axis @ world.light.direction, -1.0, 1.0))
         return bool(

@@ -111,7 +111,7 @@ class BiasedVelocimeter:
 
     Parameters
     ----------
-    figures
+    params
         Parameters of the velocimeter.
     rng
         Source of its errors.
@@ -122,9 +122,9 @@ class BiasedVelocimeter:
         Speed bias of each beam (n,) at the last reading, m/s; a random walk.
     """
 
-    def __init__(self, figures: DopplerVelocimeter, rng: np.random.Generator) -> None:
-        self.figures = figures
-        self.bias = figures.speed_bias * rng.standard_normal(figures.beams)
+    def __init__(self, params: DopplerVelocimeter, rng: np.random.Generator) -> None:
+        self.params = params
+        self.bias = params.speed_bias * rng.standard_normal(params.beams)
         self._time: float | None = None
 
     def measure(
@@ -136,9 +136,9 @@ class BiasedVelocimeter:
         mount: Array | None = None,
     ) -> DopplerReading:
         """Return one reading."""
-        reading = self.figures.measure(world, state, time, rng, mount)
+        reading = self.params.measure(world, state, time, rng, mount)
         past = 0.0 if self._time is None else time - self._time
         self._time = time
-        step = self.figures.speed_wander * np.sqrt(past)
-        self.bias = self.bias + step * rng.standard_normal(self.figures.beams)
+        step = self.params.speed_wander * np.sqrt(past)
+        self.bias = self.bias + step * rng.standard_normal(self.params.beams)
         return replace(reading, speed=reading.speed + self.bias)
