@@ -76,7 +76,7 @@ def rock_normal(x, y, z, rocks, n, planes, count, out):
 
 @kernel(inline=True)
 def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
-    """Return the distance at which a ray enters the unit hemisphere or its extension, or inf."""
+    """Return where a ray enters the unit hemisphere or its extension, or inf."""
     qa = fx * fx + fy * fy + fz * fz
     # Start from the point of closest approach, for precision at long range.
     tc = -(ex * fx + ey * fy + ez * fz) / qa

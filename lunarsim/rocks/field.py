@@ -79,7 +79,7 @@ class RockField:
         )
 
     def reach(self) -> NDArray[np.float64]:
-        """Return the radius of a disc around each centre that contains the outline (n,), m."""
+        """Return the radius of a disc around each centre that holds the outline (n,), m."""
         return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
 
@@ -143,7 +143,7 @@ class RockModel:
             )
 
     def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
-        """Return rocks (n) of the given diameters, all at the origin with the terrain at 0.
+        """Return rocks (n) of the given diameters at the origin, with the terrain at 0.
 
         The diameter is that of a disc with the area that the rock covers at terrain level (for a
         cube: its side).

@@ -1,4 +1,4 @@
-"""Rocks of a scenario: number, size and shape of the true and of the expected rocks."""
+"""Number, size and shape of the true and of the expected rocks of a scenario."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lunarsim.rocks.field import RockModel
 
 @dataclass(frozen=True)
 class RockPopulation(RockModel):
-    """Rocks of the Golombek distribution, drawn for every flight; shapes as in `RockModel`.
+    """Rocks of the Golombek distribution, drawn for every flight.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class RockPopulation(RockModel):
 
     @property
     def share(self) -> float:
-        """Area of a disc over the area that a rock of its diameter counts for in the cover."""
+        """Area of a disc over the area that a rock of its diameter has in the cover."""
         squares = self.shape == "cube" and self.cube_area == "square"
         return 0.25 * np.pi if squares else 1.0
 
@@ -73,7 +73,7 @@ class RockPopulation(RockModel):
 
 @dataclass(frozen=True)
 class RockExpectation(RockModel):
-    """Rocks of the Golombek distribution that the mission expects; shapes as in `RockModel`."""
+    """Rocks of the Golombek distribution that the mission expects."""
 
     cover: float = quantity(
         0.05, gt=0, le=0.2, help="fraction k of the terrain covered by rocks of all sizes"

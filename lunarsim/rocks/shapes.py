@@ -56,7 +56,7 @@ def _cube() -> NDArray[np.float64]:
 
 
 def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return the vertices of a faceted boulder whose outline has the area of the unit disc."""
+    """Return the vertices of a boulder whose outline has the unit disc's area."""
     angle = 2.0 * np.pi * (np.arange(_RING) + rng.uniform(-0.3, 0.3, _RING)) / _RING
     radius = rng.uniform(0.85, 1.15, _RING)
     ring = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(_RING)))

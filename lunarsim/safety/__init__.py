@@ -1,4 +1,4 @@
-"""Landing safety from elevation: footprints, exact, conservative and stochastic tests.
+"""Landing safety from elevation: exact, conservative and stochastic tests.
 
 Every test evaluates a lander centred on a cell, at every heading.
 """

@@ -1,4 +1,4 @@
-"""Compiled kernel of the exact safety map, which examines only cells that could matter.
+"""Compiled kernel of the exact safety map, which skips irrelevant cells.
 
 A lid is the lowest plane of a given gradient above all cells of a block. No cell of a block whose
 lid has gradient a and height t at the block's centre c rises above ``t + a (x - c)``. Above a
@@ -57,7 +57,7 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 @kernel()
 def _median(values, ascending):
-    """Return the median of a few values; for an even number, the mean of the middle two."""
+    """Return the median of a few values, the mean of the middle two if even."""
     count = 0
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
@@ -101,7 +101,7 @@ def slopes_at_large(z, inside, arm, out):
 
 @kernel(fast=True)
 def between(slopes, out):
-    """Interpolate bilinearly to the centre of the block to the north-east of each cell."""
+    """Interpolate to the centre of the block to the north-east of each cell."""
     rows, cols = slopes.shape
     tall, wide = out.shape
     shift = np.float32(0.5 * BLOCK / SQUARE - 0.5)
@@ -124,7 +124,7 @@ def between(slopes, out):
 
 @kernel()
 def _lids(z, slopes, height, east, north):
-    """Write the lids of the blocks to the north-east of each cell: height at centre, gradient."""
+    """Write height and gradient of the lid of the block north-east of each cell."""
     tall, wide = z.shape
     flat = z.reshape(z.size)
     between(slopes[0], east.reshape(tall, wide))
@@ -144,7 +144,7 @@ def _lids(z, slopes, height, east, north):
 
 @kernel()
 def _lift_lids(ground, here, corners, lids):
-    """Write the lids' heights of all blocks of sixteen sites, raised for their gradients.
+    """Write the lids' heights of all blocks of sixteen sites, raised for gradients.
 
     Returns nothing; block n of site k is lids[LANES n + k].
     """
@@ -158,7 +158,7 @@ def _lift_lids(ground, here, corners, lids):
 
 @kernel(inline=True)
 def _lid_above_plane(lids, blocks, centres, n, gx, gy):
-    """Return the height of the lid of block `n`, at its centre, above a plane through the site."""
+    """Return the height of the lid of block `n` above a plane through the site."""
     lid = load(lids, item(blocks, n) * LANES)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
@@ -184,7 +184,7 @@ def _max_in_block(z, here, wide, covers, n, gx, gy):
 
 @kernel(inline=True)
 def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
-    """Compute `_max_in_block` for those of blocks `n` to n + 3 whose lids rise above `need`."""
+    """Compute `_max_in_block` for those of four blocks whose lids exceed `need`."""
     a, b, c, d = risen
     top = spread(-FAR)
     if any_above(a, need):
@@ -200,7 +200,7 @@ def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
 
 @kernel(inline=True)
 def _stride(headings):
-    """Return a step through the headings that visits distant ones first and all eventually.
+    """Return a step that visits all headings, distant ones first.
 
     A few distant headings approximate the roughness of a site, so that others can be skipped.
     """
@@ -224,7 +224,7 @@ def _steepest(feet, here, legs, cells, posting, out):
 
 @kernel()
 def _drop_steep(tangent, limit, lanes):
-    """Set `lanes` to FAR where the slope reaches its limit; return whether any site is left."""
+    """Set `lanes` to FAR where the slope is at its limit; return if any is left."""
     left = False
     for k in range(LANES):
         if tangent[k] >= limit:
@@ -289,7 +289,7 @@ _ROUNDING = np.float32(2e-6)
 
 @kernel()
 def _mark(todo, size, i, first, lanes):
-    """Set lanes[0] to 0 at sites to evaluate, else FAR, and lanes[3] to margins; return if any.
+    """Mark the sites to evaluate and write their margins; return if there are any.
 
     A site's margin depends on the heights of its own footprint, which are FAR where unknown.
     """
@@ -305,7 +305,7 @@ def _mark(todo, size, i, first, lanes):
 
 @kernel()
 def _prepare(z, middle, cells, r0, c0, ground, size):
-    """Fill the windows of a tile and the maximum magnitude of heights in each site's footprint.
+    """Fill the windows of a tile and the maximum height of each footprint.
 
     `ground` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids;
     `size` is FAR where a footprint contains unknown terrain or leaves the raster.

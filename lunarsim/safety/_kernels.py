@@ -27,7 +27,7 @@ def known(z, middle):
 
 @kernel(inner=True)
 def insert(ascending, count, value):
-    """Insert a value into the first `count` values, which are sorted in ascending order.
+    """Insert a value into the first `count` values, in ascending order.
 
     For few values it is as fast as a library's sort, which takes a second to compile.
     """
@@ -71,7 +71,7 @@ def datum_of(z, middle, r0, c0, rows, cols):
 
 @kernel(fast=True)
 def load_window(z, middle, datum, r0, c0, out):
-    """Copy a window whose corner is (r0, c0) into `out`, relative to `datum`, as float32.
+    """Copy a window from (r0, c0) into `out`, relative to `datum`, as float32.
 
     Values are FAR off the raster and where unknown. The subtraction precedes the rounding.
     """
@@ -135,13 +135,13 @@ def _turn(source, out):
 
 @kernel(inner=True)
 def levels_of(cells, tall, wide):
-    """Allocate the levels of windows: `depth` along rows, then `height` - 1 along columns."""
+    """Allocate window levels: `depth` along rows, `height` - 1 along columns."""
     return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
 
 
 @kernel(finite=True, inner=True)
 def double(levels, depth):
-    """Fill levels[k], k < depth, with maxima over windows of 2**k columns, from levels[0]."""
+    """Fill levels[k], k < depth, with maxima over windows of 2**k columns."""
     _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
@@ -157,7 +157,7 @@ def double(levels, depth):
 
 @kernel(finite=True, inner=True)
 def double_up(levels, depth):
-    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows, from levels[0]."""
+    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows."""
     deep, rows, cols = levels.shape
     for k in range(1, deep - depth + 1):
         before = levels[depth - 2 + k] if k > 1 else levels[0]
@@ -294,7 +294,7 @@ def extremes(share, z, middle, cells, span, rise):
 
 @kernel(finite=True)
 def _differ(leg, body, span, rise):
-    """Write span and rise from maxima of z and of -z over the legs' set and the body's set."""
+    """Write span and rise from maxima of z and of -z over legs and body."""
     for i in range(span.shape[0]):
         for j in range(span.shape[1]):
             known = (leg[0, i, j] < FAR) & (body[i, j] < FAR)
@@ -322,7 +322,7 @@ def _normal_cdf(d, s):
 
 @kernel(finite=True)
 def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
-    """Write Eq. 17 from maxima of the upper and lower bounds: of z, of -z, of z over U."""
+    """Write Eq. 17 from maxima of the bounds: of z, of -z, of z over U."""
     sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
     for i in range(p_slope.shape[0]):
         for j in range(p_slope.shape[1]):
@@ -348,7 +348,7 @@ def stochastic(
     share, mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
     observed,
 ):  # fmt: skip
-    """Write Eqs. 15 to 17 around each cell; observed is False where terrain is unknown."""
+    """Write Eqs. 15 to 17 around each cell, and where terrain is known."""
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)

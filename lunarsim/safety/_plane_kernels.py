@@ -1,4 +1,4 @@
-"""Compiled kernels that evaluate the support planes of every heading, with roughness bounds.
+"""Compiled kernels that evaluate the support planes of every heading.
 
 They work tile by tile. The windows of a tile are flat, float32, without NaN, and end in spare rows
 that may be read; sixteen neighbouring sites of a row are processed at a time. Lanes beyond the last
@@ -107,7 +107,7 @@ def _highest(four):
 
 @kernel(inline=True)
 def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
-    """Return the largest maximum of blocks above a plane; their number is a multiple of four."""
+    """Return the largest maximum of blocks (a multiple of four) above a plane."""
     top = spread(-FAR)
     for n in range(start, stop, 4):
         a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
@@ -139,7 +139,7 @@ def clear(window):
 
 @kernel(inner=True)
 def stand(levels, window, cells, feet):
-    """Write the highest terrain under a pad centred on each cell of a window, 0 near its edge."""
+    """Write the highest terrain under a pad centred on each cell, 0 near the edge."""
     n = cells.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
@@ -224,7 +224,7 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
 
 @kernel(shared=True)
 def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_out):
-    """Write the exact tan(slope), and a roughness bound from the maxima of blocks of cells.
+    """Write the exact tan(slope), and a roughness bound from maxima of blocks.
 
     Both are invalid where a footprint contains unknown terrain or leaves the raster.
     """
@@ -249,7 +249,7 @@ def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_ou
 
 @kernel()
 def _average(high, low, middle, sigma):
-    """Write mean and standard deviation of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
+    """Write mean and sigma of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
     for i in range(high.shape[0]):
         for j in range(high.shape[1]):
             middle[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
@@ -271,7 +271,7 @@ def stochastic_planes(
     raised,
     leg_sigma,
 ):
-    """Write the inputs of `planes.plane_stochastic_safety` for each site; heights are vertical.
+    """Write the inputs of `plane_stochastic_safety`; heights are vertical.
 
     These are tan(slope) and a roughness bound for the means of legs and obstacles, the bound with
     all obstacles raised by 3 sigma, and the maximum standard deviation of a leg.

@@ -11,7 +11,7 @@ from lunarsim._jit import kernel
 def mean_ratios(
     share, height, falling, min_diameter, numbers, shortest, ratio, first, step, law, out
 ):
-    """Write the mean of ratios over the distribution's rocks above a height at each site.
+    """Write the mean of ratios over the rocks above a height at each site.
 
     Parameters
     ----------

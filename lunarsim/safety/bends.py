@@ -48,7 +48,7 @@ def columns(terms: Sequence[Term], n: int) -> Array:
 
 
 def extremes(terms: Sequence[Term], base: Array, weights: Array) -> tuple[Array, Array]:
-    """Return minimum and maximum over the fits of ``base + columns(terms) @ weights.T`` (n,).
+    """Return minimum and maximum over the fits of the log odds of sites (n,).
 
     Parameters
     ----------

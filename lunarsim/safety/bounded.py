@@ -1,4 +1,4 @@
-"""A safety test that is conservative by construction and keeps most safe sites on slopes.
+"""A safety test that is conservative and keeps most safe sites on slopes.
 
 The conservative test of the Gaussian DEM paper compares heights with a horizontal plane, so that
 any slope of the terrain reduces its margin. This test uses the real support planes: the slope is

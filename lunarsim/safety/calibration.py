@@ -1,4 +1,4 @@
-"""Calibrated probability that a site is safe, and the domain where it is an observed frequency.
+"""Calibrated probability that a site is safe, and where it is a frequency.
 
 Eqs. 15 to 17 of the Gaussian DEM paper bound the probability by the worst cells of a footprint;
 the test by support planes uses the mean and ignores unobserved terrain. A logistic regression on
@@ -173,7 +173,7 @@ class Evidence:
         return self.spacing / self.lander.leg_radius
 
     def tilting(self) -> Array:
-        """Return the expected unobserved rocks under the pads that violate the slope limit."""
+        """Return the expected unobserved rocks that violate the slope limit."""
         return self._tilting
 
     @cached_property
@@ -190,7 +190,7 @@ class Evidence:
         return self._expected(self.curve.careful, self._tilting_height, area)
 
     def sinking(self) -> Array:
-        """Return the expected unobserved holes under the pads that violate the slope limit."""
+        """Return the expected unobserved holes that violate the slope limit."""
         return self._sinking
 
     @cached_property
@@ -200,7 +200,7 @@ class Evidence:
         return np.asarray(pad_ring_area(self.lander) * found)
 
     def piercing(self) -> Array:
-        """Return the expected unobserved rocks in the footprint above the roughness margin."""
+        """Return the expected unobserved rocks above the roughness margin."""
         return self._piercing
 
     @cached_property
@@ -218,7 +218,7 @@ class Evidence:
         return self._expected(self.curve, height, footprint_area(self.lander))
 
     def _expected(self, curve: HeightCurve, height: Array, area: float) -> Array:
-        """Return expected rocks above a height (rows, cols) or () in an area around each site."""
+        """Return expected rocks above a height in an area around each site."""
 
         def unseen(above: Array, where: BoolMap | None = None) -> Array:
             if height.ndim:
@@ -235,7 +235,7 @@ class Evidence:
 
 
 def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
-    """Return the features of sites, from which the probability is computed (n, `COUNT`).
+    """Return the features of sites for the probability (n, `COUNT`).
 
     The first `FREE` features describe the quality of the measurement. Each of the others only
     increases when slope, roughness, the probability or size of a rock, or the expected unobserved
@@ -254,7 +254,7 @@ def features(evidence: Evidence, where: NDArray[np.bool_]) -> Array:
 
 
 def odds_of(evidence: Evidence, where: NDArray[np.bool_], model: Ensemble) -> LogOddsBounds:
-    """Return the bounds of the log odds of sites (n,), selected by a mask (rows, cols)."""
+    """Return the bounds of the log odds of masked sites (n,)."""
     return model.judge(_free_features(evidence), _terms(evidence, where))
 
 
@@ -280,7 +280,7 @@ def _free_features(e: Evidence) -> Array:
 
 
 def in_domain(evidence: Evidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
-    """Return where few enough unobserved rocks are expected for the regression (rows, cols).
+    """Return where unobserved rocks are few enough for the regression (rows, cols).
 
     The expectation uses the map's own samples; noise and spacing must be in the range of the fit.
     The packaged regression also requires few holes and a slope limit in the range of its landers;
@@ -302,7 +302,7 @@ def in_domain(evidence: Evidence, domain: Domain = PACKAGED_DOMAIN) -> BoolMap:
 
 
 def _within(e: Evidence, domain: Domain, sinking: float) -> BoolMap:
-    """Return where rocks and holes are few enough (rows, cols), for landers in the fit's range."""
+    """Return where rocks and holes are few enough, for landers in the fit's range."""
     known = domain.measured(e.noise_ratio, e.spacing_ratio)
     if not (known and STEEPEST[0] <= e.lander.slope_limit <= STEEPEST[1]):
         return np.zeros(e.level.grid.shape, np.bool_)
@@ -322,7 +322,7 @@ def calibrated_safety(
     model: Ensemble | None = None,
     refit: ScenarioCalibration | None = None,
 ) -> tuple[FloatMap, BoolMap]:
-    """Return the probability of safety (rows, cols), and where it is an observed frequency.
+    """Return the probability of safety (rows, cols), and where it is a frequency.
 
     It does not increase with slope, roughness, or observed or expected rocks. Where it is not a
     frequency it is conservative, as the module docstring explains; where not observed it is 0.
@@ -413,7 +413,7 @@ def ceiling(evidence: Evidence) -> Array:
 
 
 def clear_of_pads(evidence: Evidence) -> Array:
-    """Return the probability that no unobserved rock under a pad violates the slope limit.
+    """Return the probability that no unseen rock under a pad tilts it too far.
 
     On a slope even a low rock under a pad violates it: twice the expected number is used. Where a
     rock below the minimum counted height would violate it, its number comes only from the mission's

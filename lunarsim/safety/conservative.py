@@ -69,7 +69,7 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
 
 
 def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
-    """Return the upper bound of the slope (rad) by Eq. 11 from max minus min over L (m)."""
+    """Return the upper bound of the slope (rad) by Eq. 11 from the span over L (m)."""
     sine = span / np.float32(footprint.least_height)
     # The theorem requires a height difference below h0; steeper terrain is unsafe.
     slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))

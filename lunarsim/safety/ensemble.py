@@ -104,7 +104,7 @@ def told(low: Array, upper_bound: Array, margin: float = MARGIN) -> Array:
 
 
 def doubted(low: Array, upper_bound: Array, outside_bound: Array, margin: float) -> Array:
-    """Return the probability of sites (n,) where it is not a frequency: at most `SURE`.
+    """Return the probability (n,) where it is not a frequency: at most `SURE`.
 
     Parameters are those of `cautious`.
     """
@@ -114,7 +114,7 @@ def doubted(low: Array, upper_bound: Array, outside_bound: Array, margin: float)
 def cautious(
     low: Array, upper_bound: Array, outside_bound: Array, known: BoolArray, margin: float = MARGIN
 ) -> Array:
-    """Return the probability of sites (n,), limited by a bound unless almost certainly safe.
+    """Return the probability (n,), limited by a bound below the claimed range.
 
     Parameters
     ----------

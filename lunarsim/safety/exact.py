@@ -100,7 +100,7 @@ def exact_safety(
 
 
 def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
-    """Return where `exact_safety` is safe, without computing slope and roughness completely.
+    """Return where `exact_safety` is safe, with less work.
 
     Sites that pass the conservative test need no more work; the evaluation of the others stops as
     soon as a limit is exceeded. Parameters and errors are those of `exact_safety`.
@@ -124,7 +124,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
 
 
 def differences(height: Ground, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
-    """Return max over L and max over U, minus min over L (Eq. 10), m; FAR where unknown."""
+    """Return max over L and max over U, minus min over L (Eq. 10), m; or FAR."""
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
     k.extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
@@ -138,7 +138,7 @@ def _evaluate(
     posting: float,
     decide: bool,
 ) -> tuple[FloatMap, FloatMap]:
-    """Return tan(slope) and roughness of the sites `todo`; NaN elsewhere and if unobserved."""
+    """Return tan(slope) and roughness of the sites `todo`; NaN elsewhere."""
     limit = np.float32(lander.roughness_limit)
     tangent, roughness = (np.full(todo.shape, np.nan, np.float32) for _ in range(2))
     ek.exact(

@@ -51,5 +51,5 @@ def least_tilting_height(slope: Array, lander: Lander) -> Array:
 
 
 def tilt_of(height: Array, lander: Lander) -> Array:
-    """Return the tangent of the tilt (...) of a lander on flat terrain with a raised pad (m)."""
+    """Return the tangent of the tilt (...) on flat terrain with a raised pad (m)."""
     return np.asarray(height / (_TRIANGLE_HEIGHT_RATIO * lander.leg_radius))

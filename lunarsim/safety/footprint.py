@@ -180,7 +180,7 @@ def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
 
 
 def _distinct_headings(legs: int, radius: float) -> IntArray:
-    """Return the leg cells of every distinct heading (headings, legs, 2); radius in cells."""
+    """Return the leg cells of every distinct heading (headings, legs, 2)."""
     turn = 2.0 * np.pi / legs
     halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
     halves = halves[halves <= radius] / radius
@@ -194,7 +194,7 @@ def _distinct_headings(legs: int, radius: float) -> IntArray:
 
 
 def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
-    """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
+    """Return the runs (row, first column, length) of cells in a convex polygon."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rows, cols = np.meshgrid(
         np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="ij"
@@ -215,7 +215,7 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
 
 
 def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
-    """Return a set of cells as pairs of windows along rows, (level, row, col, row, col)."""
+    """Return a set of cells as pairs of windows (level, row, col, row, col)."""
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
         level = int(length).bit_length() - 1

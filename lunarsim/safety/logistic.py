@@ -74,7 +74,7 @@ class Logistic:
 
 
 def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:
-    """Return the mean loss with the ridge penalty, its gradient (k,) and its Hessian (k, k)."""
+    """Return the mean loss with the ridge penalty, its gradient and its Hessian."""
     p = expit(x @ w)
     gradient = x.T @ (p - y) / len(y) + _RIDGE * w
     curvature = (x.T * (p * (1.0 - p) / len(y))) @ x

@@ -1,4 +1,4 @@
-"""Stochastic safety by the real support planes: the stochastic form of `bounded_safety`."""
+"""Stochastic safety by the real support planes."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def _cast(kind: Any, raster: NDArray[Any]) -> NDArray[Any]:
 
 
 def _contiguous(raster: NDArray[Any]) -> NDArray[Any]:
-    """Return a contiguous writable raster, the only kind that kernels are compiled for."""
+    """Return a contiguous writable raster, as the kernels require."""
     raster = np.ascontiguousarray(raster)
     return raster if raster.flags.writeable else raster.copy()
 

@@ -1,4 +1,4 @@
-"""Last stage of the Gaussian DEM's calibration, fitted to the flights of one scenario.
+"""Last stage of the Gaussian DEM's calibration, fitted to one scenario.
 
 The packaged regression was fitted to a set of worlds. For a scenario that differs from these, its
 log odds are scaled and shifted to the observed frequencies: once for sites in the regression's
@@ -72,7 +72,7 @@ class Stage:
 
     @classmethod
     def fit(cls, log_odds: Array, safe: BoolArray) -> Stage:
-        """Fit to sites (n,) by maximum likelihood; both safe and unsafe sites are required."""
+        """Fit to safe and unsafe sites (n,) by maximum likelihood."""
         x = np.column_stack((np.ones_like(log_odds), log_odds))
         return cls(*Logistic.fit(x, safe, rising=1).weights)
 

@@ -1,4 +1,4 @@
-"""Ratio of rocks missed by the samples that remain after observation by another sensor.
+"""Ratio of rocks missed by samples that another sensor also misses.
 
 A camera that sees lit terrain where a rock's shadow would fall has not excluded the rock, because
 it misses some rocks. Of the rocks that no sample has met, the fraction that the camera misses
@@ -105,7 +105,7 @@ class Thinning:
 
     @cached_property
     def _falling(self) -> Array:
-        """Ratios that do not increase with size, starting with unobserved sizes (n + 1, ...)."""
+        """Ratios that do not increase with size, unobserved sizes first (n + 1, ...)."""
         return self._falling_of(self.ratio)
 
     @staticmethod
@@ -152,7 +152,7 @@ class Thinning:
         return out
 
     def _mean(self, height: ArrayLike, falling: Array) -> Array:
-        """Return the mean of non-increasing ratios over the distribution's rocks above heights."""
+        """Return the mean of non-increasing ratios over the rocks above heights."""
         flat = falling.reshape(len(falling), -1)
         out = np.empty(flat.shape[1])
         with threads_for(0.05 * out.size):
@@ -170,7 +170,7 @@ class Thinning:
 
     @cached_property
     def _excess(self) -> list[tuple[NDArray[np.bool_], Array]]:
-        """Where a class has more excess than the next smaller one (rows, cols), and it (n,)."""
+        """Mask and value of each class's excess over that of the next smaller class."""
         out, before = [], np.zeros(self.shape, np.float32)
         for ratio in self.ratio:
             more = np.maximum(ratio - np.float32(1.0), before)
@@ -181,7 +181,7 @@ class Thinning:
 
 
 def _of_sites(height: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Return scalar heights as (1,), and others flattened over all sites (rows * cols,)."""
+    """Return scalar heights as (1,), and others flattened over all sites."""
     h = np.asarray(height, dtype=np.float64)
     return h.reshape(1) if h.size == 1 else np.ravel(np.broadcast_to(h, shape))
 

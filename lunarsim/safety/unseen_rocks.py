@@ -68,7 +68,7 @@ class HeightCurve:
 
     @cached_property
     def careful(self) -> HeightCurve:
-        """The curve with counted gravel, at least that of the distribution below the counts.
+        """Curve with counted gravel, at least the distribution's below the counts.
 
         Few high rocks do not imply few low ones.
         """
@@ -123,7 +123,7 @@ class HeightCurve:
         return np.asarray(max_number / (1.0 + seen))
 
     def sunk(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
-        """Return the number of holes of a depth that no sample has met, per square metre (...).
+        """Return the number of holes of a depth that no sample has met, per m^2 (...).
 
         The curve must be the fraction of terrain below each depth. Holes are counted as squares of
         the minimum relevant width: a pad does not sink into narrower ones.
@@ -154,7 +154,7 @@ class HeightCurve:
 def height_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
 ) -> HeightCurve:
-    """Return the fraction of terrain above each height, from samples and rock distribution.
+    """Return the fraction of terrain above each height.
 
     Parameters
     ----------
@@ -183,14 +183,14 @@ def height_curve(
 
 
 def _falling(share: Array) -> Array:
-    """Return fractions (n,) limited to `_MAX_FRACTION` and made non-increasing with height."""
+    """Return fractions (n,), limited and made non-increasing with height."""
     return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
 def _ratio_to_distribution(
     z: Array, noise: float, counted: Array, height: Array, law: Array
 ) -> tuple[Array, float]:
-    """Return the ratio of the fraction to the distribution's at heights (n,), and the lowest count.
+    """Return the ratio of counts to the distribution, and the lowest count height.
 
     Samples are counted above some heights, without those within the noise; outside these the ratio
     is constant.
@@ -216,7 +216,7 @@ def depth_curve(
 
 
 def law_share(height: ArrayLike, cover: float, height_ratio: float) -> Array:
-    """Return the fraction of terrain that rocks of the Golombek distribution raise above heights.
+    """Return the fraction of terrain that rocks raise above heights (n,), m.
 
     Heights are (n,), m. Rocks are half ellipsoids with circular outlines, `height_ratio` times as
     high as wide.

@@ -1,4 +1,4 @@
-"""Compile the kernels of the safety tests: `python -m lunarsim.safety.warming --help`.
+"""Compile the kernels of the safety tests (run with `python -m`).
 
 The compiled kernels are cached on disk for every process of the machine.
 """
@@ -20,7 +20,7 @@ from lunarsim.safety.planes import plane_stochastic_safety
 
 
 def warm(exact: bool) -> None:
-    """Run the safety tests of a LiDAR map on flat terrain, and the exact test if requested."""
+    """Run the safety tests of a LiDAR map on flat terrain, optionally the exact one."""
     lander = Lander()
     grid = Grid.centred((0.0, 0.0), 10.0, 0.5)
     level = np.zeros(grid.shape, np.float32)
@@ -31,7 +31,7 @@ def warm(exact: bool) -> None:
 
 
 def end_with(parent: int) -> None:
-    """Exit when the parent process is no longer `parent`, because nothing waits for the result."""
+    """Exit when the parent process is no longer `parent`."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)

@@ -1,1 +1,1 @@
-"""Sensors: each converts the true world and state to a measurement with its own noise model."""
+"""Sensors: each converts the true world and state to a noisy measurement."""

@@ -1,4 +1,4 @@
-"""Compiled camera detector: noise, saturation and quantization in one pass over the pixels."""
+"""Compiled camera detector: noise, saturation and quantization."""
 
 from __future__ import annotations
 

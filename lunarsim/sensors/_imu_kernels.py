@@ -10,7 +10,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def sample(truth, matrix, offset, quantum, remainder, out):
-    """Write the measured increment (3,) for a true one; keep the quantization remainder.
+    """Write the measured increment (3,), and keep the quantization remainder.
 
     The running sum is rounded, not each increment, so that no angle or velocity is lost.
     """

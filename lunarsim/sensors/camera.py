@@ -52,7 +52,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Camera(CameraModel):
-    """A framing camera fixed to the lander: geometry of `CameraModel`, shutter and detector.
+    """A framing camera fixed to the lander: geometry, shutter and detector.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Camera(CameraModel):
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> Picture:
-        """Take an image; `mount` (3, 3) is the gimbal's rotation, omitted: the camera's own."""
+        """Take an image; `mount` (3, 3) replaces the camera's own mounting."""
         camera = self if mount is None else replace(self, mount=mount)
         exposure = camera.expose(world, state, time, rng)
         return Picture(exposure.time, exposure.counts, camera.model)
@@ -212,7 +212,7 @@ class Camera(CameraModel):
         return Exposure(time, self._detect(radiance, rng), kept)
 
     def _render(self, world: World, state: State, view: View) -> NDArray[np.float32]:
-        """Return the radiance at the lens (height, width), line by line for a rolling shutter."""
+        """Return the radiance at the lens, line by line for a rolling shutter."""
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
             bands = self._bands(world, state, view)

@@ -37,7 +37,7 @@ class Sensor(Protocol):
 
 
 class SensorPart(Protocol):
-    """Interface of sensor parts in the registry: frozen dataclasses of sensor parameters.
+    """Interface of sensor parts: frozen dataclasses of sensor parameters.
 
     A part with state between measurements also has a method ``build(rng, step) -> Sensor``; a part
     without it is itself the sensor.
@@ -54,5 +54,5 @@ class SensorPart(Protocol):
     tasked: ClassVar[bool]
 
     def calibration(self) -> Any:
-        """Return what the onboard computer knows of the sensor, with the gimbal of a tasked one."""
+        """Return what the onboard computer knows of the sensor and its gimbal."""
         ...

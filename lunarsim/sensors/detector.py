@@ -57,7 +57,7 @@ def counts_from_electrons(
     gain: float,
     bits: int,
 ) -> NDArray[np.unsignedinteger[Any]]:
-    """Return counts (height, width) for electrons, which are overwritten; terms as in `Camera`."""
+    """Return counts (height, width) for electrons, which are overwritten."""
     few = np.ones(electrons.shape, np.bool_)
     normal = np.zeros(electrons.shape, np.float32)
     if shot_noise or read_noise > 0.0:

@@ -1,4 +1,4 @@
-"""Automatic exposure: set the next exposure time from the histogram of the last image."""
+"""Automatic exposure from the histogram of the last image."""
 
 from __future__ import annotations
 

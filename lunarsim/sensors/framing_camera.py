@@ -1,4 +1,4 @@
-"""The camera as a part of a lander: its settings, and what the onboard computer knows of it."""
+"""Settings of the camera as a part of a lander, and its calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lunarsim.sensors.metering_camera import MeteringCamera
 
 @dataclass(frozen=True)
 class FramingCamera:
-    """A framing camera on a gimbal, with the settings of `Camera` and of automatic exposure."""
+    """A framing camera on a gimbal, with optional automatic exposure."""
 
     width: int = quantity(640, ge=1, le=8192, help="width of the image in pixels")
     height: int = quantity(480, ge=1, le=8192, help="height of the image in pixels")
@@ -116,7 +116,7 @@ class FramingCamera:
         return MeteringCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
-        """Return what the onboard computer knows of the camera apart from each image's model."""
+        """Return what the onboard computer knows of the camera."""
         camera = self.camera()
         half = 0.5 * min(self.width / camera.fx, self.height / camera.fy)
         return CameraInstrument(self.gimbal_limit, self.blur_sigma, 1.0 / camera.fx, half)

@@ -26,7 +26,7 @@ _MAX_PIXELS = 2**22
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """A flash LiDAR whose pixels are uniform in the tangent of the angle or in the angle.
+    """A flash LiDAR with pixels uniform in the angle or in its tangent.
 
     Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
     100 x 100 m from 500 m vertically above, noise along each ray with 3 sigma = 5 cm at 500 m,
@@ -130,7 +130,7 @@ class FlashLidar:
         )  # fmt: skip
 
     def directions(self) -> Array:
-        """Return the unit vectors of the pixels (rows * cols, 3), sensor frame, row by row."""
+        """Return the unit vectors of the pixels (rows * cols, 3), sensor frame."""
         u = (np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0
         v = (np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0
         if self.spacing == "angle":
@@ -172,7 +172,7 @@ class FlashLidar:
     def _sense(
         self, world: World, origin: Array, rays: Array, rng: np.random.Generator
     ) -> tuple[Array, Array]:
-        """Return the measured ranges of rays (n, 3), ENU, and their stated standard deviations.
+        """Return the measured ranges of rays (n, 3), ENU, and their stated sigmas.
 
         `origin` is (3,) for all rays or (n, 3).
         """
@@ -196,7 +196,7 @@ class FlashLidar:
         return measured, sigma
 
     def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
-        """Return the mean range over the beam's footprint; NaN where its centre ray misses.
+        """Return the mean range over the beam's footprint; NaN if its centre misses.
 
         Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.
         """

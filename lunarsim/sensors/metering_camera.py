@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class MeteringCamera:
-    """A camera that sets the exposure of each image from the previous one, or as commanded.
+    """A camera that sets its exposure from the previous image, or as commanded.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compiled triangulation of a detector's returns: their own mesh, flipped until Delaunay.
+"""Compiled triangulation of a detector's returns by edge flips of their mesh.
 
 Half-edges and coordinates are those of `_geometry_kernels`.
 """
@@ -13,7 +13,7 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
-    """Add triangles outside the mesh until its outline is convex; return the half-edges used.
+    """Add triangles until the outline is convex; return the half-edges used.
 
     `border[v]` is the half-edge of the outline that starts at vertex v, or -1.
     """
@@ -69,7 +69,7 @@ def _previous_on_outline(vertex, twin, e):
 
 @kernel()
 def _runs_forward(x, y, first, step, count):
-    """Return whether every edge along a side of the mesh points towards the side's end."""
+    """Return whether every edge along a mesh side points towards its end."""
     last = first + step * (count - 1)
     ux = x[last] - x[first]
     uy = y[last] - y[first]
@@ -88,7 +88,7 @@ def _pair(twin, e, f):
 
 @kernel(inline=True)
 def _which_diagonal(x, y, a, b, c, d):
-    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either leaves a triangle inverted."""
+    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either is inverted."""
     abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
     acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
     abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
@@ -105,7 +105,7 @@ def _which_diagonal(x, y, a, b, c, d):
 
 @kernel(inline=True)
 def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
-    """Write the triangles of a quad from half-edge t on; return its east, north and west sides.
+    """Write the triangles of a quad; return its east, north and west sides.
 
     The south side is half-edge t.
     """
@@ -127,7 +127,7 @@ def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
 
 @kernel()
 def _cut_quads(x, y, rows, cols, vertex, twin):
-    """Write two triangles for each quad of a detector's mesh; return whether none is folded."""
+    """Write two triangles for each quad of the mesh; return if none is folded."""
     south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads in the previous row
     for i in range(rows - 1):
         west = -1
@@ -152,7 +152,7 @@ def _cut_quads(x, y, rows, cols, vertex, twin):
 
 @kernel()
 def flip_mesh(points, rows, cols):
-    """Return the Delaunay triangles of a detector's mesh, or none if the mesh folds over."""
+    """Return the Delaunay triangles of a detector's mesh; none if it folds over."""
     n = rows * cols
     nothing = np.empty((0, 3), np.int64)
     x = points[:, 0].copy()

@@ -13,7 +13,7 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def hilbert_keys(points, bits):
-    """Return the position of every point along a Hilbert curve of 2**bits steps per side."""
+    """Return the position of every point along a Hilbert curve."""
     out = np.empty(points.shape[0], np.int64)
     for n in range(points.shape[0]):
         x = points[n, 0]
@@ -34,7 +34,7 @@ def hilbert_keys(points, bits):
 
 @kernel()
 def _conflicts(t, vertex, x, y, ghost, px, py):
-    """Return whether point p destroys triangle t: inside its circle, or outside its hull edge."""
+    """Return whether point p destroys triangle t."""
     a = vertex[3 * t]
     b = vertex[3 * t + 1]
     c = vertex[3 * t + 2]
@@ -50,7 +50,7 @@ def _conflicts(t, vertex, x, y, ghost, px, py):
 
 @kernel()
 def _first_triangle(x, y, order):
-    """Return three non-collinear points, counter-clockwise; -1 for each if there are none."""
+    """Return three non-collinear points, counter-clockwise; -1 if there are none."""
     first = order[0]
     second = order[1] if order.size > 1 else -1
     third = -1
@@ -106,7 +106,7 @@ def _walk_to(px, py, t, x, y, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim):
-    """List all triangles that point p destroys, including t, and the rim of the cavity.
+    """List all triangles that p destroys, including t, and the cavity's rim.
 
     The rim consists of the half-edges outside. Returns the numbers of triangles and of half-edges;
     the marks are cleared.
@@ -139,7 +139,7 @@ def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim
 
 @kernel(inline=True)
 def _write_fan_triangle(t, a, b, p, ghost, vertex):
-    """Write triangle a, b, p with a ghost vertex last; return its half-edge from a to b."""
+    """Write triangle a, b, p, ghost vertex last; return its half-edge a to b."""
     if a == ghost:
         vertex[3 * t] = b
         vertex[3 * t + 1] = p
@@ -158,7 +158,7 @@ def _write_fan_triangle(t, a, b, p, ghost, vertex):
 
 @kernel(inline=True)
 def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
-    """Fill the cavity by a fan from p over its rim; return the last triangle and the new total.
+    """Fill the cavity by a fan from p; return last triangle and new total.
 
     Indices of destroyed triangles are reused. `fan` stores the new half-edge that starts at each
     vertex of the rim.
@@ -203,7 +203,7 @@ def _without_ghosts(vertex, count, ghost):
 
 @kernel()
 def insert_all(points, order):
-    """Return the Delaunay triangles (m, 3) of distinct points, inserted in the given order.
+    """Return the Delaunay triangles (m, 3) of distinct points in given order.
 
     A ghost triangle has its ghost vertex last, so that its half-edge 0 is the hull edge seen from
     outside.

@@ -1,4 +1,4 @@
-"""Delaunay triangulation of arbitrary points, and faster of a detector's returns in order.
+"""Delaunay triangulation of points, and faster of a detector's returns.
 
 Coordinates are rounded to 2**-25 of their extent (3 micrometres over 100 m) and become integers.
 Orientation and in-circle tests are exact for integers, so that the result is the Delaunay

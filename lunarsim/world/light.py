@@ -151,14 +151,14 @@ class Light:
 
     @property
     def _photometry_key(self) -> Light:
-        """Same photometry with a fixed Sun, a cache key for what does not depend on the Sun."""
+        """Same photometry with a fixed Sun, as cache key."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,
         )  # fmt: skip
 
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-        """Return I/F of sunlit terrain of mean albedo from the cosines of the three angles."""
+        """Return I/F of sunlit terrain of mean albedo from cosines of the angles."""
         if self.photometry == "lambert":
             return lambert(self.albedo, mu0) + 0.0 * np.asarray(mu)
         if self.photometry == "lunar-lambert":

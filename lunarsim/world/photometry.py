@@ -32,7 +32,7 @@ def lambert(albedo: float, mu0: ArrayLike) -> Array:
 
 
 def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-    """Return I/F of McEwen's lunar-Lambert model, with his polynomial in the phase angle.
+    """Return I/F of the lunar-Lambert model with McEwen's phase polynomial.
 
     Source: McEwen (1991), Icarus 92, 298-311.
 
@@ -110,7 +110,7 @@ class Hapke:
     def _roughness_correction(
         self, mu0: Array, mu: Array, cos_g: Array
     ) -> tuple[Array, Array, Array]:
-        """Return effective cosines of incidence and emission, and the shadowing function S."""
+        """Return effective cosines of incidence and emission, and the function S."""
         tangent = np.tan(self.roughness)
         chi = 1.0 / np.sqrt(1.0 + np.pi * tangent**2)
         sin0, sin = (np.sqrt(np.maximum(1.0 - m * m, 1e-9)) for m in (mu0, mu))

@@ -33,7 +33,7 @@ _SAMPLES, _BISECTIONS = 400, 40
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Settings of the terrain beyond the map, finest level first; heights of levels add up.
+    """Settings of the terrain beyond the map; heights of levels add up.
 
     The raster at `path`, if given, is the first level, with its middle at the map's origin.
     """
@@ -121,7 +121,7 @@ def _load_measured(settings: Surroundings) -> Heightfield:
 
 
 def _smoothstep(share: Array) -> Array:
-    """Return 1 for values up to 0, 0 from 1 on, with a smooth step between (smoothstep)."""
+    """Return a smooth step from 1 (values up to 0) to 0 (values from 1)."""
     s = np.clip(share, 0.0, 1.0)
     return np.asarray(1.0 - s * s * (3.0 - 2.0 * s))
 
@@ -148,7 +148,7 @@ class FarTerrain:
     level: Callable[[int], Heightfield] = field(repr=False, compare=False)
 
     def way(self, position: ArrayLike) -> Array:
-        """Return the arcs (..., 2) east and north on the sphere below positions (..., 3), m."""
+        """Return the arcs (..., 2) east and north below positions (..., 3), m."""
         r = self.moon.from_centre(position)
         aside = np.hypot(r[..., 0], r[..., 1])
         arc = self.moon.radius * np.arctan2(aside, r[..., 2])

@@ -121,7 +121,7 @@ def survey(
 
 
 def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
-    """Return errors of unit standard deviation with a Gaussian correlation (rows, cols)."""
+    """Return errors of unit variance with a Gaussian correlation (rows, cols)."""
     if correlation == 0.0:
         return rng.standard_normal(grid.shape)
     # White noise filtered by a Gaussian has a correlation length of root two times its width.

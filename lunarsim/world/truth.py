@@ -66,7 +66,7 @@ class Truth:
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
     def within(self, bounds: Bounds, most_cells: int) -> Truth:
-        """Return the truth within bounds, decimated to at most `most_cells` cells along a side."""
+        """Return the truth within bounds, decimated to `most_cells` per side."""
         rows, cols = _cells_within(self.safety.grid, bounds, 0)
         step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
         rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
@@ -79,12 +79,12 @@ class Truth:
 
     @cached_property
     def clearance(self) -> NDArray[np.float64]:
-        """Distance from each safe cell's centre to the nearest unsafe cell's (rows, cols), m."""
+        """Distance from each safe cell's centre to the nearest unsafe one's, m."""
         cells = ndimage.distance_transform_edt(self.safety.safe)
         return np.asarray(cells * self.safety.grid.posting)
 
     def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether points (..., 2) are exactly safe (nearest cell); False off the map."""
+        """Return whether points (..., 2) are exactly safe; False off the map."""
         grid = self.safety.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)

@@ -55,7 +55,7 @@ class World:
         )
 
     def under(self, position: NDArray[np.float64], low: float) -> bool:
-        """Return whether a position (3,) is over 1 m below the terrain, whose minimum is `low`."""
+        """Return whether a position (3,) is over 1 m below the terrain."""
         if self.surroundings is not None:
             return bool(self.surroundings.clearance(position) < -1.0)
         return bool(self.height(position) < low - 1.0)

@@ -32,7 +32,7 @@ def rock_feet(rocks, reach, z, x0, y0, p):
 
 @kernel(exact=True)
 def _sides(rocks, n, reach):
-    """Return the half side vectors of the box around rock n, ENU: along e (2), along f (2)."""
+    """Return the half side vectors of the box around rock n, ENU."""
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
     e = rocks[n, 3] * scale
     f = rocks[n, 4] * scale
@@ -41,7 +41,7 @@ def _sides(rocks, n, reach):
 
 @kernel()
 def _fit(u0, v0, u1, v1, width, height, box, m):
-    """Write the pixels with centres in a rectangle to row m; return whether there are any.
+    """Write the pixels with centres in a rectangle to row m; return if any.
 
     Centres are at integers. A margin of 0.005 pixels covers rounding of float32 in the shader.
     """
@@ -58,7 +58,7 @@ def _fit(u0, v0, u1, v1, width, height, box, m):
 
 @kernel()
 def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, width, height, near):
-    """Return the pixels (m, 4) that each rock of `number` (m,) may cover, and whether any (m,).
+    """Return the pixels (m, 4) that each rock may cover, and whether any (m,).
 
     A rock between the centres of pixels covers none and is omitted.
     """
@@ -121,7 +121,7 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 @kernel()
 def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
-    """Return whether a box of texels meets all strips of the reads, or the map's border."""
+    """Return whether a box of texels meets all strips, or the map's border."""
     # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
@@ -152,7 +152,7 @@ def shading_rocks(
     lower_bound,
     upper_bound,
 ):
-    """Return the texels (m, 4) that each rock of `number` (m,) may shadow, and whether any (m,).
+    """Return the texels (m, 4) that each rock may shadow, and whether any (m,).
 
     `axes` (2, 2) transforms ENU to the map's axes, `corner` is the map's corner in them, m. Texels
     outside the strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are omitted.
@@ -196,7 +196,7 @@ def shading_rocks(
 
 @kernel()
 def gather(box, number, drawn):
-    """Return the rows of `box` (n, 4), as float32 (m, 4), and the indices (m,) where `drawn`."""
+    """Return the rows of `box` as float32 (m, 4), and the indices, where `drawn`."""
     picked = np.flatnonzero(drawn)
     out = np.empty((picked.size, 4), np.float32)
     for m in range(picked.size):
@@ -207,7 +207,7 @@ def gather(box, number, drawn):
 
 @kernel()
 def box_corners(box, number, picked):
-    """Return the corners of boxes `picked` (m,), relative to the image's corner, and their indices.
+    """Return the corners of boxes, relative to the image's corner, and indices.
 
     Rows (4 m, 3), float32: lower left, lower right, upper left, upper right.
     """

@@ -1,4 +1,4 @@
-"""Compiled selection of the tiles of rocks that may be in an image or a shadow map.
+"""Compiled selection of tiles of rocks for an image or a shadow map.
 
 Omitted tiles are certainly empty: bounds cover complete tiles and include a rounding margin.
 """
@@ -15,7 +15,7 @@ _RELATIVE_MARGIN = 1e-6
 
 @kernel()
 def tile_bounds(rocks, reach, foot, order, start):
-    """Return bounds of tiles of rocks: low (t, 3), high (t, 3), radius and margin (t,).
+    """Return bounds of tiles: low (t, 3), high (t, 3), radius and margin (t,).
 
     Tile t contains the rocks `order[start[t]:start[t + 1]]`. `low` and `high` bound the rocks'
     positions and their elevations from foot to top. `radius` is that of the largest sphere around a

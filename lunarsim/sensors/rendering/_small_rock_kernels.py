@@ -19,7 +19,7 @@ MOST = 16  # maximum number of pixels in a small rock's box
 
 @kernel()
 def split(box):
-    """Return the indices of boxes (n, 4) with few pixels, their first pixels, and other boxes.
+    """Return indices of boxes with few pixels, their first pixels, other boxes.
 
     The last element of the first pixels is the total number of pixels.
     """
@@ -75,7 +75,7 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
 def shade(
     rocks, planes, count, box, number, small, start, eye, lean, axes, corner, texel, highest, lowest
 ):
-    """Write texel and depth of the highest face of small rocks turned away from the Sun.
+    """Write texel and depth of small rocks' highest faces away from the Sun.
 
     Returns rows (m, 3), float32, and which of them are hits (m,). Elevations are relative to the
     camera.
@@ -108,7 +108,7 @@ def shade(
 
 @kernel()
 def min_depth(points, hit, height, width):
-    """Return the minimum depth (height, width), float32, of points that hit; 1 if there is none.
+    """Return the minimum depth (height, width), float32, of hits; 1 if none.
 
     `points` (m, 3) are column, row and depth.
     """

@@ -1,4 +1,4 @@
-"""Compiled bounds and errors of the relief's tiles, and selection of the tiles to draw."""
+"""Compiled bounds, errors and selection of the relief's tiles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STEEP_VIEW_FACTOR = 4.0
 
 @kernel()
 def _extremes(z, i0, j0, i1, j1):
-    """Return minimum, maximum and steepest rise (per cell) of a tile, and if a post is missing."""
+    """Return minimum, maximum and steepest rise of a tile, and if posts miss."""
     low = np.inf
     top = -np.inf
     steep = 0.0
@@ -96,7 +96,7 @@ def tile_tables(z, side, levels, p):
 
 @kernel()
 def lee_blocks(z, first, side, blocks, p, sun, share):
-    """Return which blocks (m, blocks^2) of tiles have a face turned away from the Sun, or nearly.
+    """Return which blocks (m, blocks^2) of tiles face away from the Sun, or nearly.
 
     `first` (m, 2) are the first column and row of each tile; its blocks are numbered row by row. A
     face counts if it rises towards the Sun by more than `share` times the rise of the Sun's rays.
@@ -123,7 +123,7 @@ def lee_blocks(z, first, side, blocks, p, sun, share):
 
 @kernel(parallel=True)
 def cell_corners(z, ground):
-    """Return the elevations above `ground` of the corners of every cell (rows, cols, 4), float32.
+    """Return the heights of the corners of every cell (rows, cols, 4), float32.
 
     The order is SW, SE, NW, NE. Beyond the last post its value is repeated.
     """
@@ -142,7 +142,7 @@ def cell_corners(z, ground):
 
 @kernel()
 def _coarsest(error, n, max_error):
-    """Return the coarsest level of tile n up to which all errors are within `max_error`."""
+    """Return the coarsest level of tile n with errors up to `max_error`."""
     level = 0
     while level + 1 < error.shape[0] and error[level + 1, n] <= max_error:
         level += 1
@@ -151,7 +151,7 @@ def _coarsest(error, n, max_error):
 
 @kernel()
 def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_tolerance):
-    """Return the visible tiles (n,) of a camera, their levels of detail, and their bounds.
+    """Return the visible tiles (n,) of a camera, their levels and bounds.
 
     Levels (n,) are for the image and for the shadow map. The bounds are the minimum distance of a
     visible tile and the corners of the bounding box of all of them (3,). `bounds` are the tangents

@@ -37,7 +37,7 @@ _render_thread = DaemonThreads(1, "lunarsim-render")
 
 
 def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Run a function that uses OpenGL on the rendering thread; callers wait for its result."""
+    """Run a function on the rendering thread; callers wait for its result."""
 
     def run(threads: int, *args: P.args, **kwargs: P.kwargs) -> R:
         _here.is_render_thread = True
@@ -82,7 +82,7 @@ def gl_context() -> moderngl.Context:
 
 
 def shader(*names: str, defines: tuple[str, ...] = ()) -> str:
-    """Return GLSL source: version, definitions, and the named shader files of the package."""
+    """Return GLSL source: version, definitions, and the named shader files."""
     folder = files(__package__) / "shaders"
     parts = ["#version 330", *(f"#define {line}" for line in defines)]
     parts += [(folder / f"{name}.glsl").read_text(encoding="utf-8") for name in names]

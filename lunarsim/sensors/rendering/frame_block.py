@@ -1,4 +1,4 @@
-"""Parameters of an image for the shaders: one uniform block, written once per image."""
+"""Parameters of an image for the shaders, in one uniform block."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _EDGES = np.array(
 
 @dataclass(frozen=True)
 class ShadowMapReads:
-    """Strips of a shadow map that contain all points an image reads, except at the map's border.
+    """Strips of a shadow map that contain all inner points an image reads.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class ShadowMapReads:
         return cls(normal, along.min(axis=0) - room, along.max(axis=0) + room, frame.size)
 
     def meet(self, place: Array) -> NDArray[np.bool_]:
-        """Return which convex bodies with corners (n, c, 2), in texels, may shadow what is read."""
+        """Return which convex bodies (n, c, 2), in texels, may shadow what is read."""
         along = place @ self.normal.T
         within = ((along.max(1) >= self.lower_bound) & (along.min(1) <= self.upper_bound)).all(-1)
         # A point outside the map reads its border.

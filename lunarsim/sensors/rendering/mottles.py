@@ -19,7 +19,7 @@ _DETAIL = 8
 
 @lru_cache(maxsize=4)
 def albedo_field(seed: int) -> NDArray[np.uint8]:
-    """Return a periodic random field (1024, 1024) of correlation exp(-distance / 8 texels).
+    """Return a periodic random field (1024, 1024) of exponential correlation.
 
     Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
     """
@@ -34,7 +34,7 @@ def albedo_field(seed: int) -> NDArray[np.uint8]:
 
 
 def albedo_from_camera(light: Light, eye: Array) -> Array:
-    """Return scale and offset (4,) from metres relative to the camera to the periodic field."""
+    """Return scale and offset (4,) from the camera's metres to the field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
     return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])
 

@@ -1,4 +1,4 @@
-"""Penumbrae: the Sun's disc in shadow map coordinates, and bounds of the affected texels."""
+"""Penumbrae: the Sun's disc in the shadow map, and bounds of the texels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_SEARCH_BLOCKS = 128
 
 
 def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
-    """Return the half axes (2,) of the Sun's disc in the map, texels per metre of height.
+    """Return the half axes (2,) of the Sun's disc in the map, texels per metre.
 
     The first axis is along the Sun's azimuth. An occluder at height h over a point hides parts of
     the disc within h tan(r) / sin(e)^2 along the azimuth, and h tan(r) / sin(e) across, with the

@@ -1,4 +1,4 @@
-"""Shader programs, meshes and textures of a context, and the binding of their inputs."""
+"""Shader programs, meshes and textures of a context, and their inputs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def disable_filtering(texture: moderngl.Texture) -> None:
 
 @lru_cache(maxsize=LEVELS)
 def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-    """Return the vertices and triangles of one level of detail, shared by all terrains."""
+    """Return the vertices and triangles of one level of detail."""
     posts, triangles = level_mesh(level)
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
@@ -83,7 +83,7 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
 
 @lru_cache(maxsize=2)
 def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
-    """Return the programs that draw depth and shadow maps, shared by all terrains of a context."""
+    """Return the programs that draw depth and shadow maps."""
     block = (f"BLOCK {BLOCK}",)
     programs = {
         "relief": ctx.program(

@@ -44,7 +44,7 @@ class TileChoice:
 
 @dataclass(frozen=True)
 class ReliefTiles:
-    """Tiles of 32 x 32 cells with their bounding boxes and the errors of coarser levels.
+    """Tiles of 32 x 32 cells with bounding boxes and errors of coarser levels.
 
     Attributes
     ----------

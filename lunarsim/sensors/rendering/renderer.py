@@ -328,7 +328,7 @@ _RENDERERS: dict[int, Renderer] = {}
 
 @on_render_thread
 def renderer_of(terrain: Terrain) -> Renderer:
-    """Return the renderer of a terrain, created once and kept for the terrain's lifetime."""
+    """Return the renderer of a terrain, which is kept for its lifetime."""
     key = id(terrain)
     if key not in _RENDERERS:
         _RENDERERS[key] = Renderer(terrain)
@@ -338,7 +338,7 @@ def renderer_of(terrain: Terrain) -> Renderer:
 
 
 def _camera_matrix(view: View, near: float, far: float) -> Array:
-    """Return the matrix (4, 4) from metres relative to the camera, ENU, to clip coordinates."""
+    """Return the matrix (4, 4) from the camera's metres, ENU, to clip coordinates."""
     x, y, z = view.axes.T
     out = np.zeros((4, 4))
     # The centre of the first pixel is at 0; image rows increase upwards in clip coordinates.

@@ -95,7 +95,7 @@ class RockTiles:
         return DrawnRocks(*cull.gather(box, number, seen))
 
     def shading(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
-        """Return the rocks that may shadow those texels of a view's shadow map that are read."""
+        """Return the rocks that may shadow the texels that a view reads."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
         kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)

@@ -1,4 +1,4 @@
-"""Properties of a light that shaders are compiled for: photometry and light sources."""
+"""Light properties that shaders are compiled for."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ShadingModel:
 
     @classmethod
     def of(cls, light: Light) -> ShadingModel:
-        """Return the definitions for a light; of all directions, only the Earth's is included."""
+        """Return the definitions for a light, without directions but the Earth's."""
         found = list(_hapke(light))
         if light.diameter > 0.0:
             found.append("SOFT")
@@ -72,14 +72,14 @@ class ShadingModel:
 
 
 def spiral(count: int) -> Array:
-    """Return points (count, 2) spread uniformly over the unit disc, along Vogel's spiral."""
+    """Return points (count, 2) uniform over the unit disc, on Vogel's spiral."""
     radius = np.sqrt((np.arange(count) + 0.5) / count)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     return np.asarray(radius[:, None] * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
 def strips(count: int, steps: int) -> Array:
-    """Return points (count * steps, 2) on the unit disc, in strips along x of equal area.
+    """Return points (count * steps, 2) on the unit disc, in strips along x.
 
     Each point represents the same area. Neighbouring strips are staggered, so that a straight edge
     across them passes one point at a time.

@@ -100,7 +100,7 @@ class ShadowFrame:
         )
 
     def texels_of(self, points: Array) -> Array:
-        """Return the map positions (..., 2), texels, of points (..., 3) relative to the camera."""
+        """Return the map positions (..., 2), texels, of points relative to the camera."""
         place = (points[..., :2] - points[..., 2:] * self.lean) @ self.axes.T
         return np.asarray((place - self.corner) / self.texel)
 
@@ -124,7 +124,7 @@ class ShadowFrame:
 def _extent(
     view: View, choice: TileChoice, lean: Array, axes: Array, rock: float
 ) -> tuple[Array, Array]:
-    """Return corner (2,) and extent (2,) of the shadow map, m, in its axes around the camera.
+    """Return corner (2,) and extent (2,) of the shadow map, m, in its axes.
 
     The map contains everything visible: the part of the view's pyramid between the minimum and
     maximum elevation of the tiles in view, and within these tiles.

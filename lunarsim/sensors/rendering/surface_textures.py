@@ -38,7 +38,7 @@ class SurfaceTextures:
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
-        """Bind the textures that a light needs, and write their coordinates into the block.
+        """Bind the textures that a light needs, and write their coordinates.
 
         Parameters
         ----------

@@ -1,1 +1,1 @@
-"""Terrain models that scenarios choose from; each file has the settings and the builder of one."""
+"""Terrain models that scenarios choose from, each with its settings."""

@@ -22,7 +22,7 @@ _MAX_DETAILED_POSTING_M = 24.0
 
 @dataclass(frozen=True)
 class FractalGround(Roughness):
-    """Fractal relief with craters, the same for all flights; rocks are drawn for each flight.
+    """Fractal relief with craters, constant over flights; rocks are drawn.
 
     Attributes
     ----------

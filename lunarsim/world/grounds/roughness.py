@@ -1,4 +1,4 @@
-"""Roughness and craters of procedural relief, from a preset or from given parameters."""
+"""Roughness and craters of procedural relief, by preset or parameters."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Roughness:
         )
 
     def _parameters(self) -> tuple[float, float, float]:
-        """Return Hurst exponent, RMS slope and crater density, from the preset where omitted."""
+        """Return Hurst exponent, RMS slope and crater density, with preset values."""
         own = (self.hurst, self.rms_slope, self.crater_density)
         hurst, slope, density = (
             preset if mine is None else mine

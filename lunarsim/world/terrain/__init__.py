@@ -1,4 +1,4 @@
-"""True terrain: measured or procedural relief with rocks, and queries of its surface."""
+"""True terrain: measured or procedural relief with rocks, and its queries."""
 
 from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile

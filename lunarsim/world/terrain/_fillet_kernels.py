@@ -9,7 +9,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def raise_fillets(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
-    """Raise the soil heights on posts (rows, cols), m, to the fillets of all rocks (n,).
+    """Raise the soil on posts (rows, cols), m, to the fillets of all rocks.
 
     The posts start at (x0, y0) and are `p` apart, m. Rocks have centres x, y and half axes a, b, m;
     `cos` and `sin` give the direction of axis a. `height` is the soil at each outline, m, and

@@ -10,7 +10,7 @@ from lunarsim.world.terrain._surface_kernels import relief_at
 
 @kernel()
 def _size_classes(radius, area):
-    """Return the size class (n,) of each radius (decreasing) and the bucket side of each class.
+    """Return the size class (n,) of each radius and each class's bucket side.
 
     Radii halve from class to class. Buckets are at least as large as the mean area per rock: the
     last class contains all rocks that would need smaller buckets.
@@ -45,7 +45,7 @@ def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offse
 
 @kernel()
 def _draw_near_crater(craters, farthest):
-    """Return a random point near a crater, with a density falling as the cube of the distance."""
+    """Return a random point near a crater, at a density of distance^-3."""
     k = min(np.searchsorted(craters[3], np.random.random()), craters.shape[1] - 1)  # noqa: NPY002
     # A ring of width dr has an area proportional to r dr: the number within r goes as 1 - R / r.
     u = np.random.random()  # noqa: NPY002
@@ -56,7 +56,7 @@ def _draw_near_crater(craters, farthest):
 
 @kernel()
 def _buckets(sides, wide, high):
-    """Return columns, rows and first bucket of each class, and an empty list per bucket."""
+    """Return columns, rows and first bucket of each class, and empty lists."""
     widths = np.empty(sides.size, np.int64)
     heights = np.empty(sides.size, np.int64)
     offset = np.empty(sides.size, np.int64)

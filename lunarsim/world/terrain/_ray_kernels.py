@@ -90,7 +90,7 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
 
 @kernel()
 def build_pyramid(z, rocks, start, index, base, offset, high, wide):
-    """Return the pyramid of maxima `peak` and the buckets' maxima without rocks, `ground`."""
+    """Return the pyramid of maxima, and the buckets' maxima without rocks."""
     peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
     lowest = np.float32(-np.inf)
     for i in range(high[0]):
@@ -175,7 +175,7 @@ def _cell_hit(ray, z, i, j, t0, t1):
 
 @kernel(inline=True)
 def _try_rocks(ray, t, bucket, best, which, rocks):
-    """Return the nearest hit at or after t among the bucket's rocks, and the index of the rock."""
+    """Return the nearest hit at or after t on a bucket's rocks, and the rock."""
     for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
         n = rocks.index[m]
         hit = rock_hit(
@@ -190,7 +190,7 @@ def _try_rocks(ray, t, bucket, best, which, rocks):
 
 @kernel(inline=True)
 def _exit_distances(ray, i, j, level):
-    """Return the distances at which a ray leaves node (i, j) east or west, and north or south."""
+    """Return the distances to a node's east or west, and north or south side."""
     wu = 1 if ray.dx > 0.0 else 0
     wv = 1 if ray.dy > 0.0 else 0
     tu = (((j + wu) << level) - ray.u) * ray.nu if ray.du != 0.0 else np.inf
@@ -200,7 +200,7 @@ def _exit_distances(ray, i, j, level):
 
 @kernel(inline=True)
 def _descend_to(ray, level, t, t1, i, j, rows, cols):
-    """Advance a ray down to elevation `level`; return distance and cell, (-1, -1) beyond t1.
+    """Advance a ray down to elevation `level`; return distance and cell.
 
     A ray that is already below it does not move.
     """
@@ -386,7 +386,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
 
 @kernel(inline=True)
 def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
-    """Return a ray over a relief whose first post is at (x0, y0) and whose posting is p."""
+    """Return a ray over a relief with first post (x0, y0) and posting p."""
     q = 1.0 / p
     du = dx * q
     dv = dy * q
@@ -399,7 +399,7 @@ def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
 
 @kernel(inline=True)
 def _first_hit(ray, max_range, z, pyramid, rocks):
-    """Return the distance of the first hit of a ray and what it hits (rock, -1 relief, -2 none).
+    """Return the distance of a ray's first hit, and its rock (-1 relief, -2 none).
 
     A ray that starts below the surface hits nothing.
     """

@@ -50,7 +50,7 @@ def fresh_depth_ratio(diameter: ArrayLike) -> Array:
 
 
 def diffuse_profile(radius: ArrayLike, age: float) -> Array:
-    """Return the profile of a crater of a given age, over its fresh rim-to-floor depth.
+    """Return the profile of a crater of a given age, over its fresh depth.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def diffuse_profile(radius: ArrayLike, age: float) -> Array:
 
 
 def fresh_profile_depth() -> float:
-    """Return the depth of the fresh `crater_profile` from rim to floor, for a diameter of 2 m."""
+    """Return the rim-to-floor depth of `crater_profile` for 2 m diameter."""
     rim, floor = crater_profile(np.array([1.0, 0.0]), 2.0, 1.0)
     return float(rim - floor)
 
@@ -96,13 +96,13 @@ def relative_depth(age: float) -> float:
 
 @lru_cache(maxsize=1)
 def max_crater_age() -> float:
-    """Return the age (kappa t / R^2) at which the relative depth is `MIN_RELATIVE_DEPTH`."""
+    """Return the age (kappa t / R^2) of the relative depth `MIN_RELATIVE_DEPTH`."""
     return float(brentq(lambda age: relative_depth(age) - MIN_RELATIVE_DEPTH, 0.0, 5.0))
 
 
 @lru_cache(maxsize=1)
 def _profiles() -> Array:
-    """Return profiles (ages, radii) at uniform steps of the square root of age, and of radius."""
+    """Return profiles (ages, radii) at uniform steps of root age, and of radius."""
     r = np.linspace(0.0, PROFILE_RADII, _RADII)
     ages = np.linspace(0.0, np.sqrt(max_crater_age()), _AGES) ** 2
     return np.stack([diffuse_profile(r, age) for age in ages])

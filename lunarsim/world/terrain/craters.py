@@ -135,7 +135,7 @@ def draw_sizes_and_positions(
     maximum: float | None,
     law: CraterLaw | None,
 ) -> tuple[Array, Array, Array]:
-    """Draw diameters (n,), largest first, and centres x, y (n,) of craters on a map, m.
+    """Draw diameters (n,), largest first, and centres x, y (n,) of craters, m.
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Load digital terrain models into a local east, north, up frame; see docs/terrain-files.md."""
+"""Load digital terrain models into a local east, north, up frame.
+
+The formats and rules are described in docs/terrain-files.md.
+"""
 
 from __future__ import annotations
 

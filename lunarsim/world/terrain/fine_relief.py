@@ -67,7 +67,7 @@ def _short_waves(
     rms_slope: float,
     baseline: float,
 ) -> NDArray[np.float64]:
-    """Return periodic fractal relief (side, side) without wavelengths above twice `old`, m.
+    """Return periodic fractal relief (side, side) of short wavelengths, m.
 
     The slope at the baseline is `rms_slope` for the complete spectrum, before their removal.
     """

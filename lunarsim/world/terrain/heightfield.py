@@ -15,7 +15,7 @@ from lunarsim.world.terrain.spline import GappySpline
 
 @dataclass(frozen=True)
 class Heightfield:
-    """Elevations at the cell centres of a grid, interpolated by two triangles per square.
+    """Elevations at the cell centres of a grid, with two triangles per square.
 
     The diagonal of the square between four posts runs from south-west to north-east. Ray casting,
     rendering and point queries use this same surface and therefore agree exactly.
@@ -66,7 +66,7 @@ class Heightfield:
         return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
 
     def mirrored(self, side: float) -> Heightfield:
-        """Return the relief extended by mirroring to a square of at least the given side, m.
+        """Return the relief extended by mirroring to a square of at least `side`, m.
 
         The extension is symmetric about the middle and continuous in elevation. A direction that
         is already wide enough is not extended.
@@ -78,7 +78,7 @@ class Heightfield:
         return Heightfield(Grid(west, south, grid.posting, *z.shape), z)
 
     def dequantised(self, step: float) -> Heightfield:
-        """Return a smooth relief that rounds to this one, for coarsely quantized elevations.
+        """Return a smooth relief that rounds to this one, for quantized elevations.
 
         The relief is smoothed repeatedly and kept within half a step of the measured values, which
         removes the slopes of the quantization steps.

@@ -88,7 +88,7 @@ def check_axes(source: DatasetReader) -> None:
 def _check_axis(
     source: DatasetReader, dim: str, places: Any, attributes: dict[str, Any], map_step: float
 ) -> None:
-    """Refuse an axis with uneven steps, or with steps that differ from those of the map."""
+    """Refuse an axis with uneven steps, or with steps unlike the map's."""
     crs, unit = source.crs, str(attributes.get("units", "")).lower()
     if len(places) < 2:
         return

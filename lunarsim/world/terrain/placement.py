@@ -48,7 +48,7 @@ class CraterClusters:
             )
 
     def rows(self) -> NDArray[np.float64]:
-        """Return the kernel's array (4, n): x, y, radius and cumulative fractions of blocks."""
+        """Return the kernel's array (4, n): x, y, radius, cumulative fractions."""
         area = np.cumsum(self.radius**2)
         total = area / area[-1] if area.size else area
         return np.stack((self.x, self.y, self.radius, total))

@@ -1,4 +1,4 @@
-"""Open raster files of a few formats, without network access and within one folder."""
+"""Open raster files of a few formats, within one folder and offline."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _GDAL_OPTIONS = {
 
 @contextmanager
 def open_raster(path: Path) -> Iterator[DatasetReader]:
-    """Open a raster with one band; convert every error of GDAL and PROJ to an `InputError`.
+    """Open a raster with one band; convert GDAL's errors to `InputError`.
 
     A data file with a detached PDS label (`ldem.img` and `ldem.lbl`) is opened through its label.
     """
@@ -152,7 +152,7 @@ def _check_siblings(path: Path) -> None:
 
 
 def _check_files(path: Path, source: DatasetReader) -> None:
-    """Refuse a raster unless all its parts lie in its folder, or in that of its link target."""
+    """Refuse a raster unless all its parts lie in one folder."""
     parts = [Path(name).resolve() for name in source.files]
     outside = [
         [part for part in parts if not (part.is_file() and part.is_relative_to(folder))]

@@ -90,7 +90,7 @@ class Frame:
         return Orientation(transposed, bool(along[0, 0] < 0.0), bool(along[1, 1] < 0.0))
 
     def square_posting(self) -> float | None:
-        """Return the posting, m, if the posts form a square north-up grid within tolerance."""
+        """Return the posting, m, if the posts form a square north-up grid."""
         at = np.meshgrid([0.5, 0.5 * self.cols, self.cols - 0.5], [0.5, 0.5 * self.rows,
                                                                   self.rows - 0.5])  # fmt: skip
         east, north = self.local(*(v.ravel() for v in at))
@@ -212,7 +212,7 @@ def frame_of_window(source: DatasetReader, window: Window, posting: float | None
 
 
 def is_placed(source: DatasetReader) -> bool:
-    """Return whether a file is georeferenced; GDAL returns the identity for no transform."""
+    """Return whether a file is georeferenced (GDAL: no identity transform)."""
     return source.crs is not None and not source.transform.is_identity
 
 
@@ -228,7 +228,7 @@ def _check_no_tie_points(source: DatasetReader) -> None:
 
 
 def _check_axes(source: DatasetReader) -> None:
-    """Refuse coordinate reference systems whose axis directions GDAL does not preserve."""
+    """Refuse reference systems whose axis directions GDAL does not preserve."""
     counts_west = re.search(r'AXIS\["[^"]*",WEST', source.crs.to_wkt(), re.IGNORECASE)
     axes = source.crs.to_dict().get("axis", "enu")
     if (source.crs.is_geographic and counts_west) or axes != "enu":
@@ -265,7 +265,7 @@ def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping
 def _spherical_mappings(
     source: DatasetReader, transform: Affine, cols: int, rows: int
 ) -> tuple[Mapping, Mapping]:
-    """Return the mappings to an azimuthal equidistant frame about the centre of a window."""
+    """Return the mappings to an azimuthal equidistant frame about a window."""
     body = _body(source.crs)
     crs = _on_sphere(source.crs) if "R" in body else source.crs
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)

@@ -1,4 +1,4 @@
-"""Read the heights of a raster in metres: scale, offset, unit, and posts without a height."""
+"""Read the heights of a raster in metres, and its missing posts."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ class RasterHeights:
     no_data: Sequence[float] | None
 
     def blocks(self, window: Window) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Yield the first row and the heights, m, of blocks of rows; NaN for missing heights."""
+        """Yield first row and heights, m, of blocks of rows; NaN if missing."""
         source = self.source
         masked = not has_hexadecimal_no_data(source)
         special = [*special_values(source), *(self.no_data or ())]
@@ -260,7 +260,7 @@ class RasterHeights:
         return z
 
     def check(self, found: HeightStatistics) -> None:
-        """Refuse undeclared no-data values and heights that are not plausible for any body."""
+        """Refuse undeclared no-data values and implausible heights."""
         if not found.known:
             return
         low, high = found.z_range

@@ -1,4 +1,4 @@
-"""Read units and special values from planetary labels, where GDAL does not provide them.
+"""Read units and special values that GDAL omits from planetary labels.
 
 GDAL provides scale and offset of every format (including SCALING_FACTOR and OFFSET of PDS3, Base
 and Multiplier of ISIS3, scaling_factor and value_offset of PDS4), and the unit of all formats but
@@ -42,7 +42,7 @@ def declared_units(source: DatasetReader) -> list[str]:
 
 
 def has_downward_heights(source: DatasetReader) -> bool:
-    """Return whether the heights are depths, by vertical reference or attribute `positive`."""
+    """Return whether the heights are depths."""
     if source.driver == "netCDF" and str(source.tags(1).get("positive", "")).lower() == "down":
         return True
     crs = source.crs
@@ -50,7 +50,7 @@ def has_downward_heights(source: DatasetReader) -> bool:
 
 
 def special_values(source: DatasetReader) -> list[float]:
-    """Return the values that a label declares as missing, in addition to the no-data value."""
+    """Return the missing values of a label, without the no-data value."""
     dtype = np.dtype(source.dtypes[0])
     if source.driver == "ISIS3":
         return [float(v) for v in _ISIS_SPECIAL.get(dtype.name, ())]
@@ -65,7 +65,7 @@ def special_values(source: DatasetReader) -> list[float]:
 
 
 def has_hexadecimal_no_data(source: DatasetReader) -> bool:
-    """Return whether a PDS3 label has a no-data value like 16#FF7FFFFB#, which GDAL misreads."""
+    """Return whether a PDS3 label has a no-data value like 16#FF7FFFFB#."""
     if source.driver != "PDS":
         return False
     image = _image_object(_json_label(source, "json:PDS"))
@@ -107,7 +107,7 @@ def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
 
 
 def _image_object(label: dict[str, Any]) -> dict[str, Any]:
-    """Return the object of a PDS3 label that describes the samples; empty if there is none."""
+    """Return the object of a PDS3 label that describes the samples, or {}."""
     if "SAMPLE_BITS" in label or "CORE_ITEM_BYTES" in label:
         return label
     nested = [_image_object(value) for value in label.values() if isinstance(value, dict)]

@@ -66,7 +66,7 @@ def fractal_relief(
 
 
 def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
-    """Return measured relief with detail between its posts, which keep their elevations.
+    """Return measured relief with added detail between its posts.
 
     The spline through the detail's values at the measured posts is subtracted from the detail.
     The detail therefore acts only below the measured posting.

@@ -1,4 +1,4 @@
-"""The terrain surface, relief with rocks, with exact point queries and ray casting."""
+"""The terrain surface with exact point queries and ray casting."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Terrain:
         return np.asarray(out).reshape(xy.shape[:-1])
 
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return unit surface normals (..., 3), ENU, at points (..., 2); NaN where unknown."""
+        """Return surface normals (..., 3), ENU, at points (..., 2); NaN if unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
         out = _surface_kernels.normal_at(
@@ -177,7 +177,7 @@ class Terrain:
 
 
 def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the numbers of rows and columns of the pyramid's levels over `rows` x `cols` cells."""
+    """Return rows and columns of the pyramid's levels over `rows` x `cols` cells."""
     high, wide = [rows], [cols]
     while max(high[-1], wide[-1]) > 1 or len(high) <= base:
         high.append((high[-1] + 1) // 2)
