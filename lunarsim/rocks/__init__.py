@@ -1,6 +1,6 @@
-"""Rocks as such, wherever they lie: size laws, unit shapes, arrays of rocks.
+"""Rocks: size distributions, unit shapes and arrays of rocks.
 
-Neutral ground: the true world places them, the onboard computer expects them.
+The package is independent of the true world and of the onboard computer, which both use it.
 """
 
 from lunarsim.rocks.field import RockField, RockModel

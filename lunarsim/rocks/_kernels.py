@@ -1,7 +1,7 @@
 """Compiled geometry of one rock.
 
 A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape). `planes` and `count` are
-the half spaces of the unit shapes (`lunarsim.rocks.shapes`). In the unit axes (e, f, g) of a rock
+the half spaces of the unit shapes (`lunarsim.rocks.shapes`). In the unit axes (e, f, g) of a rock,
 e and f are scaled by its semi-axes and g by its height.
 """
 
@@ -14,7 +14,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def rock_height(x, y, rocks, n, planes, count):
-    """Return the elevation of the top of rock n above (x, y), -inf outside it."""
+    """Return the elevation of the top of rock n above (x, y); -inf outside it."""
     dx = x - rocks[n, 0]
     dy = y - rocks[n, 1]
     c = rocks[n, 6]
@@ -54,7 +54,7 @@ def rock_normal(x, y, z, rocks, n, planes, count, out):
     shape = int(rocks[n, 8])
     ne = e
     nf = f
-    ng = max(g, 0.0)  # below the base the skirt is vertical
+    ng = max(g, 0.0)  # the extension below the base is vertical
     if count[shape] > 0:
         tightest = -np.inf
         for k in range(count[shape]):
@@ -76,9 +76,9 @@ def rock_normal(x, y, z, rocks, n, planes, count, out):
 
 @kernel(inline=True)
 def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
-    """Return the parameter at which a ray enters the unit half sphere or its skirt, or inf."""
+    """Return where a ray enters the unit hemisphere or its extension, or inf."""
     qa = fx * fx + fy * fy + fz * fz
-    # Move the origin to the point of closest approach: this keeps full precision far away.
+    # Start from the point of closest approach, for precision at long range.
     tc = -(ex * fx + ey * fy + ez * fz) / qa
     ax = ex + tc * fx
     ay = ey + tc * fy
@@ -90,7 +90,7 @@ def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
         if ez + t * fz >= 0.0:
             hit = t
     if hit == np.inf:
-        # The skirt: the outline carried straight down from the base to the relief.
+        # The extension: the outline extruded downwards from the base to the relief.
         wa = fx * fx + fy * fy
         if wa > 0.0:
             tw = -(ax * fx + ay * fy) / wa
@@ -106,7 +106,7 @@ def _ellipsoid_hit(ex, ey, ez, fx, fy, fz):
 
 @kernel(inline=True)
 def _polyhedron_hit(ex, ey, ez, fx, fy, fz, planes, faces):
-    """Return the parameter at which a ray enters the half spaces, or inf."""
+    """Return the distance at which a ray enters the half spaces, or inf."""
     enter = -np.inf
     leave = np.inf
     for k in range(faces):
@@ -143,8 +143,8 @@ def rock_hit(ox, oy, oz, dx, dy, dz, rocks, n, planes, count):
 
 
 @kernel()
-def cast_on_level_ground(origin, direction, rocks, planes, count, distance, normal):
-    """Cast rays (n, 3) at rock 0 alone on the plane z = 0; inf where neither is met.
+def cast_on_plane(origin, direction, rocks, planes, count, distance, normal):
+    """Cast rays (n, 3) onto rock 0 on the plane z = 0; inf where both are missed.
 
     Writes the distance (n,) and the unit normal there (n, 3).
     """
@@ -153,7 +153,7 @@ def cast_on_level_ground(origin, direction, rocks, planes, count, distance, norm
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
         ground = -oz / dz if dz < 0.0 and oz >= 0.0 else np.inf
         hit = rock_hit(ox, oy, oz, dx, dy, dz, rocks, 0, planes, count)
-        # The part of a rock below the ground is not met; a ray that starts on it has left it.
+        # Hits below the plane do not count; the tolerance accepts a ray that starts on the rock.
         if hit >= -1e-9 and hit < ground:
             distance[i] = hit
             rock_normal(

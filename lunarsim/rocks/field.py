@@ -1,4 +1,4 @@
-"""Rocks as arrays, and how rocks of a given diameter are shaped."""
+"""Rocks as arrays, and the shapes of rocks of a given diameter."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Shape = Literal["hemisphere", "ellipsoid", "cube", "irregular", "mixed"]
 
 @dataclass(frozen=True)
 class RockField:
-    """Rocks as arrays: scaled and turned unit shapes that stand on the relief or sit in it.
+    """Rocks as arrays: scaled and rotated unit shapes on or partly in the relief.
 
-    The base plane is level; it passes through the relief under the rock's centre, or below it
-    for a buried rock. Where the relief falls away below the base, the outline is carried straight
-    down, so that the surface stays a function of (x, y) and nothing is hollow.
+    The base plane is horizontal; it passes through the relief under the rock's centre, or below it
+    for a buried rock. Where the relief is below the base, the outline is extruded downwards, so
+    that the surface is a function of (x, y) without cavities.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class RockField:
     yaw
         Direction of the first semi-axis, counter-clockwise from east (n,), rad.
     shape
-        Unit shape of each rock (n,), a row of `lunarsim.rocks.shapes.shape_table`; left out:
-        half spheres, scaled to hemi-ellipsoids.
+        Unit shape of each rock (n,), a row of `lunarsim.rocks.shapes.shape_table`; omitted:
+        hemispheres, scaled to half ellipsoids.
     """
 
     x: NDArray[np.float64]
@@ -72,71 +72,81 @@ class RockField:
         return int(self.x.size)
 
     def rows(self) -> NDArray[np.float64]:
-        """Return the rocks as the kernels take them (n, 9)."""
+        """Return the array of rocks for the kernels (n, 9)."""
         turn = (np.cos(self.yaw), np.sin(self.yaw))
         return np.column_stack(
             (self.x, self.y, self.base, self.a, self.b, self.height, *turn, self.shape)
         )
 
     def reach(self) -> NDArray[np.float64]:
-        """Return the radius of a disc about each centre that holds the outline (n,), m."""
+        """Return the radius of a disc around each centre that holds the outline (n,), m."""
         return np.asarray(np.maximum(self.a, self.b) * shape_table().reach[self.shape])
 
 
 @dataclass(frozen=True)
 class RockModel:
-    """How rocks of a given diameter are shaped and how deep they sit.
+    """Shapes and burial of rocks of a given diameter.
 
     Attributes
     ----------
     shape
-        "hemisphere"; "ellipsoid" (the top of an ellipsoid); "cube" (side D, the shadow EKF
-        paper's); "irregular" (faceted convex boulders); or "mixed" (ellipsoids and irregular
-        ones in equal numbers).
+        "hemisphere"; "ellipsoid" (the top of an ellipsoid); "cube" (side D, as in the shadow EKF
+        paper); "irregular" (faceted convex boulders); or "mixed" (equal numbers of ellipsoids and
+        irregular boulders).
     height_ratio
-        Mean and standard deviation of the height above ground over the diameter; drawn from a
-        normal law cut at 0.2 and 1. Not for hemispheres and cubes. Of lunar rocks 0.54 in the mean
-        (Demidov and Basilevsky 2014).
+        Mean and standard deviation of the exposed height over the diameter, from a normal
+        distribution clipped to 0.2 and 1. Not used for hemispheres and cubes. The mean of lunar
+        rocks is 0.54 (Demidov and Basilevsky 2014).
     burial
-        Least and greatest fraction of the rock's height that lies under the ground, drawn
-        uniformly. Not for hemispheres.
+        Minimum and maximum fraction of the rock's height below the terrain, uniformly distributed.
+        Not used for hemispheres.
     axis_ratio
-        Least and greatest ratio of the horizontal axes, drawn uniformly. Not for hemispheres and
-        cubes. Of impact fragments, and boulders on Eros, 0.7 in the mean of the two longer axes
-        (Michikami et al. 2010, 2016): limits of 0.5 and 0.9 are as long as these.
+        Minimum and maximum ratio of the horizontal axes, uniformly distributed. Not used for
+        hemispheres and cubes. The mean ratio of the two longer axes of impact fragments and of
+        boulders on Eros is 0.7 (Michikami et al. 2010, 2016), as with limits of 0.5 and 0.9.
     """
 
-    shape: Shape = quantity("hemisphere", help="of the rocks")
+    shape: Shape = quantity("hemisphere", help="shape of the rocks")
     height_ratio: tuple[float, float] = quantity(
-        (0.5, 0.1), help="height over diameter, mean and sigma"
+        (0.5, 0.1), help="height over diameter of rocks, mean and standard deviation"
     )
     burial: tuple[float, float] = quantity(
-        (0.0, 0.5), help="buried fraction of the height, least and most; not of hemispheres"
+        (0.0, 0.5), help="buried fraction of the height, minimum and maximum; not for hemispheres"
     )
     axis_ratio: tuple[float, float] = quantity(
-        (0.6, 1.0), help="of the horizontal axes, least and most"
+        (0.6, 1.0), help="ratio of the horizontal axes, minimum and maximum"
     )
 
     def __post_init__(self) -> None:
         check_types("rocks", self)
         if self.shape not in {"hemisphere", "ellipsoid", "cube", "irregular", "mixed"}:
             raise InputError(
-                "rocks.shape", self.shape, "hemisphere, ellipsoid, cube, irregular or mixed"
+                "rocks.shape",
+                self.shape,
+                "must be hemisphere, ellipsoid, cube, irregular or mixed",
             )
         if not (0.2 <= self.height_ratio[0] <= 1.0 and self.height_ratio[1] >= 0.0):
             raise InputError(
-                "rocks.height_ratio", self.height_ratio, "a mean from 0.2 to 1 and a deviation"
+                "rocks.height_ratio",
+                self.height_ratio,
+                "must be a mean from 0.2 to 1 and a standard deviation of 0 or more",
             )
         if not 0.0 <= self.burial[0] <= self.burial[1] <= 0.9:
-            raise InputError("rocks.burial", self.burial, "two rising fractions from 0 to 0.9")
+            raise InputError(
+                "rocks.burial", self.burial, "must be a minimum and a maximum from 0 to 0.9"
+            )
         if not 0.0 < self.axis_ratio[0] <= self.axis_ratio[1] <= 1.0:
-            raise InputError("rocks.axis_ratio", self.axis_ratio, "two rising ratios up to 1")
+            raise InputError(
+                "rocks.axis_ratio",
+                self.axis_ratio,
+                "must be a minimum above 0 and a maximum of at most 1",
+            )
 
     def draw(self, diameter: NDArray[np.float64], rng: np.random.Generator) -> RockField:
-        """Return rocks (n) of the given diameters, all at the origin with the ground at 0.
+        """Return rocks (n) of the given diameters at the origin, with the terrain at 0.
 
-        The diameter is that of the disc whose area the rock covers at ground level (for a cube:
-        its side).
+        The diameter is that of a disc with the area that the rock covers at terrain level (for a
+        cube: its side).
         """
         n = diameter.size
         zero = np.zeros(n)
@@ -157,7 +167,7 @@ class RockModel:
         shape = np.where(
             faceted, rng.integers(IRREGULAR, IRREGULAR + IRREGULAR_COUNT, n), ELLIPSOID
         )
-        # The buried part of an ellipsoid is the wider one.
+        # The buried part of an ellipsoid is wider than its outline at terrain level.
         widen = np.where(faceted, 1.0, 1.0 / np.sqrt(1.0 - burial**2))
         radius = 0.5 * diameter * widen
         height = ratio * diameter / (1.0 - burial)

@@ -1,6 +1,6 @@
-"""How many rocks of which size: the size-frequency law of Golombek and Rapp (1997).
+"""Size-frequency distribution of rocks by Golombek and Rapp (1997).
 
-The fraction of the ground covered by rocks of diameter D or more is ``F(D) = k exp(-q D)`` with
+The fraction of terrain covered by rocks of diameter D or more is ``F(D) = k exp(-q D)`` with
 ``q = 1.79 + 0.152 / k`` (Eq. 13 of the shadow EKF paper), where k is the fraction covered by rocks
 of all sizes.
 """
@@ -15,7 +15,7 @@ from lunarsim.errors import InputError
 
 
 def golombek_exponent(k: float) -> float:
-    """Return q of F(D) = k exp(-q D), 1/m.
+    """Return the exponent q of F(D) = k exp(-q D), 1/m.
 
     Examples
     --------
@@ -23,12 +23,12 @@ def golombek_exponent(k: float) -> float:
     4.83
     """
     if not 0.0 < k <= 0.5:
-        raise InputError("rocks.cover", k, "a fraction between 0 and 0.5")
+        raise InputError("rocks.cover", k, "must be above 0 and at most 0.5")
     return 1.79 + 0.152 / k
 
 
 def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
-    """Return F(D): the fraction of ground covered by rocks of `diameter` (m) or more.
+    """Return F(D), the fraction of terrain covered by rocks of `diameter` (m) or more.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def golombek_cover(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
 
 
 def golombek_number(diameter: ArrayLike, k: float) -> NDArray[np.float64]:
-    """Return N(D): the number of rocks of `diameter` (m) or more on a square metre.
+    """Return N(D), the number of rocks of `diameter` (m) or more per square metre.
 
     From dN = -dF / (pi D^2 / 4): ``N = 4 k q^2 / pi * (exp(-x) / x - E1(x))`` with x = q D.
 
@@ -62,8 +62,8 @@ def sample_diameters(
 ) -> NDArray[np.float64]:
     """Draw the diameters (m) of the rocks on `area` (m^2), largest first.
 
-    Their number is Poisson with the mean that the law gives between `minimum` and `maximum`;
-    each diameter is drawn by inverting N(D), so no size is favoured.
+    Their number is Poisson distributed with the mean number between `minimum` and `maximum`;
+    diameters are drawn by inverting N(D).
 
     Examples
     --------
@@ -73,9 +73,11 @@ def sample_diameters(
     """
     if not 0.0 < minimum < maximum:
         raise InputError(
-            "rocks.min_diameter_m", minimum, f"more than 0 and less than the maximum {maximum}"
+            "rocks.min_diameter_m",
+            minimum,
+            f"must be more than 0 and less than the maximum {maximum}",
         )
-    # The table is fine enough that linear interpolation in (log D, log N) errs below 1e-6.
+    # Linear interpolation in (log D, log N) of this table has an error below 1e-6.
     table = np.geomspace(minimum, maximum, 4096)
     number = golombek_number(table, k)
     count = int(rng.poisson(area * (number[0] - number[-1])))

@@ -1,4 +1,4 @@
-"""One rock alone on level ground: what a shape looks like, without a world around it."""
+"""A single rock on a horizontal plane, for computing its image and shadow."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RockOnLevelGround:
-    """Rock `index` of a field, set down at the origin of the plane z = 0.
+    """A rock of a field, placed at the origin of the plane z = 0.
 
     Attributes
     ----------
     field, index
-        Which rock; its base is kept, its place is not.
+        Field and index of the rock; its base is kept, its position is not.
     """
 
     field: RockField
@@ -33,18 +33,18 @@ class RockOnLevelGround:
         return row
 
     def cast(self, origin: Array, direction: Array) -> tuple[Array, Array]:
-        """Return distances (n,), inf for the sky, and unit normals (n, 3) where rays (n, 3) end."""
+        """Return distances (n,), inf for the sky, and unit normals (n, 3) of rays (n, 3)."""
         distance = np.empty(len(origin))
         normal = np.empty((len(origin), 3))
         table = shape_table()
-        kernels.cast_on_level_ground(
+        kernels.cast_on_plane(
             np.ascontiguousarray(origin), np.ascontiguousarray(direction), self._row(),
             table.planes, table.count, distance, normal,
         )  # fmt: skip
         return distance, normal
 
     def covers(self, xy: Array) -> NDArray[np.bool_]:
-        """Tell which points (..., 2) of the ground the rock covers."""
+        """Return which points (..., 2) of the plane the rock covers."""
         start = np.column_stack((xy.reshape(-1, 2), np.full(xy.size // 2, 60.0)))
         down = np.broadcast_to([0.0, 0.0, -1.0], start.shape)
         distance, _ = self.cast(start, np.ascontiguousarray(down))

@@ -1,8 +1,8 @@
-"""Unit shapes of rocks: what a rock looks like before it is scaled, turned and set down.
+"""Unit shapes of rocks, before scaling, rotation and placement.
 
 A unit shape stands on the plane g = 0 with its top at g = 1, in axes (e, f, g). It is either the
-unit half sphere or the convex body of a few half spaces ``n . q <= d``. No face looks down, so the
-body carried straight down below g = 0 keeps its outline and the surface stays a function of
+unit hemisphere or the convex intersection of a few half spaces ``n . q <= d``. No face points
+downwards, so that the body extruded below g = 0 keeps its outline and the surface is a function of
 (x, y).
 """
 
@@ -22,6 +22,7 @@ IRREGULAR = 2
 IRREGULAR_COUNT = 16
 
 _SEED = 1997
+# Numbers of vertices on the outline and on the dome of an irregular boulder.
 _RING = 6
 _DOME = 4
 
@@ -35,12 +36,12 @@ class ShapeTable:
     planes
         Half spaces of each shape (shapes, most, 4): unit normal and offset d.
     count
-        Number of half spaces of each shape (shapes,); 0 for the half sphere.
+        Number of half spaces of each shape (shapes,); 0 for the hemisphere.
     reach
-        Greatest distance of the outline from the axis (shapes,).
+        Maximum distance of the outline from the axis (shapes,).
     vertices
-        Corners of each polyhedron's outline and top (shapes, most, 3), NaN-padded: the body
-        is their convex hull carried down.
+        Vertices of each polyhedron's outline and top (shapes, most, 3), padded with NaN: the body
+        is their convex hull, extruded downwards.
     """
 
     planes: NDArray[np.float64]
@@ -55,7 +56,7 @@ def _cube() -> NDArray[np.float64]:
 
 
 def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return corners of a faceted boulder whose outline has the area of the unit disc."""
+    """Return the vertices of a boulder whose outline has the unit disc's area."""
     angle = 2.0 * np.pi * (np.arange(_RING) + rng.uniform(-0.3, 0.3, _RING)) / _RING
     radius = rng.uniform(0.85, 1.15, _RING)
     ring = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), np.zeros(_RING)))
@@ -66,24 +67,24 @@ def _irregular(rng: np.random.Generator) -> NDArray[np.float64]:
     points = np.vstack((ring, dome))
     points[:, 2] /= points[:, 2].max()
     outline = ConvexHull(points[:, :2])
-    points[:, :2] *= np.sqrt(np.pi / outline.volume)  # the "volume" of a plane hull is its area
+    points[:, :2] *= np.sqrt(np.pi / outline.volume)  # in 2D, `volume` is the area
     return np.asarray(points[ConvexHull(points).vertices], dtype=np.float64)
 
 
 def _half_spaces(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the half spaces (n, 4) of the hull of `points`, carried down."""
+    """Return the half spaces (n, 4) of the hull of `points`, extruded downwards."""
     faces = np.unique(ConvexHull(points).equations.round(12), axis=0)
     upward = faces[faces[:, 2] > 1e-9]
     walls = np.unique(ConvexHull(points[:, :2]).equations.round(12), axis=0)
     walls = np.column_stack((walls[:, :2], np.zeros(len(walls)), walls[:, 2]))
     planes = np.vstack((upward, walls))
-    planes[:, 3] *= -1.0  # Qhull writes n . q + offset <= 0
+    planes[:, 3] *= -1.0  # Qhull's convention is n . q + offset <= 0
     return planes
 
 
 @lru_cache(maxsize=1)
 def shape_table() -> ShapeTable:
-    """Return the shapes: half sphere, cube, then the irregular ones, always the same."""
+    """Return the fixed table of shapes: hemisphere, cube, then the irregular ones."""
     rng = np.random.default_rng(_SEED)
     bodies = [_cube(), *(_irregular(rng) for _ in range(IRREGULAR_COUNT))]
     spaces = [_half_spaces(body) for body in bodies]

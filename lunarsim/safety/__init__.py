@@ -1,6 +1,6 @@
-"""From elevation to landing safety: footprints, the exact test, the conservative test.
+"""Landing safety from elevation: exact, conservative and stochastic tests.
 
-Every test answers for a lander centred on a cell, at every heading.
+Every test evaluates a lander centred on a cell, at every heading.
 """
 
 from lunarsim.safety.alhat import alhat_safety

@@ -1,4 +1,4 @@
-"""Compiled kernel of sums of bent lines, for many fits at once."""
+"""Compiled bounds of sums of piecewise linear terms over many fits."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from lunarsim._jit import kernel
 
 @kernel(shared=True)
 def extremes(share, base, values, knots, first, heights, low, high):
-    """Write the least and the greatest sum of the fits at each site (n,).
+    """Write the minimum and maximum over the fits of the sum at each site (n,).
 
-    `base` (1 or n, fits) is what each fit begins with; term t of `values` (terms, n) bends at
-    ``knots[first[t]:first[t + 1]]``, where it is worth those rows of `heights` (knots, fits), and
-    beyond them what it is worth at the ends.
+    `base` (1 or n, fits) is the sum of each fit without the terms. Term t of `values` (terms, n)
+    has the knots ``knots[first[t]:first[t + 1]]``, and its value at these is that of the same rows
+    of `heights` (knots, fits); beyond them it is constant.
     """
     terms, n = values.shape
     fits = heights.shape[1]
@@ -39,10 +39,10 @@ def extremes(share, base, values, knots, first, heights, low, high):
                 share = (x - knots[a]) / (knots[a + 1] - knots[a])
                 for m in range(fits):
                     total[m] += heights[a, m] + share * (heights[a + 1, m] - heights[a, m])
-        least = total[0]
-        most = total[0]
+        minimum = total[0]
+        maximum = total[0]
         for m in range(1, fits):
-            least = min(least, total[m])
-            most = max(most, total[m])
-        low[i] = least
-        high[i] = most
+            minimum = min(minimum, total[m])
+            maximum = max(maximum, total[m])
+        low[i] = minimum
+        high[i] = maximum

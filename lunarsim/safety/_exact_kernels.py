@@ -1,13 +1,13 @@
-"""Compiled kernel of the exact map: every heading, every plane, every cell that could matter.
+"""Compiled kernel of the exact safety map, which skips irrelevant cells.
 
-A lid is a plane that lies on a block of cells and touches the highest of them above it. Of a lid
-with gradient a and height t at the block's centre c no cell of the block rises above
-``t + a (x - c)``; above a support plane of gradient g and height b at the site's centre they
-rise by at most ``t - g c - b + s (|ax - gx| + |ay - gy|)``, where s is half the distance of the
-outermost cells. With the ground's gradient e at the site the last term is at most ``s`` times
-``|ax - ex| + |ay - ey| + |ex - gx| + |ey - gy|``: the first half is added once a site to the lids'
-heights, the second once a plane. Lids follow the ground where it is smooth, so that few blocks
-are opened however it slopes and curves.
+A lid is the lowest plane of a given gradient above all cells of a block. No cell of a block whose
+lid has gradient a and height t at the block's centre c rises above ``t + a (x - c)``. Above a
+support plane of gradient g and height b at the site's centre, the cells rise by at most
+``t - g c - b + s (|ax - gx| + |ay - gy|)``, where s is half the distance between the outermost
+cells. With the terrain's gradient e at the site, the last term is at most ``s`` times
+``|ax - ex| + |ay - ey| + |ex - gx| + |ey - gy|``: the first half is added once per site to the
+lids' heights, the second once per plane. Lids follow smooth terrain, so that few blocks have to be
+examined on any slope and curvature.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ HALF = np.float32(0.5 * (BLOCK - 1))
 
 @kernel()
 def _median(values, ascending):
-    """Return the median of a few values, the mean of the middle two if their number is even."""
+    """Return the median of a few values, the mean of the middle two if even."""
     count = 0
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
@@ -69,11 +69,11 @@ def _median(values, ascending):
 
 @kernel()
 def slopes_at_large(z, inside, arm, out):
-    """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m a cell.
+    """Write the gradients (2, n, m) of squares of SQUARE x SQUARE cells, m per cell.
 
-    Of the ground at large: the median over a square of height differences over an `arm` to either
-    side, then that over the squares about it. It follows domes and ridges and does not mind rocks
-    and ripples. Heights are taken `inside` (first and last row, first and last column) alone.
+    The gradient is the median over a square of height differences over an `arm` to either side,
+    then the median over the neighbouring squares. It follows domes and ridges and ignores rocks and
+    ripples. Only heights `inside` (first and last row, first and last column) are used.
     """
     _, rows, cols = out.shape
     bottom, top, left, right = inside
@@ -101,7 +101,7 @@ def slopes_at_large(z, inside, arm, out):
 
 @kernel(fast=True)
 def between(slopes, out):
-    """Write what holds at the centre of the block to the north-east of each cell, bilinear."""
+    """Interpolate to the centre of the block to the north-east of each cell."""
     rows, cols = slopes.shape
     tall, wide = out.shape
     shift = np.float32(0.5 * BLOCK / SQUARE - 0.5)
@@ -124,7 +124,7 @@ def between(slopes, out):
 
 @kernel()
 def _lids(z, slopes, height, east, north):
-    """Write the lids of the blocks to the north-east of each cell: height at centre, gradient."""
+    """Write height and gradient of the lid of the block north-east of each cell."""
     tall, wide = z.shape
     flat = z.reshape(z.size)
     between(slopes[0], east.reshape(tall, wide))
@@ -144,7 +144,7 @@ def _lids(z, slopes, height, east, north):
 
 @kernel()
 def _lift_lids(ground, here, corners, lids):
-    """Write the lids' heights of all blocks of sixteen sites, with what their slant may add.
+    """Write the lids' heights of all blocks of sixteen sites, raised for gradients.
 
     Returns nothing; block n of site k is lids[LANES n + k].
     """
@@ -157,17 +157,17 @@ def _lift_lids(ground, here, corners, lids):
 
 
 @kernel(inline=True)
-def _risen(lids, blocks, centres, n, gx, gy):
-    """Return the lid of block `n`, at the block's centre, above a plane through the site."""
+def _lid_above_plane(lids, blocks, centres, n, gx, gy):
+    """Return the height of the lid of block `n` above a plane through the site."""
     lid = load(lids, item(blocks, n) * LANES)
     return lid - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _open(z, here, wide, covers, n, gx, gy):
-    """Return the highest of the cells that a polygon holds of block `n`, above a plane.
+def _max_in_block(z, here, wide, covers, n, gx, gy):
+    """Return the maximum height of the polygon's cells in block `n` above a plane.
 
-    `allowed` is 0 for these cells and -FAR for the others; a test for each would cost more.
+    `allowed` is 0 for these cells and -FAR for the others, which is faster than a test.
     """
     corners, allowed = covers
     south, west = item(corners, 2 * n), item(corners, 2 * n + 1)
@@ -183,26 +183,26 @@ def _open(z, here, wide, covers, n, gx, gy):
 
 
 @kernel(inline=True)
-def _open_four(z, here, wide, covers, n, gx, gy, risen, need):
-    """Return what `_open` does for those of blocks `n` to n + 3 that rise above what is needed."""
+def _max_in_four_blocks(z, here, wide, covers, n, gx, gy, risen, need):
+    """Compute `_max_in_block` for those of four blocks whose lids exceed `need`."""
     a, b, c, d = risen
     top = spread(-FAR)
     if any_above(a, need):
-        top = _open(z, here, wide, covers, n, gx, gy)
+        top = _max_in_block(z, here, wide, covers, n, gx, gy)
     if any_above(b, need):
-        top = larger(top, _open(z, here, wide, covers, n + 1, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 1, gx, gy))
     if any_above(c, need):
-        top = larger(top, _open(z, here, wide, covers, n + 2, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 2, gx, gy))
     if any_above(d, need):
-        top = larger(top, _open(z, here, wide, covers, n + 3, gx, gy))
+        top = larger(top, _max_in_block(z, here, wide, covers, n + 3, gx, gy))
     return top
 
 
 @kernel(inline=True)
 def _stride(headings):
-    """Return by how much to go on so that every heading gets its turn, those far apart first.
+    """Return a step that visits all headings, distant ones first.
 
-    They soon show about how rough a site is, which spares the others.
+    A few distant headings approximate the roughness of a site, so that others can be skipped.
     """
     stride = max(1, round(0.382 * headings))
     while math.gcd(stride, headings) > 1:
@@ -212,7 +212,7 @@ def _stride(headings):
 
 @kernel()
 def _steepest(feet, here, legs, cells, posting, out):
-    """Write the largest tan(slope) over headings and planes."""
+    """Write the maximum tan(slope) over headings and planes."""
     inverse, place = cells.inverse, cells.place
     steepest = spread(0.0)
     for h in range(legs.shape[0]):
@@ -224,7 +224,7 @@ def _steepest(feet, here, legs, cells, posting, out):
 
 @kernel()
 def _drop_steep(tangent, limit, lanes):
-    """Set `lanes` to FAR where the slope is at its limit; return whether any is left."""
+    """Set `lanes` to FAR where the slope is at its limit; return if any is left."""
     left = False
     for k in range(LANES):
         if tangent[k] >= limit:
@@ -234,13 +234,13 @@ def _drop_steep(tangent, limit, lanes):
 
 
 @kernel()
-def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes,
-           lids):  # fmt: skip
+def _write_roughness(
+    ground, here, wide, legs, cells, covers, posting, limit_rough, decide, start, lanes, lids,
+):  # fmt: skip
     """Raise lanes[1] to tan(slope), write the roughness of sixteen sites to lanes[2].
 
-    lanes[0] is FAR where nothing is wanted, lanes[3] the margin for rounding; `lids` is from
-    `_lift_lids`. Returns the heading that raised the roughness last; `start` is the one to begin
-    with.
+    lanes[0] is FAR for sites to skip, lanes[3] the margin for rounding; `lids` is from
+    `_lift_lids`. Returns the heading that raised the roughness last; `start` is the first heading.
     """
     z, feet = ground[0], ground[1]
     ex, ey = load(ground[3], here), load(ground[4], here)
@@ -251,7 +251,7 @@ def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide
     stride = _stride(headings)
     out, margin = load(lanes[0], 0), load(lanes[3], 0)
     steepest = spread(0.0)
-    # Less is rounding, and no roughness.
+    # Smaller values are rounding errors.
     worst = spread(limit_rough) if decide else margin + margin
     last_raised = start
     for turn in range(headings):
@@ -265,12 +265,12 @@ def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide
             lowest = base + out - HALF * slant - margin
             need = lowest + worst * stretch
             for n in range(item(first, h), item(first, h + 1), 4):
-                a = _risen(lids, blocks, centres, n, gx, gy)
-                b = _risen(lids, blocks, centres, n + 1, gx, gy)
-                c = _risen(lids, blocks, centres, n + 2, gx, gy)
-                d = _risen(lids, blocks, centres, n + 3, gx, gy)
+                a = _lid_above_plane(lids, blocks, centres, n, gx, gy)
+                b = _lid_above_plane(lids, blocks, centres, n + 1, gx, gy)
+                c = _lid_above_plane(lids, blocks, centres, n + 2, gx, gy)
+                d = _lid_above_plane(lids, blocks, centres, n + 3, gx, gy)
                 if any_above(larger(larger(a, b), larger(c, d)), need):
-                    top = _open_four(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
+                    top = _max_in_four_blocks(z, here, wide, polygon, n, gx, gy, (a, b, c, d), need)
                     worst = larger(worst, (top - base) / stretch)
                     need = lowest + worst * stretch
                     last_raised = h
@@ -283,15 +283,15 @@ def _rough(ground, here, wide, legs, cells, covers, posting, limit_rough, decide
     return last_raised
 
 
-# Of the heights' size: what a few float32 operations may lose.
+# Relative rounding error of a few float32 operations on heights.
 _ROUNDING = np.float32(2e-6)
 
 
 @kernel()
 def _mark(todo, size, i, first, lanes):
-    """Set lanes[0] to 0 at the sites to do, else FAR, lanes[3] to margins; tell if there are any.
+    """Mark the sites to evaluate and write their margins; return if there are any.
 
-    A site's margin is for the heights of its own footprint, FAR of which are unknown.
+    A site's margin depends on the heights of its own footprint, which are FAR where unknown.
     """
     found = False
     for k in range(LANES):
@@ -305,10 +305,10 @@ def _mark(todo, size, i, first, lanes):
 
 @kernel()
 def _prepare(z, middle, cells, r0, c0, ground, size):
-    """Fill the windows of a tile and the largest height of each site's footprint.
+    """Fill the windows of a tile and the maximum height of each footprint.
 
-    `ground` (5, rows, cols) becomes elevation, ground under pads, heights and gradients of lids;
-    `size` is FAR where a footprint holds unknown ground or leaves the raster.
+    `ground` (5, rows, cols) becomes elevation, terrain under pads, heights and gradients of lids;
+    `size` is FAR where a footprint contains unknown terrain or leaves the raster.
     """
     reach = cells.reach
     _, tall, wide = ground.shape
@@ -347,7 +347,7 @@ def _exact_tile(
     ground, size, todo, cells, covers, posting, limit_slope, limit_rough, decide, slope_out,
     rough_out,
 ):  # fmt: skip
-    """Write tan(slope) and roughness of the sites to do of a tile."""
+    """Write tan(slope) and roughness of the sites `todo` of a tile."""
     wide = ground.shape[2]
     flat = ground.reshape(5, ground.shape[1] * wide)
     legs = flat_offsets(cells.legs, wide)
@@ -364,17 +364,19 @@ def _exact_tile(
             if decide:
                 _steepest(flat[1], here, legs, cells, posting, lanes[1])
             if not decide or _drop_steep(lanes[1], limit_slope, lanes[0]):
-                # The heading that was worst here is likely to be so next door, and spares others.
+                # The worst heading of one site is likely to be the worst of its neighbours.
                 _lift_lids(flat, here, corners, lids)
-                start = _rough(
+                start = _write_roughness(
                     flat, here, wide, legs, cells, covers, posting, limit_rough, decide, start,
                     lanes, lids,
                 )  # fmt: skip
             for k in range(min(LANES, todo.shape[1] - j)):
                 if todo[i, j + k] and size[i, j + k] < FAR:
-                    least = limit_rough if decide else np.float32(2.0) * lanes[3, k]
+                    min_roughness = limit_rough if decide else np.float32(2.0) * lanes[3, k]
                     slope_out[i, j + k] = lanes[1, k]
-                    rough_out[i, j + k] = lanes[2, k] if lanes[2, k] > least else np.float32(0.0)
+                    rough_out[i, j + k] = (
+                        lanes[2, k] if lanes[2, k] > min_roughness else np.float32(0.0)
+                    )
 
 
 @kernel(shared=True)
@@ -394,10 +396,10 @@ def exact(
 ):
     """Write tan(slope) and roughness, the worst over headings and admissible planes.
 
-    Only the sites to do whose footprints are known are written. A block is opened only if its lid
-    rises above the plane of some site by more than that site's worst roughness so far, less a
-    margin for rounding. With `decide` a site is left as soon as a limit is passed: only the
-    comparison with the limits is then meant.
+    Only sites `todo` with known footprints are written. A block is examined only if its lid rises
+    above the plane of some site by more than that site's worst roughness so far, minus a margin for
+    rounding. With `decide`, a site is finished as soon as a limit is exceeded; then only the
+    comparison with the limits is valid.
     """
     rows, cols = todo.shape
     across, tiles = tiles_of(rows, cols, PLANE_ROWS)

@@ -1,8 +1,8 @@
 """Compiled landing-safety kernels. Rasters are float32 (rows, cols).
 
-Maxima over footprints are taken tile by tile: a tile and its surroundings are loaded, maxima over
-windows of 1, 2, 4, ... cells to the right are built, and a run of any length is the union of two
-such windows. A tile's buffers stay in the second-level cache.
+Maxima over footprints are computed tile by tile: a tile and its surroundings are loaded, maxima
+over windows of 1, 2, 4, ... cells to the right are computed, and a run of any length is the union
+of two such windows. A tile's buffers fit into the second-level cache.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from scipy.special import ndtr
 from lunarsim._jit import kernel
 from lunarsim._lanes import LANES, item, larger, load, spread, store
 
-FAR = np.float32(1e30)  # stands for unknown ground in maxima; far above any terrain
-MOST_RELIEF = 30_000.0  # from the middle of a map, m: what lies further off is no ground
+FAR = np.float32(1e30)  # marks unknown terrain in maxima; far above any terrain
+MOST_RELIEF = 30_000.0  # heights farther than this from the map's middle are invalid, m
 TILE_ROWS = 64
 TILE_COLS = 128
 
 
 @kernel(inner=True)
 def known(z, middle):
-    """Tell whether a height is ground: NaN, infinities and what no map can hold are not."""
+    """Return whether a height is valid: not NaN, infinite or implausible."""
     return abs(np.float64(z) - middle) <= MOST_RELIEF
 
 
 @kernel(inner=True)
 def insert(ascending, count, value):
-    """Put a value in its place among the first `count`, which ascend.
+    """Insert a value into the first `count` values, in ascending order.
 
-    For a handful it is as quick as a library's sort, which takes a second to compile.
+    For few values it is as fast as a library's sort, which takes a second to compile.
     """
     n = count
     while n > 0 and ascending[n - 1] > value:
@@ -40,7 +40,7 @@ def insert(ascending, count, value):
 
 @kernel(inner=True)
 def copy(source, out):
-    """Write a window into another; an assignment to a slice takes seconds to compile."""
+    """Copy a window; an assignment to a slice takes seconds to compile."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]
@@ -48,9 +48,9 @@ def copy(source, out):
 
 @kernel(inner=True)
 def datum_of(z, middle, r0, c0, rows, cols):
-    """Return the lower median of nine heights of a tile, those known: one of its own heights.
+    """Return the lower median of nine heights of a tile, ignoring unknown ones.
 
-    Where none of the nine is known it is the first known one, where there is none at all `middle`.
+    If all nine are unknown, it is the first known height, or `middle` if there is none.
     """
     found = np.empty(9)
     count = 0
@@ -71,9 +71,9 @@ def datum_of(z, middle, r0, c0, rows, cols):
 
 @kernel(fast=True)
 def load_window(z, middle, datum, r0, c0, out):
-    """Copy a window whose corner is (r0, c0) into `out`, above `datum`, as float32.
+    """Copy a window from (r0, c0) into `out`, relative to `datum`, as float32.
 
-    FAR off the raster and where unknown. The difference is taken before it is rounded.
+    Values are FAR off the raster and where unknown. The subtraction precedes the rounding.
     """
     rows, cols = z.shape
     tall, wide = out.shape
@@ -96,7 +96,7 @@ def load_window(z, middle, datum, r0, c0, out):
 
 @kernel(fast=True)
 def load_variance(variance, r0, c0, out):
-    """Copy a window of variances as `load_window` does; NaN and infinity are unknown."""
+    """Copy a window of variances like `load_window`; NaN and infinity are unknown."""
     rows, cols = variance.shape
     tall, wide = out.shape
     first = min(max(-c0, 0), wide)
@@ -114,7 +114,7 @@ def load_variance(variance, r0, c0, out):
 
 @kernel(finite=True, inner=True)
 def spread_bounds(middle, wide, high, low):
-    """Write middle +- 3 sigma where known, from the variance in `wide`; FAR where not."""
+    """Write middle +- 3 sigma where known, from the variance in `wide`; FAR elsewhere."""
     for i in range(middle.shape[0]):
         for j in range(middle.shape[1]):
             z = middle[i, j]
@@ -126,7 +126,7 @@ def spread_bounds(middle, wide, high, low):
 
 @kernel(finite=True)
 def _turn(source, out):
-    """Write -source, but FAR where it is FAR."""
+    """Write -source, or FAR where it is FAR."""
     for i in range(source.shape[0]):
         for j in range(source.shape[1]):
             z = source[i, j]
@@ -135,13 +135,13 @@ def _turn(source, out):
 
 @kernel(inner=True)
 def levels_of(cells, tall, wide):
-    """Return room for the levels of windows: depth along rows, then height - 1 along columns."""
+    """Allocate window levels: `depth` along rows, `height` - 1 along columns."""
     return np.empty((cells.depth + cells.height - 1, tall, wide), np.float32)
 
 
 @kernel(finite=True, inner=True)
 def double(levels, depth):
-    """Fill levels[k], k < depth, with maxima over windows of 2**k columns, from levels[0]."""
+    """Fill levels[k], k < depth, with maxima over windows of 2**k columns."""
     _, rows, cols = levels.shape
     for k in range(1, depth):
         width = 1 << (k - 1)
@@ -157,7 +157,7 @@ def double(levels, depth):
 
 @kernel(finite=True, inner=True)
 def double_up(levels, depth):
-    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows, from levels[0]."""
+    """Fill levels[depth - 1 + k] with maxima over windows of 2**k rows."""
     deep, rows, cols = levels.shape
     for k in range(1, deep - depth + 1):
         before = levels[depth - 2 + k] if k > 1 else levels[0]
@@ -172,7 +172,7 @@ def double_up(levels, depth):
 
 @kernel(inner=True)
 def fill(levels, cells):
-    """Fill all levels from levels[0]."""
+    """Fill all window levels from levels[0]."""
     double(levels, cells.depth)
     double_up(levels, cells.depth)
 
@@ -182,7 +182,7 @@ def over_runs(levels, depth, runs, reach, out):
     """Write the maximum over a set of windows around each cell of the tile.
 
     A row of `runs` is as in `footprint.Footprint`; their number is a multiple of four. A row of the
-    tile has LANES columns to spare behind its surroundings.
+    tile has LANES spare columns after its surroundings.
     """
     _, tall, wide = levels.shape
     rows, cols = out.shape
@@ -199,7 +199,7 @@ def over_runs(levels, depth, runs, reach, out):
         j = 0
         while j < cols:
             at = i * wide + j
-            # Many sites at a time, so that what one window loads serves the next.
+            # Process many sites at a time, so that the loads of one window serve several sites.
             if cols - j > 7 * LANES:
                 _best_of(flat, first, second, at, best, 0)
                 _best_of(flat, first, second, at + 4 * LANES, best, 4 * LANES)
@@ -228,7 +228,7 @@ def _best(flat, first, second, at, best):
 
 @kernel(inline=True)
 def _best_of(flat, first, second, at, best, place):
-    """Do the same for four times sixteen sites side by side, written from `place` on."""
+    """Compute `_best` for four times sixteen adjacent sites, written from `place` on."""
     a = spread(-FAR)
     b = a
     c = a
@@ -252,7 +252,7 @@ def _best_of(flat, first, second, at, best, place):
 
 @kernel(inner=True)
 def tiles_of(rows, cols, tall):
-    """Return how many tiles stand side by side, and how many there are."""
+    """Return the number of tiles side by side, and the total number of tiles."""
     across = (cols + TILE_COLS - 1) // TILE_COLS
     return across, across * ((rows + tall - 1) // tall)
 
@@ -266,9 +266,9 @@ def tile_at(tile, across, tall, rows, cols):
 
 @kernel(shared=True)
 def extremes(share, z, middle, cells, span, rise):
-    """Write max over L less min over L, and max over U less min over L (Eq. 10).
+    """Write max over L minus min over L, and max over U minus min over L (Eq. 10).
 
-    FAR where L or U holds unknown ground or leaves the raster.
+    The result is FAR where L or U contains unknown terrain or leaves the raster.
     """
     rows, cols = z.shape
     reach = cells.reach
@@ -294,7 +294,7 @@ def extremes(share, z, middle, cells, span, rise):
 
 @kernel(finite=True)
 def _differ(leg, body, span, rise):
-    """Write highest and body's highest less lowest, out of maxima of z and of -z."""
+    """Write span and rise from maxima of z and of -z over legs and body."""
     for i in range(span.shape[0]):
         for j in range(span.shape[1]):
             known = (leg[0, i, j] < FAR) & (body[i, j] < FAR)
@@ -302,7 +302,7 @@ def _differ(leg, body, span, rise):
             rise[i, j] = body[i, j] + leg[1, i, j] if known else FAR
 
 
-# The normal distribution between +-6.5 sigma: linear between, it errs by less than 4e-7.
+# Table of the normal distribution from -6.5 to 6.5 sigma; linear interpolation errors are < 4e-7.
 _STEPS = 4096
 _NORMAL = ndtr(np.linspace(-6.5, 6.5, _STEPS + 1)).astype(np.float32)
 _NORMAL[0] = 0.0
@@ -310,7 +310,7 @@ _NORMAL[0] = 0.0
 
 @kernel(inline=True)
 def _normal_cdf(d, s):
-    """Return P(x < d) for x ~ N(0, s^2); a step where s is 0."""
+    """Return P(x < d) for x ~ N(0, s^2); a step function where s is 0."""
     far = np.float32(7.0) if d > np.float32(0.0) else np.float32(-7.0)
     ratio = d / s if s > np.float32(0.0) else far
     x = (ratio + np.float32(6.5)) * np.float32(_STEPS / 13.0)
@@ -322,7 +322,7 @@ def _normal_cdf(d, s):
 
 @kernel(finite=True)
 def _judge(leg, foot, body, slope_margin, roughness_limit, p_slope, p_rough, p_safe, observed):
-    """Write Eq. 17 from maxima of the upper and the lower bounds: of z, of -z, of z over U."""
+    """Write Eq. 17 from maxima of the bounds: of z, of -z, of z over U."""
     sixth, half = np.float32(1.0 / 6.0), np.float32(0.5)
     for i in range(p_slope.shape[0]):
         for j in range(p_slope.shape[1]):
@@ -348,7 +348,7 @@ def stochastic(
     share, mean, middle, variance, cells, slope_margin, roughness_limit, p_slope, p_rough, p_safe,
     observed,
 ):  # fmt: skip
-    """Write Eqs. 15 to 17 around each cell; observed is False where ground is unknown."""
+    """Write Eqs. 15 to 17 around each cell, and where terrain is known."""
     rows, cols = mean.shape
     reach = cells.reach
     across, tiles = tiles_of(rows, cols, TILE_ROWS)

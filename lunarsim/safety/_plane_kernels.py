@@ -1,8 +1,8 @@
-"""Compiled kernels that go through the support planes of every heading, with bounds of roughness.
+"""Compiled kernels that evaluate the support planes of every heading.
 
-They work tile by tile. The windows of a tile are flat, float32, without NaN, and end in rows that
-may be read but are not meant; sixteen neighbouring sites of a row are taken at a time. Lanes beyond
-the last site read what follows and are dropped.
+They work tile by tile. The windows of a tile are flat, float32, without NaN, and end in spare rows
+that may be read; sixteen neighbouring sites of a row are processed at a time. Lanes beyond the last
+site read following values, and their results are discarded.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from lunarsim.safety._kernels import (
 
 @kernel(inline=True)
 def plane(feet, here, legs, inverse, place, h, s):
-    """Return gradient (a cell) and height at the centre of plane `s` of heading `h`.
+    """Return gradient (per cell) and height at the centre of plane `s` of heading `h`.
 
-    `feet` holds the ground under a pad; `here` is the index of the first site.
+    `feet` holds the terrain height under a pad; `here` is the index of the first site.
     """
     za = load(feet, here + legs[h, 0])
     zb = load(feet, here + legs[h, 1])
@@ -54,7 +54,7 @@ def plane(feet, here, legs, inverse, place, h, s):
         gy = m[2] * u + m[3] * v
         return gx, gy, za - q[0] * gy - q[1] * gx
     zd = load(feet, here + legs[h, 3])
-    # The higher diagonal carries: plane 0 stands on legs a b c or a b d, plane 1 on a c d or b c d.
+    # The higher diagonal carries the lander: plane 0 on a b c or a b d, plane 1 on a c d or b c d.
     one = za + zc
     two = zb + zd
     if s == 0:
@@ -83,19 +83,19 @@ def squared_tangent(gx, gy, posting):
 
 
 @kernel(inline=True)
-def _risen(tops, here, blocks, centres, n, gx, gy):
-    """Return the top of block `n` above a plane through the site."""
+def _block_above_plane(tops, here, blocks, centres, n, gx, gy):
+    """Return the maximum of block `n` above a plane through the site."""
     top = load(tops, here + item(blocks, n))
     return top - item(centres, 2 * n) * gx - item(centres, 2 * n + 1) * gy
 
 
 @kernel(inline=True)
-def _four_risen(tops, here, blocks, centres, n, gx, gy):
-    """Return the tops of blocks `n` to n + 3 above a plane through the site."""
-    a = _risen(tops, here, blocks, centres, n, gx, gy)
-    b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
-    c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
-    d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+def _four_blocks_above_plane(tops, here, blocks, centres, n, gx, gy):
+    """Return the maxima of blocks `n` to n + 3 above a plane through the site."""
+    a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
+    b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
+    c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
+    d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
     return a, b, c, d
 
 
@@ -106,20 +106,20 @@ def _highest(four):
 
 
 @kernel(inline=True)
-def _highest_risen(tops, here, blocks, centres, start, stop, gx, gy):
-    """Return the highest of the tops of blocks above a plane; their number divides by four."""
+def _max_block_above_plane(tops, here, blocks, centres, start, stop, gx, gy):
+    """Return the largest maximum of blocks (a multiple of four) above a plane."""
     top = spread(-FAR)
     for n in range(start, stop, 4):
-        a = _risen(tops, here, blocks, centres, n, gx, gy)
-        b = _risen(tops, here, blocks, centres, n + 1, gx, gy)
-        c = _risen(tops, here, blocks, centres, n + 2, gx, gy)
-        d = _risen(tops, here, blocks, centres, n + 3, gx, gy)
+        a = _block_above_plane(tops, here, blocks, centres, n, gx, gy)
+        b = _block_above_plane(tops, here, blocks, centres, n + 1, gx, gy)
+        c = _block_above_plane(tops, here, blocks, centres, n + 2, gx, gy)
+        d = _block_above_plane(tops, here, blocks, centres, n + 3, gx, gy)
         top = larger(top, larger(larger(a, b), larger(c, d)))
     return top
 
 
-AHEAD = 8  # rows that may be read beyond a tile's surroundings
-PLANE_ROWS = 32  # of a tile of the kernels that go through planes
+AHEAD = 8  # spare rows after a tile's surroundings that may be read
+PLANE_ROWS = 32  # rows of a tile in the kernels that evaluate planes
 
 
 @kernel(inner=True)
@@ -130,7 +130,7 @@ def window_shape(cells, h, w):
 
 @kernel(inner=True)
 def clear(window):
-    """Put unknown ground at the datum: footprints that hold it are unobserved."""
+    """Set unknown terrain to the datum: footprints that contain it are unobserved."""
     for i in range(window.shape[0]):
         for j in range(window.shape[1]):
             if window[i, j] >= FAR:
@@ -139,7 +139,7 @@ def clear(window):
 
 @kernel(inner=True)
 def stand(levels, window, cells, feet):
-    """Write the highest ground under a pad centred on each cell of a window, 0 near its edge."""
+    """Write the highest terrain under a pad centred on each cell, 0 near the edge."""
     n = cells.pad_reach
     tall, wide = window.shape
     feet[:] = np.float32(0.0)
@@ -150,7 +150,7 @@ def stand(levels, window, cells, feet):
 
 @kernel(inner=True)
 def block_tops(window, block, out):
-    """Write the highest ground in block x block cells to the north-east of each cell."""
+    """Write the highest terrain in block x block cells to the north-east of each cell."""
     rows, cols = window.shape
     line = np.empty(cols, np.float32)
     for i in range(rows):
@@ -168,23 +168,23 @@ def block_tops(window, block, out):
 
 @kernel()
 def flat_offsets(cells, wide):
-    """Return row times `wide` plus column of (..., 2) cells."""
+    """Return row times `wide` plus column of cells (..., 2)."""
     return cells[..., 0] * wide + cells[..., 1]
 
 
 @kernel(inline=True)
 def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first, span, posting,
                  upright):  # fmt: skip
-    """Return the largest tan(slope)^2 of sixteen sites and a bound of their roughness."""
+    """Return the maximum tan(slope)^2 of sixteen sites and a bound of their roughness."""
     steepest = spread(0.0)
     worst = spread(0.0)
     for h in range(legs.shape[0]):
         for s in range(inverse.shape[1]):
             gx, gy, base = plane(feet, here, legs, inverse, place, h, s)
-            top = _highest_risen(
+            top = _max_block_above_plane(
                 tops, here, blocks, centres, item(first, h), item(first, h + 1), gx, gy
             )
-            # A block's top may stand at its corner where the plane is lowest.
+            # A block's maximum may lie at the corner where the plane is lowest.
             rise = top + span * (magnitude(gx) + magnitude(gy)) - base
             square = squared_tangent(gx, gy, posting)
             steepest = larger(steepest, square)
@@ -196,9 +196,9 @@ def _bound_sites(tops, feet, here, legs, inverse, place, blocks, centres, first,
 
 @kernel()
 def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, rough_out):
-    """Write tan(slope), exact, and a bound of the roughness of the sites of a tile.
+    """Write the exact tan(slope) and a bound of the roughness of the sites of a tile.
 
-    With `upright` heights are taken along the vertical, not along the plane's normal.
+    With `upright`, heights are measured vertically, not along the plane's normal.
     """
     rows, cols = slope_out.shape
     wide = feet.shape[1]
@@ -224,9 +224,9 @@ def _bound_tile(tops, feet, cells, covers, block, posting, upright, slope_out, r
 
 @kernel(shared=True)
 def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_out):
-    """Write tan(slope), exact, and a bound of the roughness from the tops of blocks of cells.
+    """Write the exact tan(slope), and a roughness bound from maxima of blocks.
 
-    Neither is meant where a footprint holds unknown ground or leaves the raster.
+    Both are invalid where a footprint contains unknown terrain or leaves the raster.
     """
     rows, cols = z.shape
     reach = cells.reach
@@ -249,7 +249,7 @@ def bounded(share, z, middle, cells, covers, block, posting, slope_out, rough_ou
 
 @kernel()
 def _average(high, low, middle, sigma):
-    """Write mean and standard deviation of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
+    """Write mean and sigma of Gaussians with these 3-sigma bounds (Eqs. 15, 16)."""
     for i in range(high.shape[0]):
         for j in range(high.shape[1]):
             middle[i, j] = np.float32(0.5) * (high[i, j] + low[i, j])
@@ -271,10 +271,10 @@ def stochastic_planes(
     raised,
     leg_sigma,
 ):
-    """Write what `planes.plane_stochastic_safety` needs of each site, lengths along the vertical.
+    """Write the inputs of `plane_stochastic_safety`; heights are vertical.
 
-    tan(slope) and bound of the roughness on the means of legs and obstacles, the bound with all
-    obstacles raised by 3 sigma, and the largest standard deviation of a leg.
+    These are tan(slope) and a roughness bound for the means of legs and obstacles, the bound with
+    all obstacles raised by 3 sigma, and the maximum standard deviation of a leg.
     """
     rows, cols = mean.shape
     reach = cells.reach

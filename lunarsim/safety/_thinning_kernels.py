@@ -1,4 +1,4 @@
-"""Compiled means of ratios over the rocks of a law."""
+"""Compiled means of ratios over the rocks of a size distribution."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from lunarsim._jit import kernel
 
 
 @kernel(shared=True)
-def mean_ratios(share, height, falling, least, numbers, shortest, ratio, first, step, law, out):
-    """Write the mean of ratios over the law's rocks above a height at each site.
+def mean_ratios(
+    share, height, falling, min_diameter, numbers, shortest, ratio, first, step, law, out
+):
+    """Write the mean of ratios over the rocks above a height at each site.
 
     Parameters
     ----------
     share
         First site and step.
     height
-        Of all sites (1,) or of each (sites,), m; less than `shortest` counts as that, and NaN gives
-        NaN.
+        Height for all sites (1,) or for each (sites,), m; at least `shortest`; NaN gives NaN.
     falling
-        Ratios (classes + 1, sites), those of rocks smaller than all classes first.
-    least, numbers
-        Least diameter of each class (classes,), m, and the law's rocks above it.
+        Ratios (classes + 1, sites), starting with those of rocks smaller than all classes.
+    min_diameter, numbers
+        Minimum diameter of each class (classes,), m, and the number of rocks above it.
     shortest, ratio
-        m, and height over diameter.
+        Minimum height, m, and height over diameter of rocks.
     first, step, law
-        Logarithms of the law's numbers (n,) at diameters whose logarithms begin at `first` and are
-        `step` apart.
+        Logarithms of the numbers of rocks (n,) at diameters whose logarithms start at `first` and
+        are `step` apart.
     out
-        (sites,).
+        Mean ratios (sites,).
     """
     last = law.size - 2
     for site in range(share[0], out.size, share[1]):
@@ -41,9 +42,9 @@ def mean_ratios(share, height, falling, least, numbers, shortest, ratio, first, 
         k = min(int(at), last)
         number = np.exp(law[k] + (at - k) * (law[k + 1] - law[k]))
         mean = falling[0, site]
-        for n in range(least.size):
-            # Share of the rocks above the height that are of this class or a larger one.
-            larger = numbers[n] if d < least[n] else number
+        for n in range(min_diameter.size):
+            # Fraction of the rocks above the height in this class or a larger one.
+            larger = numbers[n] if d < min_diameter[n] else number
             if number > 0.0:
                 mean += (falling[n + 1, site] - falling[n, site]) * (larger / number)
             else:

@@ -1,4 +1,4 @@
-"""The baseline: slope as it stands, roughness with independent noise, heading by heading."""
+"""ALHAT baseline: deterministic slope, and roughness with independent noise."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def alhat_safety(
     """Evaluate the baseline of section III.B of the Gaussian DEM paper.
 
     Slope safety is deterministic. Roughness safety is evaluated at every cell of the footprint at
-    every heading, for elevation noise of standard deviation `sigma` that is independent from cell
-    to cell; of these probabilities the least is taken, since their product would be near zero on
-    any footprint of many cells. The normal distribution function being monotonic, that is the
-    probability at the worst roughness, and the work is that of `exact_safety`.
+    every heading, for elevation noise of standard deviation `sigma` that is independent between
+    cells. The minimum of these probabilities is used, since their product would be near zero for
+    footprints of many cells. It is the probability at the worst roughness, because the normal
+    distribution function is monotonic.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def alhat_safety(
         As `exact_safety`, and if `sigma` is not positive.
     """
     if not (np.isfinite(sigma) and sigma > 0.0):
-        raise InputError("sigma", sigma, "a positive length in metres")
+        raise InputError("sigma", sigma, "must be a positive length in metres")
     exact = exact_safety(elevation, grid, lander)
     with np.errstate(invalid="ignore"):
         p_slope = (exact.slope < lander.slope_limit).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Sums of bent lines: what a logistic regression adds up of each thing that it is told.
+"""Monotone piecewise linear terms of a logistic regression.
 
-A term bends at its knots; each interval between two of them is a feature, how much of it the value
-has passed. Weights that are not negative make the sum rise with the value, or fall with it.
+A term has knots; each interval between two knots is a feature, the fraction of the interval below
+the value. With non-negative weights the sum is monotone in the value.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Term:
-    """One thing that is known of each site.
+    """One explanatory variable of the sites, with its knots.
 
     Attributes
     ----------
     values
-        (n,), or () where all sites share it; not NaN.
+        Values (n,), or () if equal for all sites; not NaN.
     knots
-        Rising (k,).
+        Increasing knots (k,).
     falls
-        Whether more of it speaks against the site.
+        Whether the probability of safety decreases with the value.
     """
 
     values: Array
@@ -48,16 +48,16 @@ def columns(terms: Sequence[Term], n: int) -> Array:
 
 
 def extremes(terms: Sequence[Term], base: Array, weights: Array) -> tuple[Array, Array]:
-    """Return the least and the greatest of ``base + columns(terms) @ weights.T`` (n,) each.
+    """Return minimum and maximum over the fits of the log odds of sites (n,).
 
     Parameters
     ----------
     terms
-        Of n sites; at least one has a value for each.
+        Terms of n sites; at least one has a value for each site.
     base
-        What each fit begins with, at all sites (fits,) or each (n, fits).
+        Log odds of each fit without the terms, for all sites (fits,) or each (n, fits).
     weights
-        Of the fits (fits, sum of the terms' k - 1).
+        Weights of the fits (fits, sum of the terms' k - 1).
     """
     base = np.atleast_2d(np.asarray(base, dtype=np.float64))
     values, knots, heights = [], [], []

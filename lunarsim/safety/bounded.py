@@ -1,22 +1,23 @@
-"""A safety test that is conservative by construction and keeps most safe sites on relief.
+"""A safety test that is conservative and keeps most safe sites on slopes.
 
-The conservative test of the Gaussian DEM paper compares heights with a level plane, so that any
-slope of the ground eats into its margin. Here the support planes are the real ones: slope is
-exact, and only the search for the highest ground above a plane is simplified, from cells to blocks
-of cells. On nearly level ground the level plane bounds the roughness closer; the lower of both
-bounds is taken.
+The conservative test of the Gaussian DEM paper compares heights with a horizontal plane, so that
+any slope of the terrain reduces its margin. This test uses the real support planes: the slope is
+exact, and only the search for the maximum height above a plane is simplified, from cells to blocks
+of cells. On nearly flat terrain the horizontal plane bounds the roughness more tightly; the lower
+of both bounds is used.
 
-Proof that no site called safe is unsafe. Let g be the gradient of an admissible support plane at
-some heading, and x a cell of the polygon of the legs. The blocks cover the polygon, so x lies in a
-block with centre c, half side s and top B >= z(x). The plane at x is no lower than at c less
-``s (|gx| + |gy|)``. So the height of the ground above the plane at x is at most B less the plane at
-c plus ``s (|gx| + |gy|)``, which is what the test takes, and the worst over blocks, headings and
-planes bounds the exact roughness. At each leg the plane is no lower than the highest ground under
-the pad, hence nowhere in the polygon lower than the lowest ground that a pad may touch; the height
-of x above it, along its normal or upright, is at most max over U less min over L of Eq. 10: this
-bounds the exact roughness too, and so does the smaller of both. The slope is that of the exact
-test, which Proposition III.1 bounds by Eq. 11. Hence slope and roughness are under their limits
-whenever this test or the conservative one says so.
+Proof that no site classified as safe is unsafe. Let g be the gradient of an admissible support
+plane at some heading, and x a cell of the polygon of the legs. The blocks cover the polygon, so x
+lies in a block with centre c, half side s and maximum B >= z(x). The height of the plane at x is at
+least its height at c minus ``s (|gx| + |gy|)``. The height of the terrain above the plane at x is
+therefore at most B minus the plane's height at c plus ``s (|gx| + |gy|)``, which the test computes;
+the maximum over blocks, headings and planes bounds the exact roughness. At each leg the plane is at
+least as high as the highest terrain under the pad. Everywhere in the polygon it is therefore at
+least as high as the lowest terrain that a pad may touch. The height of x above it, along its normal
+or vertical, is at most max over U minus min over L of Eq. 10. This also bounds the exact roughness,
+and so does the minimum of both. The slope is that of the exact test, which Proposition III.1 bounds
+by Eq. 11. Hence slope and roughness are below their limits if this test or the conservative one
+classifies a site as safe.
 """
 
 from __future__ import annotations
@@ -33,23 +34,25 @@ from lunarsim.safety.exact import SafetyMap, differences
 from lunarsim.safety.footprint import footprint_of
 from lunarsim.safety.raster import ground
 
-BLOCK_SIDE = 0.5  # m: a compromise between work and margin
+# Compromise between computing time and margin.
+BLOCK_SIDE = 0.5  # m
 
 
 def bounded_safety(
     elevation: ArrayLike, grid: Grid, lander: Lander, *, block_side: float = BLOCK_SIDE
 ) -> SafetyMap:
-    """Evaluate slope exactly and bound roughness from above, by real support planes and level ones.
+    """Evaluate slope exactly and an upper bound of roughness.
 
-    A cell called safe is safe by `exact_safety`, and every cell that `conservative_safety` calls
-    safe is; see the proof at the head of this module.
+    The roughness bound is the lower of those by real support planes and by the horizontal plane. A
+    cell classified as safe is safe by `exact_safety`, and every cell that `conservative_safety`
+    classifies as safe is included; the module docstring has the proof.
 
     Parameters
     ----------
     elevation, grid, lander
         As in `exact_safety`.
     block_side
-        Side of the blocks, m, rounded to whole cells. One cell makes the bound exact.
+        Side of the blocks, m, rounded to complete cells. One cell makes the bound exact.
 
     Raises
     ------
@@ -72,7 +75,7 @@ def bounded_safety(
         tangent,
         roughness,
     )
-    # Equal but for rounding where the ground is level; then either will do.
+    # On flat terrain they are equal up to rounding.
     slope = np.minimum(np.arctan(tangent), level_slope(span, footprint))
     roughness = np.minimum(roughness, np.maximum(rise, np.float32(0.0)))
     safe = observed & (slope < lander.slope_limit) & (roughness < lander.roughness_limit)

@@ -1,4 +1,4 @@
-"""The conservative test and its stochastic form: height differences instead of planes."""
+"""The conservative test by height differences, and its stochastic form."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class StochasticSafety:
     Attributes
     ----------
     grid
-        Places the cells.
+        Grid of the cells.
     p_slope, p_roughness
-        Probability that the slope, the roughness, is under its limit (rows, cols).
+        Probabilities that slope and roughness are below their limits (rows, cols).
     p_safe
         Their product (rows, cols); 0 where not observed.
     observed
-        False where the footprint leaves the map or covers unknown ground (rows, cols).
+        False where the footprint leaves the map or covers unknown terrain (rows, cols).
     """
 
     grid: Grid
@@ -47,7 +47,7 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
     """Bound slope and roughness from above by height differences (Eqs. 10 and 11).
 
     ``sin(slope) = (max_L z - min_L z) / h0`` and ``roughness = max_U z - min_L z``. A cell
-    called safe is safe by `exact_safety` (Proposition III.1).
+    classified as safe is safe by `exact_safety` (Proposition III.1).
 
     Parameters and errors are those of `exact_safety`.
 
@@ -69,9 +69,9 @@ def conservative_safety(elevation: ArrayLike, grid: Grid, lander: Lander) -> Saf
 
 
 def level_slope(span: FloatMap, footprint: Footprint) -> FloatMap:
-    """Return the bound of the slope (rad) by Eq. 11 from max less min over L (m)."""
+    """Return the upper bound of the slope (rad) by Eq. 11 from the span over L (m)."""
     sine = span / np.float32(footprint.least_height)
-    # The theorem needs a height difference under h0; steeper ground is simply unsafe.
+    # The theorem requires a height difference below h0; steeper terrain is unsafe.
     slope = np.where(sine < 1.0, np.arcsin(np.clip(sine, 0.0, 1.0)), np.float32(np.pi / 2))
     return slope.astype(np.float32)
 
@@ -86,26 +86,26 @@ def stochastic_safety(
 ) -> StochasticSafety:
     """Evaluate the conservative test on a Gaussian DEM (Eqs. 15 to 17).
 
-    Maxima and minima of the heights are taken as Gaussians fitted to the extremes of the
+    Maxima and minima of the heights are approximated by Gaussians fitted to the extremes of the
     3-sigma bounds; slope and roughness follow from differences of two such Gaussians.
 
     Parameters
     ----------
     mean, variance
-        Elevation (rows, cols), m and m^2. Unknown is what `exact_safety` takes so, and where the
+        Elevation (rows, cols), m and m^2. Terrain is unknown as in `exact_safety`, and where the
         variance is NaN, infinite or masked.
     grid, lander
         As in `exact_safety`.
     slope_bound
-        ``"sin"`` as Eq. 11, which carries the guarantee, or ``"tan"`` as Eq. 17 is printed.
+        ``"sin"``: Eq. 11, which has the guarantee; ``"tan"``: Eq. 17 as printed.
 
     Raises
     ------
     InputError
-        As `exact_safety`, and if a variance is negative or `slope_bound` is another word.
+        As `exact_safety`, and if a variance is negative or `slope_bound` is invalid.
     """
     if slope_bound not in ("sin", "tan"):
-        raise InputError("slope_bound", slope_bound, "'sin' or 'tan'")
+        raise InputError("slope_bound", slope_bound, "must be 'sin' or 'tan'")
     footprint = footprint_of(lander, grid.posting)
     height = ground("mean", mean, grid, footprint)
     spread = variances(variance, grid, footprint)

@@ -1,16 +1,16 @@
-"""Regressions fitted to all worlds and to all but one: what a single world decides is not known.
+"""Ensemble of regressions fitted to all worlds and to all but one.
 
-Worlds differ in more than their features say, and no count of sites of one world tells how the
-next will be. Each fit leaves one world out (a relief, a rock law, a lander, a range). What is told
-is the lowest of them, less a margin on the odds and the little that no world can tell: it falls
-wherever all of them do.
+Worlds differ in more than their features, and the number of sites of one world does not predict
+the next world. Each fit leaves one world out (a relief, a rock distribution, a lander, a range).
+The reported probability is the minimum over the fits, reduced by a margin on the log odds and by a
+floor on the probability of an unsafe site. It decreases wherever all fits decrease.
 
-It is a frequency where every fit calls a site surely safe, or every fit surely not: then no world
-by itself decides. In between there is nearly always one that does, and whether there is may change
-with any feature either way; so no frequency is claimed there at all, even where fits happen to
-agree: else worse evidence could enter where more is told; and nothing there counts as surely safe.
-How near fits lie to each other where all call a site safe says little of a world that none of them
-has seen.
+It is a frequency where every fit classifies a site as almost certainly safe, or every fit as almost
+certainly unsafe: then no single world decides. In between, a single world nearly always decides,
+and that may change in either direction with any feature. No frequency is claimed there, even where
+the fits agree, because worse evidence could otherwise enter a region of higher probability. No site
+there reaches the threshold of claimed safety. The spread between fits that all classify a site as
+safe says little about a world that none of them includes.
 """
 
 from __future__ import annotations
@@ -33,100 +33,104 @@ from lunarsim.safety.logistic import Logistic
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# A world unlike all others may double the odds that a site is unsafe.
+# Margin on the log odds for worlds unlike those of the fits: a factor of 2 on the odds of an unsafe
+# site.
 MARGIN = float(np.log(2.0))
-# Half of the worlds of the fits have fewer than 750 sites that are surely safe. Among so many, a
-# world in which one of 250 is unsafe, whatever the evidence, shows none in one case of twenty: no
-# site is told to be safer than that leaves.
+# Minimum probability of an unsafe site. Half of the worlds of the fits have fewer than 750 almost
+# certainly safe sites. A world in which 1 of 250 such sites is unsafe shows none among 750 in 1 of
+# 20 cases.
 UNTOLD = 0.004
-# Sites are surely safe from this probability on, and surely not up to that.
+# A site is almost certainly safe from the first probability on, and almost certainly unsafe up to
+# the second.
 SURE, HOPELESS = 0.95, 0.05
-# No fit gives a feature, which is about 1, more log odds than this.
-_HEAVIEST = 1e6
+# Limit of the weights in a file: features are about 1.
+_MAX_WEIGHT = 1e6
 
 
 @dataclass(frozen=True)
-class Odds:
-    """What the fits say of sites (n,).
+class LogOddsBounds:
+    """Bounds of the log odds of sites (n,) over the fits.
 
     Attributes
     ----------
     low, high
-        Least and greatest log odds.
+        Minimum and maximum log odds.
     """
 
     low: Array
     high: Array
 
     def verdict(
-        self, most: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
-    ) -> Verdict:
-        """Return what is told of the sites (n,).
+        self, upper_bound: Array, hopeless: float = HOPELESS, doomed: BoolArray | None = None
+    ) -> SafetyEstimate:
+        """Return the reported probability of the sites (n,).
 
         Parameters
         ----------
-        most
-            None is safer than this (n,).
+        upper_bound
+            Upper bound of the probability (n,).
         hopeless
-            Sites are surely not safe up to this probability.
+            Probability up to which sites are almost certainly unsafe.
         doomed
-            Where they may be called so at all (n,); left out: anywhere.
+            Where sites may be classified as such (n,); omitted: anywhere.
         """
-        p = told(self.low, most)
+        p = told(self.low, upper_bound)
         never = expit(self.high) <= hopeless
-        return Verdict(p, (p >= SURE) | (never if doomed is None else never & doomed))
+        return SafetyEstimate(p, (p >= SURE) | (never if doomed is None else never & doomed))
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What is told of sites (n,).
+class SafetyEstimate:
+    """Reported probability of sites (n,).
 
     Attributes
     ----------
     p
-        Probability that they are safe: the lowest.
+        Probability that they are safe: the lower bound.
     agreed
-        Where every fit calls them surely safe, or every one surely not.
+        Whether all fits agree that the site is almost certainly safe, or almost certainly unsafe.
     """
 
     p: Array
     agreed: BoolArray
 
 
-def told(low: Array, most: Array, margin: float = MARGIN) -> Array:
-    """Return the probability (n,) by the lowest log odds (n,) less a margin, at most `most`.
+def told(low: Array, upper_bound: Array, margin: float = MARGIN) -> Array:
+    """Return the probability (n,) from the minimum log odds (n,), reduced by a margin.
 
-    `UNTOLD` of it is taken off.
+    It is also reduced by the factor 1 - `UNTOLD`, and is at most `upper_bound`.
     """
-    return np.asarray(np.minimum((1.0 - UNTOLD) * expit(low - margin), most))
+    return np.asarray(np.minimum((1.0 - UNTOLD) * expit(low - margin), upper_bound))
 
 
-def doubted(low: Array, most: Array, least: Array, margin: float) -> Array:
-    """Return the probability of sites (n,) where it is no frequency: never more than `SURE`.
+def doubted(low: Array, upper_bound: Array, outside_bound: Array, margin: float) -> Array:
+    """Return the probability (n,) where it is not a frequency: at most `SURE`.
 
     Parameters are those of `cautious`.
     """
-    return np.asarray(SURE * np.minimum(told(low, most, margin), least))
+    return np.asarray(SURE * np.minimum(told(low, upper_bound, margin), outside_bound))
 
 
 def cautious(
-    low: Array, most: Array, least: Array, known: BoolArray, margin: float = MARGIN
+    low: Array, upper_bound: Array, outside_bound: Array, known: BoolArray, margin: float = MARGIN
 ) -> Array:
-    """Return the probability of sites (n,): as told where surely safe, else no more than a bound.
+    """Return the probability (n,), limited by a bound below the claimed range.
 
     Parameters
     ----------
     low
-        Lowest log odds (n,).
-    most, least
-        What it cannot exceed anywhere, and where it is no frequency (n,).
+        Minimum log odds (n,).
+    upper_bound, outside_bound
+        Upper bounds everywhere, and where the probability is not a frequency (n,).
     known
-        Where the fits have seen the like (n,).
+        Whether the sites are in the domain of the fits (n,).
     margin
-        Of the log odds where it is no frequency.
+        Margin on the log odds where the probability is not a frequency.
     """
-    plain = told(low, most)
-    return np.where(known & (plain >= SURE), plain, doubted(low, most, least, margin))
+    plain = told(low, upper_bound)
+    return np.where(
+        known & (plain >= SURE), plain, doubted(low, upper_bound, outside_bound, margin)
+    )
 
 
 @dataclass(frozen=True)
@@ -136,11 +140,11 @@ class Ensemble:
     Attributes
     ----------
     weights
-        One row a fit, the first to all worlds (fits, features).
+        One row per fit, the first to all worlds (fits, features).
     without
-        The world that each other fit was made without (fits - 1,).
+        Name of the world that each other fit leaves out (fits - 1,).
     note
-        The command that measured them.
+        Command that produced the fits.
     """
 
     weights: tuple[tuple[float, ...], ...]
@@ -149,27 +153,27 @@ class Ensemble:
 
     @property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that tell these weights from others."""
+        """Identifier of the weights: 16 hexadecimal digits of their SHA-256."""
         return hashlib.sha256(np.array(self.weights, "<f8").tobytes()).hexdigest()[:16]
 
-    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> Odds:
-        """Return what the fits say of sites.
+    def judge(self, free: ArrayLike, terms: Sequence[Term]) -> LogOddsBounds:
+        """Return the bounds of the log odds of sites.
 
         Parameters
         ----------
         free
-            Features on which weights have any sign, of all sites (f,) or each (n, f).
+            Features with weights of any sign, of all sites (f,) or each (n, f).
         terms
-            What speaks for and against the sites; their features follow the free ones.
+            Monotone terms of the sites; their features follow the free ones.
         """
         w, f = np.array(self.weights), np.asarray(free, dtype=np.float64)
         count = f.shape[-1]
-        return Odds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
+        return LogOddsBounds(*extremes(terms, f @ w[:, :count].T, w[:, count:]))
 
-    def of_features(self, features: ArrayLike) -> Odds:
-        """Return what the fits say of sites with features (n, k)."""
+    def of_features(self, features: ArrayLike) -> LogOddsBounds:
+        """Return the bounds of the log odds of sites with features (n, k)."""
         odds = np.asarray(features, dtype=np.float64) @ np.array(self.weights).T
-        return Odds(odds.min(axis=1), odds.max(axis=1))
+        return LogOddsBounds(odds.min(axis=1), odds.max(axis=1))
 
     @classmethod
     def fit(
@@ -182,16 +186,16 @@ class Ensemble:
         rising: int = 0,
         start: Ensemble | None = None,
     ) -> Ensemble:
-        """Fit features (n, k) to outcomes (n,), to all and to all without each world.
+        """Fit features (n, k) to outcomes (n,), for all worlds and without each world.
 
         Parameters
         ----------
         features, outcome, note, rising
             As for `Logistic.fit`.
         worlds
-            Which sites belong to a world (n,), by its name. One without any site says nothing.
+            Mask of the sites of each world (n,), by its name. Worlds without sites are ignored.
         start
-            Where steps begin; left out, at 0. It saves time where fits are alike.
+            Ensemble whose weights start the iteration; omitted: zero weights.
         """
         x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome)
         named = {name: inside for name, inside in worlds.items() if inside.any()}
@@ -207,36 +211,38 @@ class Ensemble:
     # --- files ----------------------------------------------------------------------------
 
     def save(self, path: Path) -> None:
-        """Write as JSON, a fit a line."""
+        """Write the weights as JSON, one fit per line."""
         rows = ",\n".join(f"  {json.dumps(row)}" for row in self.weights)
         head = f'"note": {json.dumps(self.note)},\n "without": {json.dumps(self.without)}'
         path.write_text(f'{{\n {head},\n "weights": [\n{rows}\n ]\n}}\n', encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path, features: int, rising: int = 0) -> Ensemble:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Parameters
         ----------
         path
-            The file.
+            Path of the file.
         features, rising
-            Number of weights of a fit, and of the last of them that are not negative.
+            Number of weights per fit, and number of non-negative weights at its end.
 
         Raises
         ------
         InputError
-            If it is missing, is another file, or its numbers will not do.
+            If the file is missing, is not a calibration, or has invalid numbers.
         """
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError("calibration", str(path), f"a calibration file ({error})") from None
+            raise InputError(
+                "calibration", str(path), f"must be a readable calibration file ({error})"
+            ) from None
         return cls._parsed(text, str(path), features, rising)
 
     @classmethod
     def packaged(cls, package: str, name: str, features: int, rising: int = 0) -> Ensemble:
-        """Read a file that comes with a package; see `load`."""
+        """Read a calibration file of a package, as `load`."""
         text = (resources.files(package) / name).read_text(encoding="utf-8")
         return cls._parsed(text, name, features, rising)
 
@@ -247,21 +253,33 @@ class Ensemble:
             weights = tuple(tuple(_weight(w) for w in row) for row in data["weights"])
             worlds = data["without"]
             if not (isinstance(worlds, list) and all(isinstance(w, str) for w in worlds)):
-                raise ValueError("without is a list of names")
+                raise ValueError("without must be a list of names")
             note = str(data.get("note", ""))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise InputError("calibration", name, f"a calibration file ({error})") from None
+            raise InputError("calibration", name, f"must be a calibration file ({error})") from None
         if len(weights) < 2 or len(weights) != len(worlds) + 1:
-            raise InputError("calibration", name, "a fit to all worlds, and one without each named")
+            raise InputError(
+                "calibration",
+                name,
+                "must have a fit to all worlds and one without each named world",
+            )
         if any(len(row) != features for row in weights):
-            raise InputError("calibration", name, f"rows of {features} weights, one a feature")
+            raise InputError("calibration", name, f"must have {features} weights per fit")
         if rising and min(min(row[-rising:]) for row in weights) < 0.0:
-            raise InputError("calibration", name, f"a last {rising} of weights of at least 0")
+            raise InputError(
+                "calibration",
+                name,
+                f"must have non-negative weights for the last {rising} features",
+            )
         return cls(weights, tuple(worlds), note)
 
 
 def _weight(value: object) -> float:
-    """Return a weight of a file: a number that no sum of features makes overflow."""
-    if isinstance(value, bool) or not isinstance(value, float | int) or not abs(value) <= _HEAVIEST:
-        raise ValueError(f"weights are numbers of at most {_HEAVIEST:g}")
+    """Return a weight of a file, limited so that sums of features do not overflow."""
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, float | int)
+        or not abs(value) <= _MAX_WEIGHT
+    ):
+        raise ValueError(f"weights must be numbers of magnitude at most {_MAX_WEIGHT:g}")
     return float(value)

@@ -1,4 +1,4 @@
-"""Exact landing safety: every heading, every admissible support plane."""
+"""Exact landing safety over all headings and all admissible support planes."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class SafetyMap:
     Attributes
     ----------
     grid
-        Places the cells.
+        Grid of the cells.
     slope
         Worst slope (rows, cols), rad; NaN where not observed.
     roughness
         Worst roughness (rows, cols), m; NaN where not observed.
     safe
-        True where both are under the lander's limits (rows, cols).
+        Whether both are below the lander's limits (rows, cols).
     observed
-        False where the footprint leaves the map or covers unknown ground (rows, cols).
+        False where the footprint leaves the map or covers unknown terrain (rows, cols).
     """
 
     grid: Grid
@@ -49,27 +49,27 @@ def exact_safety(
 ) -> SafetyMap:
     """Evaluate Definition III.1 of the Gaussian DEM paper on a grid.
 
-    At each heading the pads rest on the highest ground under them; slope (Eq. 8) and roughness
+    At each heading the pads rest on the highest terrain under them; slope (Eq. 8) and roughness
     (Eq. 9, over the polygon of the legs) are the worst over the admissible support planes
-    (`lunarsim.vehicle.touchdown.support_planes`). Legs keep their horizontal place (Eq. 19).
+    (`lunarsim.vehicle.touchdown.support_planes`). Legs keep their horizontal position (Eq. 19).
 
     Parameters
     ----------
     elevation
-        Elevation (rows, cols), m. Unknown are NaN, infinities, masked cells and heights that no
-        map can hold, by the rule of `lunarsim.safety.raster`.
+        Elevation (rows, cols), m. NaN, infinities, masked cells and implausible heights are
+        unknown, by the rule of `lunarsim.safety.raster`.
     grid
-        Places the elevation.
+        Grid of the elevation.
     lander
         Geometry and limits.
     heading
-        Azimuth of body x (rad) to evaluate one heading only; left out, all of them.
+        Azimuth of body x (rad) to evaluate one heading only; omitted: all headings.
 
     Raises
     ------
     InputError
-        If the elevation is no array of real numbers or has another shape than the grid, the grid is
-        smaller than the footprint, or the heading is not finite.
+        If the elevation is not an array of real numbers or does not have the grid's shape, the grid
+        is smaller than the footprint, or the heading is not finite.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def exact_safety(
             and np.isrealobj(heading)
             and np.isfinite(heading)
         ):
-            raise InputError("heading", heading, "a finite azimuth, rad")
+            raise InputError("heading", heading, "must be a finite azimuth in rad")
         index = footprint.nearest_heading(lander, grid.posting, heading)
         footprint = footprint.one_heading(index)
     height = ground("elevation", elevation, grid, footprint)
@@ -100,10 +100,10 @@ def exact_safety(
 
 
 def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMap, BoolMap]:
-    """Decide exact safety alone: where `exact_safety` would say safe, sooner.
+    """Return where `exact_safety` is safe, with less work.
 
-    Sites that the conservative test passes need no more; the others are left as soon as a limit
-    is passed. Parameters and errors are those of `exact_safety`.
+    Sites that pass the conservative test need no more work; the evaluation of the others stops as
+    soon as a limit is exceeded. Parameters and errors are those of `exact_safety`.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def safe_sites(elevation: ArrayLike, grid: Grid, lander: Lander) -> tuple[BoolMa
 
 
 def differences(height: Ground, footprint: Footprint) -> tuple[FloatMap, FloatMap]:
-    """Return max over L, and max over U, less min over L (Eq. 10), m; FAR where unknown."""
+    """Return max over L and max over U, minus min over L (Eq. 10), m; or FAR."""
     span, rise = np.empty(height.z.shape, np.float32), np.empty(height.z.shape, np.float32)
     k.extremes(height.double, height.middle, footprint.cells, span, rise)
     return span, rise
@@ -138,7 +138,7 @@ def _evaluate(
     posting: float,
     decide: bool,
 ) -> tuple[FloatMap, FloatMap]:
-    """Return tan(slope) and roughness of the sites to do, NaN elsewhere and where unobserved."""
+    """Return tan(slope) and roughness of the sites `todo`; NaN elsewhere."""
     limit = np.float32(lander.roughness_limit)
     tangent, roughness = (np.full(todo.shape, np.nan, np.float32) for _ in range(2))
     ek.exact(
@@ -149,7 +149,7 @@ def _evaluate(
         footprint.covers(BLOCK),
         np.float32(posting),
         np.float32(np.tan(lander.slope_limit)),
-        # What reaches the limit passes it: a decision asks for more than this.
+        # Reaching the limit is unsafe; the kernel tests for values above its argument.
         np.nextafter(limit, np.float32(0.0)) if decide else limit,
         decide,
         tangent,

@@ -1,9 +1,9 @@
 """The lander's footprint as exact sets of cells.
 
-Legs are rounded to cells; a heading matters only through the cells its legs fall in, so the
-continuum of headings is a finite list. The conservative test's guarantee (Proposition III.1 of
-the Gaussian DEM paper) then holds exactly on the grid: the sets below contain whatever the exact
-test looks at.
+Legs are rounded to cells. A heading matters only through the cells of its legs, so that the
+continuum of headings becomes a finite list. The guarantee of the conservative test (Proposition
+III.1 of the Gaussian DEM paper) then holds exactly on the grid: the sets below contain every cell
+that the exact test uses.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from lunarsim.safety._kernels import FAR
 
 IntArray = NDArray[np.int64]
 
-MOST_CELLS = 256  # from the lander's centre to a leg
-BLOCK = 4  # side of the blocks of cells that the exact test opens or skips, cells
+MOST_CELLS = 256  # maximum distance from the lander's centre to a leg, cells
+BLOCK = 4  # side of the blocks that the exact test skips or examines, cells
 
 
 class Cells(NamedTuple):
-    """A footprint as kernels take it; see `Footprint` for what has the same name there.
+    """Arrays of a footprint for the kernels; names as in `Footprint`.
 
     Attributes
     ----------
     legs, pad_windows, stand_windows, leg_windows, body_windows, depth, height, reach
-        As there.
+        As in `Footprint`.
     pad_reach
-        Largest offset of a cell under a pad, cells.
+        Maximum offset of a cell under a pad, cells.
     inverse
-        For plane s on diagonal d the inverse of the matrix of the triangle's edges
-        (headings, planes, diagonals, 4), cells.
+        Inverse of the matrix of the triangle's edges for plane s on diagonal d
+        (headings, planes, diagonals, 4), 1/cells.
     place
         Row and column of the triangle's first leg (headings, planes, diagonals, 2), cells.
     """
@@ -63,16 +63,16 @@ class Covers(NamedTuple):
     corners
         South-west cells (row, column) of the blocks (n, 2), heading by heading.
     centres
-        Column and row of their centres, one after the other (2 n,).
+        Columns and rows of their centres, alternating (2 n,).
     first
-        Where each heading's blocks begin (headings + 1,); multiples of four.
+        Index of the first block of each heading (headings + 1,); multiples of four.
     allowed
-        0 for each cell of a block that the polygon holds, else far below any ground
+        0 for each cell of a block that is in the polygon, else far below any terrain
         (n block block,).
     distinct
-        The different corners (m, 2): headings share many blocks.
+        Distinct corners (m, 2): headings share many blocks.
     which
-        Index of each block's corner among them (n,).
+        Index of each block's corner in `distinct` (n,).
     """
 
     corners: IntArray
@@ -96,16 +96,16 @@ class Footprint:
     pad
         Cells under one pad (n, 2).
     pad_windows, stand_windows, leg_windows, body_windows
-        One pad, the cells of all legs, the set L (all that any pad touches) and the set U (all
-        that any polygon covers) as unions of windows ``(level, row, column, row, column)`` (n, 5):
-        two windows each that begin there, of 2**level columns, or of 2**-level rows if the level
-        is negative; n is a multiple of four.
+        One pad, the cells of all legs, the set L (all cells that any pad touches) and the set U
+        (all cells that any polygon covers) as unions of windows ``(level, row, column, row,
+        column)`` (n, 5): two windows that start there, of 2**level columns, or of 2**-level rows
+        for a negative level; n is a multiple of four.
     depth, height
-        Number of window levels along rows, and of those along columns.
+        Number of window levels along rows, and along columns.
     least_height
-        h0: least height of any triangle of legs, m.
+        h0: minimum height of any triangle of legs, m.
     reach
-        Largest offset in any direction, cells.
+        Maximum offset in any direction, cells.
     """
 
     legs: IntArray
@@ -142,17 +142,17 @@ class Footprint:
             If the side is not positive.
         """
         if not (np.isfinite(side) and side > 0.0):
-            raise InputError("block_side", side, "a positive length in metres")
+            raise InputError("block_side", side, "must be a positive length in metres")
         return max(1, min(round(side / posting), self.reach))
 
     def one_heading(self, index: int) -> Footprint:
-        """Return the footprint with a single heading; the sets L and U stay as they are."""
+        """Return the footprint with a single heading and unchanged sets L and U."""
         return replace(self, legs=self.legs[index : index + 1])
 
     @cached_property
     def cells(self) -> Cells:
-        """What kernels take of it."""
-        inverse, place = _supports(self.legs)
+        """Arrays for the kernels."""
+        inverse, place = _support_geometry(self.legs)
         return Cells(
             self.legs,
             self.pad_windows,
@@ -174,13 +174,13 @@ class Footprint:
 
 def _leg_cells(legs: int, radius: float, heading: float) -> IntArray:
     angle = heading + 2.0 * np.pi * np.arange(legs) / legs
-    # A hair outwards, then half-way cases round away from the centre at every heading alike.
+    # The tiny scale rounds half-way cases away from the centre at every heading.
     xy = radius * (1.0 + 1e-12) * np.column_stack((np.sin(angle), np.cos(angle)))
     return np.asarray(np.sign(xy) * np.floor(np.abs(xy) + 0.5), dtype=np.int64)
 
 
 def _distinct_headings(legs: int, radius: float) -> IntArray:
-    """Return the leg cells of every distinct heading (headings, legs, 2); radius in cells."""
+    """Return the leg cells of every distinct heading (headings, legs, 2)."""
     turn = 2.0 * np.pi / legs
     halves = np.arange(int(np.ceil(radius)) + 1) + 0.5
     halves = halves[halves <= radius] / radius
@@ -194,7 +194,7 @@ def _distinct_headings(legs: int, radius: float) -> IntArray:
 
 
 def polygon_runs(polygon: IntArray) -> list[tuple[int, int, int]]:
-    """Return the runs (row, first column, length) of the cells in or on a convex polygon."""
+    """Return the runs (row, first column, length) of cells in a convex polygon."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     rows, cols = np.meshgrid(
         np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1), indexing="ij"
@@ -214,8 +214,8 @@ def _runs_of(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, i
     return runs
 
 
-def _lines(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
-    """Return a set of cells as pairs of windows along rows, (level, row, col, row, col)."""
+def _row_windows(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...]]:
+    """Return a set of cells as pairs of windows (level, row, col, row, col)."""
     windows: list[tuple[int, ...]] = []
     for row, col, length in _runs_of(mask, row0, col0):
         level = int(length).bit_length() - 1
@@ -226,26 +226,26 @@ def _lines(mask: NDArray[np.bool_], row0: int, col0: int) -> list[tuple[int, ...
 def _windows(mask: NDArray[np.bool_], row0: int, col0: int, *, columns: bool = False) -> IntArray:
     """Return a set of cells as windows whose lengths are powers of two.
 
-    With `columns` the rows next to the middle one are taken column by column, as many of them as
-    saves most: a ring's sides are a few long columns, but many short rows.
+    With `columns`, the rows near the middle are covered by windows along columns, for the number of
+    rows that gives the fewest windows: the sides of a ring are a few long columns.
     """
-    best = _lines(mask, row0, col0)
+    best = _row_windows(mask, row0, col0)
     rows = np.abs(np.arange(row0, row0 + len(mask)))
-    for most in range(1, int(rows.max()) + 2) if columns else ():
-        caps = np.where((rows >= most)[:, None], mask, False)
-        sides = np.where((rows < most)[:, None], mask, False)
-        found = _lines(caps, row0, col0)
-        found += [(-level, a, b, c, d) for level, b, a, d, c in _lines(sides.T, col0, row0)]
+    for first_cap_row in range(1, int(rows.max()) + 2) if columns else ():
+        caps = np.where((rows >= first_cap_row)[:, None], mask, False)
+        sides = np.where((rows < first_cap_row)[:, None], mask, False)
+        found = _row_windows(caps, row0, col0)
+        found += [(-level, a, b, c, d) for level, b, a, d, c in _row_windows(sides.T, col0, row0)]
         best = min(best, found, key=len)
     best += [best[-1]] * (-len(best) % 4)
     return np.array(best, dtype=np.int64)
 
 
-# The legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
+# Legs of plane s on diagonal d: s = 0 stands on a b c or a b d, s = 1 on a c d or b c d.
 _TRIANGLES = {3: (((0, 1, 2),),), 4: (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))}
 
 
-def _supports(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _support_geometry(legs: IntArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return `inverse` and `place` of `Cells`."""
     triangles = _TRIANGLES[legs.shape[1]]
     shape = (len(legs), len(triangles), len(triangles[0]))
@@ -270,7 +270,7 @@ def _covers(footprint: Footprint, block: int) -> Covers:
         spans = {row: (col, col + length) for row, col, length in polygon_runs(polygon)}
         lowest, highest = min(spans), max(spans)
         for start in range(lowest, highest + 1, block):
-            # The last band ends at the last row, so that no block leaves the footprint.
+            # The last band is shifted to end at the last row: no block leaves the footprint.
             row = min(start, max(highest - block + 1, lowest))
             band = np.array([spans.get(row + r, (0, 0)) for r in range(block)])
             there = band[:, 1] > band[:, 0]
@@ -310,12 +310,15 @@ def _triangle_height(points: NDArray[np.float64]) -> float:
 def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) -> Footprint:
     radius = leg_radius / posting
     if radius < 1.0:
-        raise InputError("grid.posting", posting, f"finer than the leg radius of {leg_radius} m")
+        raise InputError(
+            "grid.posting", posting, f"must be finer than the leg radius of {leg_radius} m"
+        )
     if radius > MOST_CELLS:
         raise InputError(
             "vehicle.leg_radius",
             leg_radius,
-            f"at most {MOST_CELLS} cells of {posting} m: a coarser posting or a smaller lander",
+            f"must be at most {MOST_CELLS} cells of {posting} m",
+            "Use a coarser posting or a smaller lander.",
         )
     cells = _distinct_headings(legs, radius)
     n = int(np.floor(pad_radius / posting + 1e-9))
@@ -335,7 +338,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
             leg_mask[spots[:, 0], spots[:, 1]] = True
         for row, col, length in polygon_runs(polygon):
             body_mask[row + reach, col + reach : col + reach + length] = True
-    least = min(
+    min_height = min(
         _triangle_height(polygon[list(triple)].astype(np.float64))
         for polygon in cells
         for triple in combinations(range(legs), 3)
@@ -354,7 +357,7 @@ def _footprint(legs: int, leg_radius: float, pad_radius: float, posting: float) 
         body_windows=body_windows,
         depth=1 + int(levels.max()),
         height=1 - int(levels.min()),
-        least_height=least * posting,
+        least_height=min_height * posting,
         reach=reach,
     )
 
@@ -365,10 +368,10 @@ def footprint_of(lander: Lander, posting: float) -> Footprint:
     Raises
     ------
     InputError
-        If the posting is too coarse for the legs to fall in different cells, or so fine that the
-        footprint has over 256 cells from its centre to a leg: work and memory grow with the cube.
+        If the posting is too coarse for legs in different cells, or so fine that a leg is more than
+        256 cells from the centre: computing time and memory grow with the cube.
     """
     footprint = _footprint(lander.legs, lander.leg_radius, 0.5 * lander.pad_diameter, posting)
     if footprint.least_height <= 0.0:
-        raise InputError("grid.posting", posting, "finer: three legs fall on one line")
+        raise InputError("grid.posting", posting, "must be finer: three legs are collinear")
     return footprint

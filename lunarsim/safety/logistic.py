@@ -1,4 +1,4 @@
-"""Logistic regression: from what a map says of a site to the probability that it is safe."""
+"""Logistic regression of the safety of sites on features of a map."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
-# Newton steps at most, and the least fall of the loss for another one.
-_NEWTON_STEPS, _CONVERGED = 60, 1e-9
-# Ridge on the coefficients, so that a feature that separates the data does not run away.
+# Maximum number of Newton steps, and minimum decrease of the loss for another step.
+_MAX_NEWTON_STEPS, _MIN_LOSS_DECREASE = 60, 1e-9
+# Ridge penalty, so that the weight of a feature that separates the data stays finite.
 _RIDGE = 1e-5
 
 
@@ -27,13 +27,13 @@ class Logistic:
     Attributes
     ----------
     weights
-        One a feature.
+        One weight per feature.
     """
 
     weights: tuple[float, ...]
 
     def probability(self, features: ArrayLike) -> Array:
-        """Return the probability (n,) of features (n, k)."""
+        """Return the probability (n,) for features (n, k)."""
         return np.asarray(expit(np.asarray(features) @ np.array(self.weights)))
 
     @classmethod
@@ -47,32 +47,34 @@ class Logistic:
     ) -> Logistic:
         """Fit features (n, k) to outcomes (n,) by maximum likelihood.
 
-        The weights of the last `rising` features are kept from falling below 0. Steps begin at the
-        weights of `start` (k,), which must not be below their bounds; left out, at 0.
+        The weights of the last `rising` features are non-negative. The iteration starts at the
+        weights `start` (k,), which must satisfy these bounds; omitted: at 0.
 
         Raises
         ------
         InputError
-            If all outcomes are the same.
+            If all outcomes are equal.
         """
         x, y = np.asarray(features, dtype=np.float64), np.asarray(outcome, dtype=np.float64)
         if not 0.0 < y.mean() < 1.0:
-            raise InputError("calibration.safe", float(y.mean()), "both safe and unsafe sites")
+            raise InputError(
+                "calibration.safe", float(y.mean()), "must include both safe and unsafe sites"
+            )
 
-        least = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
+        lower_bounds = np.r_[np.full(x.shape[1] - rising, -np.inf), np.zeros(rising)]
         w = np.zeros(x.shape[1]) if start is None else np.asarray(start, dtype=np.float64)
         before = np.inf
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_MAX_NEWTON_STEPS):
             loss, gradient, curvature = _likelihood(x, y, w)
-            if before - loss < _CONVERGED:
+            if before - loss < _MIN_LOSS_DECREASE:
                 break
-            before, w = loss, _better(x, y, w, least, loss, gradient, curvature)
-        # Steps stop short of the bounds by rounding.
-        return cls(tuple(float(v) for v in np.maximum(w, least)))
+            before, w = loss, _newton_step(x, y, w, lower_bounds, loss, gradient, curvature)
+        # Rounding leaves weights slightly below their bounds.
+        return cls(tuple(float(v) for v in np.maximum(w, lower_bounds)))
 
 
 def _likelihood(x: Array, y: Array, w: Array) -> tuple[float, Array, Array]:
-    """Return the mean loss with its ridge, its gradient (k,) and its curvature (k, k)."""
+    """Return the mean loss with the ridge penalty, its gradient and its Hessian."""
     p = expit(x @ w)
     gradient = x.T @ (p - y) / len(y) + _RIDGE * w
     curvature = (x.T * (p * (1.0 - p) / len(y))) @ x
@@ -85,13 +87,19 @@ def _loss(x: Array, y: Array, w: Array) -> float:
     return float(np.mean(np.logaddexp(0.0, z) - y * z) + 0.5 * _RIDGE * w @ w)
 
 
-def _better(
-    x: Array, y: Array, w: Array, least: Array, loss: float, gradient: Array, curvature: Array
+def _newton_step(
+    x: Array,
+    y: Array,
+    w: Array,
+    lower_bounds: Array,
+    loss: float,
+    gradient: Array,
+    curvature: Array,
 ) -> Array:
-    """Return the weights (k,) a Newton step on: least of the local parabola within the bounds."""
+    """Return the weights (k,) after a bounded Newton step with backtracking."""
     root = cholesky(curvature)
     aim = root @ w - solve_triangular(root, gradient, trans="T")
-    step = lsq_linear(root, aim, (least, np.inf), method="bvls").x - w
+    step = lsq_linear(root, aim, (lower_bounds, np.inf), method="bvls").x - w
     share = 1.0
     while share > 1e-6 and _loss(x, y, w + share * step) > loss:
         share *= 0.5

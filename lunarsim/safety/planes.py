@@ -1,4 +1,4 @@
-"""Stochastic safety through the real support planes: the stochastic form of `bounded_safety`."""
+"""Stochastic safety by the real support planes."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def plane_stochastic_safety(
     *,
     block_side: float = BLOCK_SIDE,
 ) -> StochasticSafety:
-    """Evaluate the safety of a Gaussian DEM with legs and obstacles as Gaussians.
+    """Evaluate the safety of a Gaussian DEM with Gaussian legs and obstacles.
 
-    Legs stand on the highest ground under their pads and obstacles are the highest ground in
-    blocks of cells, both Gaussians by the 3-sigma rule of Eqs. 15 and 16. The nominal slope and
-    roughness are those of `bounded_safety` on the means, by the real planes alone. Their spread is
-    the least favourable leg's, ``sqrt(2) sigma_leg / h0`` for the slope's tangent, and the leg's
-    and the obstacle's together for the roughness; the obstacle's is found by raising all obstacles
-    by 3 sigma. Obstacles are measured upright, not along the plane's normal: the height is no less,
-    and neither it nor its spread shrinks when the ground is tilted.
+    Legs stand on the highest terrain under their pads, and obstacles are the highest terrain in
+    blocks of cells; both are Gaussians by the 3-sigma rule of Eqs. 15 and 16. The nominal slope and
+    roughness are those of `bounded_safety` for the means, by the real planes only. The standard
+    deviation of the slope's tangent is that of the worst leg, ``sqrt(2) sigma_leg / h0``. For the
+    roughness it combines leg and obstacle; the obstacle's is found by raising all obstacles by
+    3 sigma. Obstacle heights are vertical, not along the plane's normal: they are at least as
+    large, and neither they nor their standard deviation shrink with the slope of the terrain.
 
-    The level plane of Eqs. 15 to 17 bounds both events too. Of each the higher probability counts;
-    both fall when the ground gets steeper or rougher, hence so does the higher.
+    The horizontal plane of Eqs. 15 to 17 also bounds both events. The higher probability of each
+    is used; both decrease with slope and roughness, hence so does the maximum.
 
     Parameters
     ----------
@@ -70,15 +70,15 @@ def plane_stochastic_safety(
     )
     slope_sigma = np.float32(np.sqrt(2.0) / footprint.least_height) * leg
     rough_sigma = np.hypot((raised - nominal) / np.float32(3.0), leg)
-    p_slope = _below(np.float32(np.tan(lander.slope_limit)) - tangent, slope_sigma)
-    p_rough = _below(np.float32(lander.roughness_limit) - nominal, rough_sigma)
+    p_slope = _probability_below(np.float32(np.tan(lander.slope_limit)) - tangent, slope_sigma)
+    p_rough = _probability_below(np.float32(lander.roughness_limit) - nominal, rough_sigma)
     p_slope = np.where(level.observed, np.maximum(p_slope, level.p_slope), np.float32(0.0))
     p_rough = np.where(level.observed, np.maximum(p_rough, level.p_roughness), np.float32(0.0))
     return StochasticSafety(grid, p_slope, p_rough, p_slope * p_rough, level.observed)
 
 
-def _below(margin: FloatMap, sigma: FloatMap) -> FloatMap:
-    """Return P(x < margin) for x ~ N(0, sigma^2); a step where sigma is 0."""
+def _probability_below(margin: FloatMap, sigma: FloatMap) -> FloatMap:
+    """Return P(x < margin) for x ~ N(0, sigma^2); a step function where sigma is 0."""
     certain = sigma <= 0.0
     p = ndtr(margin / np.where(certain, np.float32(1.0), sigma))
     return np.where(certain, (margin > 0.0).astype(np.float32), p).astype(np.float32)

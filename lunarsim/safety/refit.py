@@ -1,9 +1,10 @@
-"""The last stage of the Gaussian DEM's calibration, fitted to one scenario's own flights.
+"""Last stage of the Gaussian DEM's calibration, fitted to one scenario.
 
-The packaged regression was fitted to a matrix of worlds. Where a scenario's own differ from these,
-its log odds are stretched and shifted to how often sites are safe there: once for sites in the
-regression's domain, and once for those outside of it, where it was never fitted. A stretch is never
-negative, and outside the lower of both holds, so that worse ground is never called safer.
+The packaged regression was fitted to a set of worlds. For a scenario that differs from these, its
+log odds are scaled and shifted to the observed frequencies: once for sites in the regression's
+domain, and once for sites outside, where it was never fitted. The scale is non-negative, and
+outside the domain the lower of both results is used, so that worse terrain never has a higher
+probability.
 """
 
 from __future__ import annotations
@@ -31,30 +32,30 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Figures = Mapping[str, Mapping[str, float | None]]
 
-# What the safety of a site depends on.
+# Fields of the lander that affect the safety of a site.
 _LANDER = ("legs", "leg_radius", "pad_diameter", "slope_limit", "roughness_limit")
 _FORMAT = "lunarsim scenario calibration 1"
-_COMMAND = "`lunarsim calibrate` writes such files"
-_ADVICE = "fit it anew with `lunarsim calibrate`, or leave the calibration out"
+_WRITE_REMEDY = "Write such a file with `lunarsim calibrate`."
+_REFIT_REMEDY = "Fit it again with `lunarsim calibrate`, or omit the calibration."
 
 
-# So many sites of either kind, at least, make a stage.
+# Minimum number of safe and of unsafe sites for fitting a stage.
 LEAST_SITES = 20
 
 
 @dataclass(frozen=True)
 class Stage:
-    """``p = expit(intercept + slope * log_odds)``.
+    """Last stage of the calibration: ``p = expit(intercept + slope * log_odds)``.
 
     Attributes
     ----------
     intercept, slope
-        Of the log odds that the packaged regression gives; left out, they stay as they are.
+        Coefficients for the log odds of the packaged regression; the defaults do not change them.
 
     Raises
     ------
     InputError
-        If a number is not finite, or `slope` negative.
+        If a number is not finite, or `slope` is negative.
     """
 
     intercept: float = 0.0
@@ -62,16 +63,16 @@ class Stage:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.intercept):
-            raise InputError("calibration.intercept", self.intercept, "a finite number")
+            raise InputError("calibration.intercept", self.intercept, "must be finite")
         if not (np.isfinite(self.slope) and self.slope >= 0.0):
             raise InputError(
                 "calibration.slope", self.slope,
-                "a finite number, at least 0: better evidence never makes a site less safe",
+                "must be finite and 0 or more: better evidence must not make a site less safe",
             )  # fmt: skip
 
     @classmethod
     def fit(cls, log_odds: Array, safe: BoolArray) -> Stage:
-        """Fit to sites (n,) by maximum likelihood; some are safe and some are not."""
+        """Fit to safe and unsafe sites (n,) by maximum likelihood."""
         x = np.column_stack((np.ones_like(log_odds), log_odds))
         return cls(*Logistic.fit(x, safe, rising=1).weights)
 
@@ -82,26 +83,26 @@ class Stage:
 
 @dataclass(frozen=True)
 class ScenarioCalibration:
-    """The last stage of the calibration, and what it was fitted to.
+    """Last stage of the calibration, and the data it was fitted to.
 
     Attributes
     ----------
     inside, outside
         Stage for sites in the domain of the packaged regression, and for others; for these the
-        lower of both holds.
+        lower of both results is used.
     domain
-        Of the sites of the fit.
+        Domain of the sites of the fit.
     lander
-        Figures of the lander that sites were judged for, by key and unit of `[vehicle]`.
+        Parameters of the lander that affect safety, by key and in the unit of `[vehicle]`.
     regression
-        `Ensemble.digest` of the regressions before it.
+        `Ensemble.digest` of the packaged regressions.
     scenario, mapper
-        Names.
+        Names of the scenario and the mapper.
     flights, sites, seed
         Numbers of flights and sites of the fit, and root seed.
     before, after
-        How good the packaged probability and this one are on the scenario's sites in either domain:
-        each flight judged by a fit to the others. None: there is no such figure.
+        Accuracy metrics of the packaged probability and of this one on the scenario's sites in
+        either domain; each flight is evaluated with a fit to the others. None: not available.
     """
 
     inside: Stage
@@ -129,30 +130,34 @@ class ScenarioCalibration:
     ) -> ScenarioCalibration:
         """Fit the last stage by maximum likelihood.
 
-        Where too few sites of either kind lie in the regression's domain, its probabilities stay as
-        they are there; where too few lie outside, the same stage serves for both.
+        If too few safe or unsafe sites lie in the regression's domain, its probabilities there do
+        not change; if too few lie outside, the same stage is used for both.
 
         Parameters
         ----------
         log_odds, safe, known
-            By the regression, whether safe exactly, and whether in the regression's domain, of
+            Log odds by the regression, exact safety, and whether in the regression's domain, of
             sites in `domain` (n,).
         domain
-            Where they lie.
+            Domain of the sites.
         lander, model
-            Whose safety it is, and the regression.
+            Lander of the sites, and the regressions.
 
         Raises
         ------
         InputError
-            If there are too few on either side.
+            If both groups have too few safe or unsafe sites.
         """
         fits = [
             Stage.fit(log_odds[of], safe[of]) if enough(safe[of]) else None
             for of in (known, ~known)
         ]
         if fits == [None, None]:
-            raise InputError("sites", len(safe), f"{LEAST_SITES} safe and {LEAST_SITES} unsafe")
+            raise InputError(
+                "sites",
+                len(safe),
+                f"must include at least {LEAST_SITES} safe and {LEAST_SITES} unsafe sites",
+            )
         inside = fits[0] or Stage()
         return cls(inside, fits[1] or inside, domain, lander_figures(lander), model.digest)
 
@@ -162,42 +167,42 @@ class ScenarioCalibration:
         Parameters
         ----------
         log_odds
-            By the regression (n,).
+            Log odds by the regression (n,).
         known
-            Which lie in the domain of the regression (n,).
+            Whether each site is in the domain of the regression (n,).
         """
         p = self.inside.probability(log_odds)
         return np.where(known, p, np.minimum(p, self.outside.probability(log_odds)))
 
     def check(self, lander: Lander, model: Ensemble) -> None:
-        """Refuse another lander, and another regression.
+        """Refuse another lander or another regression.
 
         Raises
         ------
         InputError
-            Naming the key of `[vehicle]` that differs, or the regression.
+            Names the key of `[vehicle]` that differs, or the regression.
         """
         self.check_regression(model)
         for key, value in lander_figures(lander).items():
             if not np.isclose(value, self.lander[key], rtol=1e-9, atol=0.0):
                 raise InputError(
                     f"vehicle.{key}", value,
-                    f"{self.lander[key]:g}, for which the calibration of {self.scenario!r} was "
-                    f"fitted; {_ADVICE}",
+                    f"must be {self.lander[key]:g}, as in the calibration of {self.scenario!r}",
+                    _REFIT_REMEDY,
                 )  # fmt: skip
 
     def check_regression(self, model: Ensemble) -> None:
-        """Raise `InputError` for another regression than that of the fit."""
+        """Refuse another regression than that of the fit."""
         if model.digest != self.regression:
             raise InputError(
                 "calibration.regression", self.regression,
-                f"{model.digest}, the regression of this version; {_ADVICE}",
+                f"must be {model.digest}, the regression of this version", _REFIT_REMEDY,
             )  # fmt: skip
 
     # --- files ----------------------------------------------------------------------------
 
     def save(self, path: Path) -> None:
-        """Write as JSON, whole or not at all.
+        """Write the calibration as JSON, atomically.
 
         Raises
         ------
@@ -210,14 +215,14 @@ class ScenarioCalibration:
 
     @classmethod
     def load(cls, path: Path) -> ScenarioCalibration:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises
         ------
         InputError
-            If the file is missing, is another one, or a number in it will not do.
+            If the file is missing, is not a calibration, or has an invalid number.
         """
-        data = read_tagged(path, "calibration", _FORMAT, f"; {_COMMAND}")
+        data = read_tagged(path, "calibration", _FORMAT, " (written by `lunarsim calibrate`)")
         return cls._parsed(data)
 
     @classmethod
@@ -242,12 +247,12 @@ class ScenarioCalibration:
 
 
 def enough(safe: BoolArray) -> bool:
-    """Tell whether there are enough sites (n,) of both kinds to fit a stage to."""
+    """Return whether there are enough safe and unsafe sites (n,) to fit a stage."""
     return bool(min(safe.sum(), (~safe).sum()) >= LEAST_SITES)
 
 
 def lander_figures(lander: Lander) -> dict[str, float]:
-    """Return what the safety of a site depends on, by key and in the unit of `[vehicle]`."""
+    """Return the parameters that affect safety, by key and in the unit of `[vehicle]`."""
     found = {}
     for f in fields(lander):
         if f.name in _LANDER:
@@ -259,10 +264,10 @@ def lander_figures(lander: Lander) -> dict[str, float]:
 
 def _entry(data: dict[str, Any], key: str, kind: type) -> Any:
     if key not in data:
-        raise InputError("calibration", key, f"an entry of that name; {_COMMAND}")
+        raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
     value = data[key]
     if not isinstance(value, kind) or isinstance(value, bool):
-        words = {str: "a text", int: "a whole number", dict: "a table"}
+        words = {str: "must be a text", int: "must be an integer", dict: "must be a table"}
         raise InputError(f"calibration.{key}", value, words[kind])
     return value
 
@@ -273,14 +278,14 @@ def _table(data: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _number(data: dict[str, Any], key: str, value: Any = None) -> float:
-    """Return the finite number of a key, or `value` in its place."""
+    """Return the finite number of a key, or `value` if given."""
     if value is None:
         if key not in data:
-            raise InputError("calibration", key, f"an entry of that name; {_COMMAND}")
+            raise InputError("calibration", key, "must have an entry of that name", _WRITE_REMEDY)
         value = data[key]
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and abs(value) <= sys.float_info.max):  # NaN is not
-        raise InputError(f"calibration.{key}", value, "a finite number")
+    if not (number and abs(value) <= sys.float_info.max):  # also refuses NaN
+        raise InputError(f"calibration.{key}", value, "must be a finite number")
     return float(value)
 
 
@@ -292,7 +297,7 @@ def _stage(data: dict[str, Any], key: str) -> Stage:
 def _range(data: dict[str, Any], key: str) -> tuple[float, float]:
     value = data.get(key)
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f"calibration.{key}", value, "a list of a least and a greatest number")
+        raise InputError(f"calibration.{key}", value, "must be a list of minimum and maximum")
     return _number(data, key, value[0]), _number(data, key, value[1])
 
 

@@ -1,8 +1,8 @@
-"""What may stand between the samples of a map: rocks that no return has met.
+"""Rocks that may stand between the samples of a map.
 
-The share of samples that rise above the ground about them by more than a height is the share of
-the ground that does, whatever the spacing: it needs no rock to be resolved. Where nothing, or
-little, was seen, the mission's rock law counts as much as a few samples.
+The fraction of samples above a height over the surrounding terrain estimates the fraction of
+terrain above it at any sample spacing; rocks need not be resolved. Where few or no samples are
+above, the mission's rock distribution has the weight of a number of samples.
 """
 
 from __future__ import annotations
@@ -17,45 +17,47 @@ from lunarsim.rocks.laws import golombek_number
 
 Array = NDArray[np.float64]
 
-# Heights at which the share is kept, over the lander's roughness limit.
+# Heights at which the fraction is tabulated, over the lander's roughness limit.
 _HEIGHTS = np.geomspace(0.08, 8.0, 40)
-# Heights at which samples are counted, over the limit; those within the noise are left out.
-_COUNTED = np.array([0.4, 0.6, 0.8, 1.0])
-# The same for gravel, which tilts a lander on a slope; the regressions were fitted without.
-_GRAVEL = np.array([0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
-_NOISE = 3.5
-# The rock law counts as much as this many samples.
+# Heights at which samples are counted, over the limit; those within the noise are omitted.
+_COUNT_HEIGHTS = np.array([0.4, 0.6, 0.8, 1.0])
+# The same including gravel, which tilts a lander on a slope; the regressions were fitted without.
+_GRAVEL_COUNT_HEIGHTS = np.array([0.2, 0.3, 0.4, 0.6, 0.8, 1.0])
+# Minimum counted height over the noise of a sample.
+_MIN_HEIGHT_SIGMAS = 3.5
+# Weight of the rock distribution, in samples.
 _PRIOR_SAMPLES = 60.0
-_MOST = 0.5
+_MAX_FRACTION = 0.5
 # Cover of holes over that of rocks, before any sample.
-_HOLES = 0.1
-# Diameters of the law, m.
+_HOLE_COVER_RATIO = 0.1
+# Diameters of the distribution, m.
 _DIAMETERS = np.geomspace(0.04, 6.0, 240)
-# Rocks are taken to be as high as this share of their width: most are flatter and show more.
-_TALLEST = 0.8
-# Of the most rocks that a share lets stand: where it falls as a power of 3 to 6 of the height.
-_OF_MOST = 0.25
-# Samples thin rocks of heights H above h out as if H^2 / h^2 - 1 had this mean.
+# Assumed height of rocks over their width: most are flatter and cover more terrain.
+_ROCK_HEIGHT_RATIO = 0.8
+# Number of rocks over the maximum compatible with a fraction, if the fraction falls with the 3rd to
+# 6th power of the height.
+_FRACTION_OF_MAX = 0.25
+# Effective mean of H^2 / h^2 - 1 for the heights H of the rocks above h.
 _SPREAD = 1.0 / 3.0
-# A rock just wider than needed to rise above a height h has a top of about this times h^2 above it.
+# Area at the top of a rock above a height h, over h^2, for rocks slightly wider than necessary.
 _TOP = 1.5 * np.pi
 
 
 @dataclass(frozen=True)
 class HeightCurve:
-    """Share of the ground that stands higher than so much above the ground about it.
+    """Fraction of the terrain above each height over its surroundings.
 
     Attributes
     ----------
     height
-        Rising (n,), m.
+        Increasing heights (n,), m.
     share
-        Of the ground above each (n,), falling.
+        Fraction of the terrain above each height (n,), decreasing.
     counted
-        Least height above which samples were counted for it, m; 0: all.
+        Minimum height at which samples were counted, m; 0: all heights.
     gravel, gravel_counted
-        Share (n,) by counts of low rises too, and the least height of these; None: the other
-        holds for all heights.
+        Fraction (n,) that also uses counts at low heights, and the minimum height of these, m;
+        None: `share` applies to all heights.
     """
 
     height: Array
@@ -66,129 +68,134 @@ class HeightCurve:
 
     @cached_property
     def careful(self) -> HeightCurve:
-        """The same with gravel as it was counted, and no less than the law's below that.
+        """Curve with counted gravel, at least the distribution's below the counts.
 
-        That there are few high rocks says nothing of low ones.
+        Few high rocks do not imply few low ones.
         """
         return self if self.gravel is None else HeightCurve(self.height, self.gravel)
 
     def at(self, height: ArrayLike) -> Array:
-        """Return the share above heights (...), m; those beyond the curve count as its ends."""
+        """Return the fraction above heights (...), m; heights are clipped to the curve."""
         h = np.log(np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1]))
         return np.asarray(np.exp(np.interp(h, np.log(self.height), np.log(self.share))))
 
     def unseen(self, height: ArrayLike, density: ArrayLike) -> Array:
-        """Return how many rocks above a height stand unseen on a square metre (...).
+        """Return the number of unseen rocks above a height per square metre (...).
 
-        Rocks are counted by the area of their tops; one is missed by samples that fall at random
-        with probability ``exp(-density * top)``.
+        The number is the fraction over the area of a rock's top; random samples miss a rock with
+        probability ``exp(-density * top)``.
 
         Parameters
         ----------
         height
-            m; less than the curve's least counts as that.
+            Height, m; clipped to the curve.
         density
-            Samples on a square metre, broadcast against `height`.
+            Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), self.height[0], self.height[-1])
         top = _TOP * h * h
         return self.at(h) / top * np.exp(-np.asarray(density, dtype=np.float64) * top)
 
     def missed(self, height: ArrayLike, density: ArrayLike) -> Array:
-        """Return how many rocks above a height no sample has met there, on a square metre (...).
+        """Return the number of rocks above a height that no sample has met, per m^2 (...).
 
-        A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of ground above a
-        height x, a = pi / (4 ratio^2). So no more than ``S(x) / (a (h^2 - x^2))`` are higher than
-        h, whichever x below h is taken; the least of these counts, and of it what a share that
-        falls as a power of x would have. A sample misses what stands above h of a rock with
-        probability ``exp(-density a (H^2 - h^2))``: of a rock that is hardly higher nearly always.
-        With H^2 - h^2 spread exponentially, as of a law, that leaves
-        ``1 / (1 + density a mean)``. Never falls as `height` or `density` does, nor where the share
-        rises at any height: neither more rocks nor higher ones ever make it less.
+        A rock that is half an ellipsoid of height H raises ``a (H^2 - x^2)`` of terrain above a
+        height x, a = pi / (4 ratio^2). Hence at most ``S(x) / (a (h^2 - x^2))`` rocks are higher
+        than h, for every x below h; the minimum over x is used, times the ratio to it of a fraction
+        that is a power of x. A sample misses the part of a rock above h with probability
+        ``exp(-density a (H^2 - h^2))``: rocks slightly higher than h are nearly always missed. With
+        an exponential distribution of H^2 - h^2, this gives ``1 / (1 + density a mean)``. The
+        result never increases with `height` or `density`, and never decreases where the fraction
+        increases at any height: neither more nor higher rocks ever reduce it.
 
         Parameters
         ----------
         height
-            m; less than twice the curve's least counts as that.
+            Height, m; at least twice the curve's minimum.
         density
-            Samples on a square metre, broadcast against `height`.
+            Samples per square metre, broadcast against `height`.
         """
         h = np.clip(np.asarray(height, dtype=np.float64), 2.0 * self.height[0], self.height[-1])
-        area = 0.25 * np.pi / _TALLEST**2
-        tops, log_most = self._most
-        most = np.exp(np.interp(np.log(h), np.log(tops), log_most))
+        area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
+        tops, log_most = self._max_numbers
+        max_number = np.exp(np.interp(np.log(h), np.log(tops), log_most))
         seen = np.asarray(density, dtype=np.float64) * area * _SPREAD * h * h
-        return np.asarray(most / (1.0 + seen))
+        return np.asarray(max_number / (1.0 + seen))
 
     def sunk(self, depth: ArrayLike, density: ArrayLike, width: float) -> Array:
-        """Return how many holes that deep no sample has met, on a square metre (...).
+        """Return the number of holes of a depth that no sample has met, per m^2 (...).
 
-        For a curve of how far the ground lies below that about it. Holes are counted as squares of
-        a width (m), the least that matters: narrower ones swallow nothing.
+        The curve must be the fraction of terrain below each depth. Holes are counted as squares of
+        the minimum relevant width: a pad does not sink into narrower ones.
 
         Parameters
         ----------
         depth
-            m; less than the curve's least counts as that.
+            Depth, m; clipped to the curve.
         density
-            Samples on a square metre, broadcast against `depth`.
+            Samples per square metre, broadcast against `depth`.
         width
-            m.
+            Width of a hole, m.
         """
         area = width * width
         missed = np.exp(-np.asarray(density, dtype=np.float64) * area)
         return np.asarray(self.at(depth) / area * missed)
 
     @cached_property
-    def _most(self) -> tuple[Array, Array]:
-        """Heights (n,), m, and the logarithm of how many rocks are higher on a square metre."""
-        area = 0.25 * np.pi / _TALLEST**2
+    def _max_numbers(self) -> tuple[Array, Array]:
+        """Heights (n,), m, and logarithm of the number of higher rocks per square metre."""
+        area = 0.25 * np.pi / _ROCK_HEIGHT_RATIO**2
         h = np.geomspace(2.0 * self.height[0], self.height[-1], 2 * len(self.height))
         below = np.minimum(self.height, 0.95 * h[:, None])
-        most = self.at(below) / (area * (h[:, None] ** 2 - below**2))
-        return h, np.log(_OF_MOST * most.min(axis=1) + 1e-12)
+        max_number = self.at(below) / (area * (h[:, None] ** 2 - below**2))
+        return h, np.log(_FRACTION_OF_MAX * max_number.min(axis=1) + 1e-12)
 
 
 def height_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
 ) -> HeightCurve:
-    """Return the share of the ground above each height, from samples and the mission's rock law.
+    """Return the fraction of terrain above each height.
 
     Parameters
     ----------
     rises
-        Heights of samples above the ground about them (n,), m.
+        Heights of samples above the surrounding terrain (n,), m.
     noise
         Standard deviation of a sample, m.
     limit
         The lander's roughness limit, m.
     cover, height_ratio
-        Of the Golombek law that the mission expects, and of its rocks.
+        Cover of the Golombek distribution that the mission expects, and height over diameter of its
+        rocks.
     """
     height = limit * _HEIGHTS
     law = law_share(height, cover, height_ratio)
     z = np.asarray(rises, dtype=np.float64)
-    times, counted = _times_law(z, noise, limit * _COUNTED, height, law)
-    lower, least = _times_law(z, noise, limit * _GRAVEL, height, law)
-    lower = np.where(height < least, np.maximum(lower, 1.0), lower)
+    times, counted = _ratio_to_distribution(z, noise, limit * _COUNT_HEIGHTS, height, law)
+    lower, min_counted = _ratio_to_distribution(
+        z, noise, limit * _GRAVEL_COUNT_HEIGHTS, height, law
+    )
+    lower = np.where(height < min_counted, np.maximum(lower, 1.0), lower)
     share = _falling(law * times)
-    return HeightCurve(height, share, counted, _falling(np.maximum(law * lower, share)), least)
+    return HeightCurve(
+        height, share, counted, _falling(np.maximum(law * lower, share)), min_counted
+    )
 
 
 def _falling(share: Array) -> Array:
-    """Return shares (n,) that are possible and fall with height."""
-    return np.asarray(np.minimum.accumulate(np.minimum(share, _MOST)))
+    """Return fractions (n,), limited and made non-increasing with height."""
+    return np.asarray(np.minimum.accumulate(np.minimum(share, _MAX_FRACTION)))
 
 
-def _times_law(
+def _ratio_to_distribution(
     z: Array, noise: float, counted: Array, height: Array, law: Array
 ) -> tuple[Array, float]:
-    """Return how many times the law's share stands above heights (n,), and the least counted.
+    """Return the ratio of counts to the distribution, and the lowest count height.
 
-    Samples count above some heights, of which those within the noise are left out; beyond these
-    the law's own shape goes on from there.
+    Samples are counted above some heights, without those within the noise; outside these the ratio
+    is constant.
     """
-    above_noise = counted[counted >= _NOISE * noise]
+    above_noise = counted[counted >= _MIN_HEIGHT_SIGMAS * noise]
     counted = above_noise if above_noise.size else counted[-1:]
     above = (z[:, None] > counted).sum(axis=0)
     expected = np.exp(np.interp(np.log(counted), np.log(height), np.log(law)))
@@ -200,18 +207,19 @@ def _times_law(
 def depth_curve(
     rises: ArrayLike, noise: float, limit: float, cover: float, height_ratio: float = 0.5
 ) -> HeightCurve:
-    """Return the share of the ground that lies deeper than each depth below that about it.
+    """Return the fraction of terrain below each depth under its surroundings.
 
-    As `height_curve`. The mission says nothing of holes: some are expected all the same, a tenth of
-    what rocks are.
+    Parameters are those of `height_curve`. The mission does not specify holes; a tenth of the cover
+    of rocks is assumed.
     """
-    return height_curve(-np.asarray(rises), noise, limit, _HOLES * cover, height_ratio)
+    return height_curve(-np.asarray(rises), noise, limit, _HOLE_COVER_RATIO * cover, height_ratio)
 
 
 def law_share(height: ArrayLike, cover: float, height_ratio: float) -> Array:
-    """Return the share of ground that rocks of the Golombek law raise above heights (n,), m.
+    """Return the fraction of terrain that rocks raise above heights (n,), m.
 
-    Rocks are half ellipsoids as wide as they lie on the ground, `height_ratio` times as high.
+    Heights are (n,), m. Rocks are half ellipsoids with circular outlines, `height_ratio` times as
+    high as wide.
     """
     h = np.asarray(height, dtype=np.float64)[:, None]
     number = golombek_number(_DIAMETERS, cover)

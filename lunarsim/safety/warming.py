@@ -1,6 +1,6 @@
-"""Compiles the kernels of the safety tests: `python -m lunarsim.safety.warming --help`.
+"""Compile the kernels of the safety tests (run with `python -m`).
 
-They are kept on disk for every process of the machine; see `lunarsim.cli_waiting`.
+The compiled kernels are cached on disk for every process of the machine.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lunarsim.safety.planes import plane_stochastic_safety
 
 
 def warm(exact: bool) -> None:
-    """Judge a level map by the tests that a LiDAR map takes, and by the exact one if asked to."""
+    """Run the safety tests of a LiDAR map on flat terrain, optionally the exact one."""
     lander = Lander()
     grid = Grid.centred((0.0, 0.0), 10.0, 0.5)
     level = np.zeros(grid.shape, np.float32)
@@ -31,19 +31,19 @@ def warm(exact: bool) -> None:
 
 
 def end_with(parent: int) -> None:
-    """End this process once its parent is not that one: whoever waited for it is gone."""
+    """Exit when the parent process is no longer `parent`."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
 
 
 @click.command()
-@click.option("--exact", is_flag=True, help="Those of the exact map too.")
-@click.option("--parent", type=int, default=None, help="Process to end with; left out: none.")
+@click.option("--exact", is_flag=True, help="Also compile the exact test.")
+@click.option("--parent", type=int, default=None, help="Process to end with; omitted: none.")
 def main(exact: bool, parent: int | None) -> None:
-    """Compile the kernels of the safety tests, for every process of the machine."""
+    """Compile the kernels of the safety tests for all processes."""
     if parent is not None:
-        # It is told which: who asks for its parent too late is told another.
+        # The caller passes its id, because it may already be gone when this process asks for it.
         threading.Thread(target=end_with, args=(parent,), daemon=True).start()
     warm(exact)
 

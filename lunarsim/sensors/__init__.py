@@ -1,1 +1,1 @@
-"""Sensors: each turns the true world and state into a measurement with its own noise figures."""
+"""Sensors: each converts the true world and state to a noisy measurement."""

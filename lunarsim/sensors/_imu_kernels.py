@@ -1,4 +1,4 @@
-"""Compiled sampling of a triad."""
+"""Compiled sampling of three inertial sensor axes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from lunarsim._jit import kernel
 
 @kernel()
 def sample(truth, matrix, offset, quantum, remainder, out):
-    """Write the increment (3,) of a triad for a true one; keep what is no whole quantum.
+    """Write the measured increment (3,), and keep the quantization remainder.
 
-    The sum is rounded, not the increments, so that no angle or velocity is lost.
+    The running sum is rounded, not each increment, so that no angle or velocity is lost.
     """
     for i in range(3):
         x = offset[i]
@@ -27,16 +27,16 @@ def sample(truth, matrix, offset, quantum, remainder, out):
 
 @kernel()
 def motion(rows, lift, angle, gained):
-    """Write what an ideal unit would give over a stretch of motion.
+    """Write the increments that an ideal IMU measures along a trajectory.
 
     Parameters
     ----------
     rows
-        State vectors (n + 1, 15), the first that before the stretch.
+        State vectors (n + 1, 15); the first is the state before the first sample.
     lift
-        Velocity that gravity takes in a step, m/s.
+        Gravity times the time step, m/s.
     angle, gained
-        Angle and velocity increments (n, 3), body axes.
+        Angle (rad) and velocity (m/s) increments (n, 3), body axes.
     """
     middle = np.empty(4)
     change = np.empty(3)
@@ -59,7 +59,7 @@ def motion(rows, lift, angle, gained):
 
 @kernel()
 def sample_all(truth, matrix, offsets, quantum, remainder):
-    """Return the increments (n, 3) of a triad for true ones (n, 3)."""
+    """Return the measured increments (n, 3) for true ones (n, 3)."""
     out = np.empty_like(truth)
     for n in range(truth.shape[0]):
         sample(truth[n], matrix, offsets[n], quantum, remainder, out[n])

@@ -20,27 +20,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RadarAltimeter:
-    """An altimeter fixed to the body.
-
-    Attributes
-    ----------
-    boresight
-        Unit vector (3,), body axes.
-    noise_ratio, noise_floor
-        Standard deviation: a share of the range, and metres, added in quadrature.
-    max_range
-        m.
-    max_incidence
-        Greatest angle between beam and surface normal with a return, rad.
-    """
+    """A radar altimeter fixed to the body."""
 
     boresight: tuple[float, float, float] = quantity(
-        (0.0, 0.0, -1.0), help="unit vector, body axes"
+        (0.0, 0.0, -1.0), help="direction of the beam, unit vector in body axes"
     )
-    noise_ratio: float = quantity(0.01, ge=0, help="1 sigma over the range")
-    noise_floor: float = quantity(0.1, "m", ge=0, help="1 sigma, in quadrature")
-    max_range: float = quantity(3000.0, "m", gt=0, help="no return beyond")
-    max_incidence: float = quantity(60.0, "deg", gt=0, le=90, help="no return beyond")
+    noise_ratio: float = quantity(0.01, ge=0, help="range noise over range, 1 sigma")
+    noise_floor: float = quantity(
+        0.1, "m", ge=0, help="constant range noise, 1 sigma, added in quadrature"
+    )
+    max_range: float = quantity(3000.0, "m", gt=0, help="maximum range with a return")
+    max_incidence: float = quantity(
+        60.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
+    )
 
     gives: ClassVar[type] = AltimeterReading
     tasked: ClassVar[bool] = False
@@ -50,7 +42,7 @@ class RadarAltimeter:
         check_bounds(self, "altimeter")
 
     def calibration(self) -> FixedBeam:
-        """Return what the onboard computer may know of it."""
+        """Return what the onboard computer knows of the altimeter."""
         return FixedBeam(self.boresight)
 
     def measure(
@@ -61,7 +53,7 @@ class RadarAltimeter:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> AltimeterReading:
-        """Return one reading; noise is drawn whether or not there is a return."""
+        """Return one reading; random numbers are drawn even without a return."""
         noise = float(rng.standard_normal())
         beam = quat_rotate(state.attitude, self.boresight)
         hit = world.cast(state.position, beam[None, :], self.max_range)
@@ -71,6 +63,6 @@ class RadarAltimeter:
         distance = float(hit.range[0])
         sigma = float(np.hypot(self.noise_floor, self.noise_ratio * distance))
         measured = distance + sigma * noise
-        # What is stated goes by what was measured: the truth stays here.
+        # The reported sigma depends on the measured range, so that it does not reveal the true one.
         stated = float(np.hypot(self.noise_floor, self.noise_ratio * measured))
         return AltimeterReading(time, measured, stated)

@@ -1,4 +1,4 @@
-"""Camera: a pin-hole with the faults of a real one, each of which can be switched off."""
+"""Pinhole camera with real imperfections, each of which can be switched off."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from lunarsim.frames import is_rotation, quat_from_rotation_vector, quat_multipl
 from lunarsim.messages.measurements import Picture
 from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
-from lunarsim.sensors.detector import counted, dark_current, fall_off
+from lunarsim.sensors.detector import counts_from_electrons, dark_current, illumination_falloff
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.vehicle.state import State
 from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
-# A rolling shutter's picture is drawn in bands whose lines are no farther than this from where
-# their own pose shows them, pixels; and in no more bands than that.
-_BAND_ERROR = 0.25
-_MOST_BANDS = 64
-# Steps of the shutter whose mean is the blurred picture.
-_MOST_STEPS = 48
+# A rolling shutter is rendered in bands of lines. Maximum displacement of a line from its image at
+# its own pose, pixels, and maximum number of bands.
+_BAND_ERROR_PX = 0.25
+_MAX_BANDS = 64
+# Maximum number of warped images averaged for motion blur.
+_MAX_BLUR_STEPS = 48
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One exposure.
+    """One exposed image.
 
     Attributes
     ----------
     time
         Middle of the exposure, s.
     counts
-        What the detector's converter gives (height, width): uint8 up to 8 bits, else uint16.
+        Counts of the converter (height, width): uint8 up to 8 bits, else uint16.
     truth
-        Range, normal and identity of every pixel, without blur and noise; None unless asked.
+        Range, normal and identity of every pixel, without blur and noise; None unless requested.
     """
 
     time: float
@@ -52,43 +52,43 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Camera(CameraModel):
-    """A framing camera fixed to the lander: geometry (see `CameraModel`), shutter and detector.
+    """A framing camera fixed to the lander: geometry, shutter and detector.
 
     Attributes
     ----------
     exposure
-        s.
+        Exposure time, s.
     sensitivity
-        Electrons a second for a radiance factor of 1. With the defaults 0.2 fills the well.
+        Electrons per second for a radiance factor of 1. With the defaults, 0.2 fills the well.
     blur_sigma
         Standard deviation of the point spread, pixels; 0: none.
     motion_blur
-        Whether the lander's turning smears the picture.
+        Whether rotation of the lander blurs the image.
     shot_noise
-        Whether photons arrive at random.
+        Whether photon shot noise is simulated.
     read_noise
-        Electrons, 1 sigma; 0: none.
+        Read noise, electrons, 1 sigma; 0: none.
     full_well
         Electrons at which a pixel saturates.
     bits
-        Of the converter, 1 to 16.
+        Bits of the converter, 1 to 16.
     gain
-        Of the amplifier: its full scale is the full well over it.
+        Gain of the amplifier: full scale is the full well divided by the gain.
     vignetting
-        Power of the cosine of the field angle by which light falls off; 4: the natural law.
+        Exponent of the cosine of the field angle in the illumination falloff; 4: natural law.
     stray_light
-        Share of the light that is spread evenly over the picture.
+        Fraction of the light that is spread uniformly over the image.
     hot_pixels, hot_current
-        Share of pixels that are hot, and the mean of their exponentially distributed dark current,
-        electrons a second.
+        Fraction of hot pixels, and the mean of their exponentially distributed dark current,
+        electrons per second.
     shutter, line_time
-        "global": all lines at once; "rolling": each by `line_time` (s) later than the one above,
-        the middle of the picture at the picture's time. With distortion, lines are those of the
-        picture before it.
+        "global": all lines are exposed at once; "rolling": each line `line_time` (s) after the one
+        above, the middle line at the time of the image. With distortion, the lines are those of
+        the undistorted image.
     antialias
-        Rays along each side of a pixel; what they meet is averaged.
+        Rays along each side of a pixel, whose radiance is averaged.
     detector_seed
-        Of the places of hot pixels.
+        Seed of the positions of hot pixels.
     """
 
     exposure: float = 2e-3
@@ -113,33 +113,33 @@ class Camera(CameraModel):
         super().__post_init__()
         for name in ("exposure", "sensitivity", "full_well", "gain"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be positive")
         for name in ("blur_sigma", "read_noise", "vignetting", "hot_current", "line_time"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"camera.{name}", getattr(self, name), "0 or a positive number")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be 0 or more")
         if not (isinstance(self.bits, int) and 1 <= self.bits <= 16):
-            raise InputError("camera.bits", self.bits, "a whole number from 1 to 16")
+            raise InputError("camera.bits", self.bits, "must be an integer from 1 to 16")
         for name in ("stray_light", "hot_pixels"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"camera.{name}", getattr(self, name), "a share from 0 to 1")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be from 0 to 1")
         if self.detector_seed < 0:
-            raise InputError("camera.detector_seed", self.detector_seed, "0 or more")
+            raise InputError("camera.detector_seed", self.detector_seed, "must be 0 or more")
         if self.shutter not in ("global", "rolling"):
-            raise InputError("camera.shutter", self.shutter, "global or rolling")
+            raise InputError("camera.shutter", self.shutter, "must be global or rolling")
         if not (isinstance(self.antialias, int) and 1 <= self.antialias <= 4):
-            raise InputError("camera.antialias", self.antialias, "a whole number from 1 to 4")
+            raise InputError("camera.antialias", self.antialias, "must be an integer from 1 to 4")
 
     @classmethod
     def with_field_of_view(cls, width: int, height: int, degrees: float, **more: object) -> Camera:
-        """Return a camera with square pixels whose width covers `degrees`."""
+        """Return a camera with square pixels and a horizontal field of view of `degrees`."""
         if not (isinstance(degrees, float | int | np.floating) and 0.0 < degrees < 170.0):
-            raise InputError("camera.field_of_view_deg", degrees, "between 0 and 170")
+            raise InputError("camera.field_of_view_deg", degrees, "must be between 0 and 170")
         focal = 0.5 * width / np.tan(0.5 * np.deg2rad(degrees))
         return cls(width, height, focal, focal, **more)  # type: ignore[arg-type]
 
     @property
     def model(self) -> CameraModel:
-        """The geometry alone, as it goes with every picture."""
+        """Geometry of the camera, delivered with every image."""
         return CameraModel(**{f.name: getattr(self, f.name) for f in fields(CameraModel)})
 
     def measure(
@@ -150,7 +150,7 @@ class Camera(CameraModel):
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> Picture:
-        """Take a picture with the gimbal at `mount` (3, 3); left out: as the camera is mounted."""
+        """Take an image; `mount` (3, 3) replaces the camera's own mounting."""
         camera = self if mount is None else replace(self, mount=mount)
         exposure = camera.expose(world, state, time, rng)
         return Picture(exposure.time, exposure.counts, camera.model)
@@ -164,32 +164,32 @@ class Camera(CameraModel):
         *,
         truth: bool = False,
     ) -> Exposure:
-        """Take a picture.
+        """Expose one image.
 
         Parameters
         ----------
         world, state, time
-            The truth in the middle of the exposure.
+            True world and state in the middle of the exposure, and its time, s.
         rng
             Source of shot and read noise.
         truth
-            Whether to return range, normal and identity too. They are distorted as the picture is,
-            but neither blurred nor noisy.
+            Whether to return range, normal and identity. They are distorted like the image, but
+            have neither blur nor noise.
 
         Raises
         ------
         InputError
-            If the camera is under the ground.
+            If the camera is below the terrain.
         RenderingError
-            Where OpenGL is missing.
+            If OpenGL is missing.
         """
         from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
 
         _check_pose(state)
         renderer = renderer_of(world.terrain)
-        view = self._drawn(self.view(state))
+        view = self._with_border(self.view(state))
         rate = self.mount.T @ np.asarray(state.rate)
-        radiance = self._smear(self._render(world, state, view), view, rate)
+        radiance = self._blur_motion(self._render(world, state, view), view, rate)
         radiance = self._distort(radiance, cv2.INTER_LINEAR)
         if self.blur_sigma > 0.0:
             radiance = cv2.GaussianBlur(
@@ -197,7 +197,7 @@ class Camera(CameraModel):
             )
         kept = None
         if truth:
-            # Drawn apart, at the finest level: asking for the truth must not change the picture.
+            # Rendered separately at full detail, so that the request does not change the image.
             image = renderer.render(view, world.light, truth=True)
             assert image.range is not None
             assert image.normal is not None
@@ -212,22 +212,22 @@ class Camera(CameraModel):
         return Exposure(time, self._detect(radiance, rng), kept)
 
     def _render(self, world: World, state: State, view: View) -> NDArray[np.float32]:
-        """Return what falls into the lens, line by line as the shutter opens."""
+        """Return the radiance at the lens, line by line for a rolling shutter."""
         bands = [(0, view.height, state)]
         if self.shutter == "rolling":
             bands = self._bands(world, state, view)
         pictures = []
         for first, last, then in bands:
-            whole = self._drawn(self.view(then))
+            whole = self._with_border(self.view(then))
             band = View(
                 whole.position, whole.axes, whole.fx, whole.fy, whole.cx, whole.cy - first,
                 whole.width, last - first,
             )  # fmt: skip
-            pictures.append(_averaged(world, band, self.antialias))
+            pictures.append(_supersample(world, band, self.antialias))
         return pictures[0] if len(pictures) == 1 else np.concatenate(pictures)
 
     def _bands(self, world: World, state: State, view: View) -> list[tuple[int, int, State]]:
-        """Return the lines that are drawn at once, first and beyond the last, and from where."""
+        """Return first line, end line and state for each band rendered at once."""
         ground = world.terrain.relief.z_range[1]
         near = max(float(view.position[2]) - ground, 1.0)
         focal = max(view.fx, view.fy)
@@ -235,26 +235,28 @@ class Camera(CameraModel):
             float(np.linalg.norm(state.velocity)) / near + float(np.linalg.norm(state.rate))
         )
         travel = speed * self.line_time * view.height
-        count = int(np.clip(np.ceil(0.5 * travel / _BAND_ERROR), 1, min(_MOST_BANDS, view.height)))
+        count = int(
+            np.clip(np.ceil(0.5 * travel / _BAND_ERROR_PX), 1, min(_MAX_BANDS, view.height))
+        )
         edges = np.linspace(0, view.height, count + 1).astype(int)
         out = []
         for first, last in pairwise(edges):
             late = self.line_time * (0.5 * (first + last) - 0.5 * view.height)
-            out.append((int(first), int(last), _moved(state, late)))
+            out.append((int(first), int(last), _propagate(state, late)))
         return out
 
     @property
     def dark_current(self) -> Array:
-        """Electrons a second that each pixel (height, width) makes without light."""
+        """Dark current of each pixel (height, width), electrons per second."""
         shape = (self.height, self.width)
         return dark_current(shape, self.hot_pixels, self.hot_current, self.detector_seed)
 
     @cached_property
     def _border(self) -> int:
-        """Pixels that must be drawn beyond each edge so that distortion finds its light."""
+        """Pixels to render beyond each edge so that distortion finds its sources."""
         if not any(self.distortion):
             return 0
-        x, y = self._sources
+        x, y = self._source_pixels
         assert self.cx is not None
         over = max(
             -float(x.min()), float(x.max()) - self.width + 1,
@@ -262,20 +264,20 @@ class Camera(CameraModel):
         )  # fmt: skip
         if over > 2.0 * max(self.width, self.height):
             raise InputError(
-                "camera.distortion", self.distortion, "coefficients that can be undone in the image"
+                "camera.distortion", self.distortion, "must be invertible within the image"
             )
         return int(np.ceil(over)) + 2
 
     @cached_property
-    def _sources(self) -> tuple[Array, Array]:
-        """Pixel of the undistorted image that each pixel (height, width) shows."""
+    def _source_pixels(self) -> tuple[Array, Array]:
+        """Undistorted pixel coordinates x, y (height, width) of each pixel of the image."""
         x, y = self.tangents
         assert self.cx is not None
         assert self.cy is not None
         return self.fx * x + self.cx, self.fy * y + self.cy
 
-    def _drawn(self, view: View) -> View:
-        """Return the view with the border that distortion needs."""
+    def _with_border(self, view: View) -> View:
+        """Return the view extended by the border that distortion requires."""
         b = self._border
         return View(
             view.position, view.axes, view.fx, view.fy, view.cx + b, view.cy + b,
@@ -285,26 +287,28 @@ class Camera(CameraModel):
     def _distort(self, image: NDArray[Any], how: int) -> NDArray[Any]:
         if self._border == 0:
             return image
-        x, y = ((s + self._border).astype(np.float32) for s in self._sources)
+        x, y = ((s + self._border).astype(np.float32) for s in self._source_pixels)
         return np.asarray(cv2.remap(image, x, y, how, borderMode=cv2.BORDER_REPLICATE))
 
-    def _smear(self, image: NDArray[np.float32], view: View, rate: Array) -> NDArray[np.float32]:
-        """Return the mean of the pictures that a turning camera has during the exposure.
+    def _blur_motion(
+        self, image: NDArray[np.float32], view: View, rate: Array
+    ) -> NDArray[np.float32]:
+        """Return the mean image during the exposure of a rotating camera.
 
-        A turn moves pixels by the homography K R K^-1, the same at every range; the lander's own
-        motion during an exposure is far below a pixel and is left out.
+        A rotation moves pixels by the homography K R K^-1, independent of range. The translation
+        of the lander during an exposure is far below a pixel and is neglected.
         """
         turn = rate * self.exposure
         reach = np.hypot(view.width, view.height) * 0.5
         travel = np.hypot(turn[0], turn[1]) * max(view.fx, view.fy) + abs(turn[2]) * reach
         if not self.motion_blur or travel < 0.05:
             return image
-        steps = int(min(max(4, np.ceil(2.0 * travel)), _MOST_STEPS))
+        steps = int(min(max(4, np.ceil(2.0 * travel)), _MAX_BLUR_STEPS))
         k = view.pinhole.matrix
         inverse = np.linalg.inv(k)
         total = np.zeros_like(image)
         for part in (np.arange(steps) + 0.5) / steps - 0.5:
-            # From a pixel at this moment to the same ground in the drawn picture.
+            # From a pixel at this instant to the same direction in the rendered image.
             rotation = quat_to_matrix(quat_from_rotation_vector(turn * part))
             total += cv2.warpPerspective(
                 image, k @ rotation @ inverse, (view.width, view.height),
@@ -318,28 +322,28 @@ class Camera(CameraModel):
     ) -> NDArray[np.unsignedinteger[Any]]:
         electrons = radiance * np.float32(self.sensitivity * self.exposure)
         if self.vignetting > 0.0:
-            electrons *= fall_off(self.model, self.vignetting)
+            electrons *= illumination_falloff(self.model, self.vignetting)
         if self.stray_light > 0.0:
             veil = self.stray_light * float(electrons.mean(dtype=np.float64))
             electrons = electrons * np.float32(1.0 - self.stray_light) + np.float32(veil)
         if self.hot_pixels > 0.0:
             electrons = electrons + (self.exposure * self.dark_current).astype(np.float32)
-        return counted(
+        return counts_from_electrons(
             electrons, rng, shot_noise=self.shot_noise, read_noise=self.read_noise,
             full_well=self.full_well, gain=self.gain, bits=self.bits,
         )  # fmt: skip
 
 
 def _check_pose(state: State) -> None:
-    """Refuse a state that is no pose."""
+    """Refuse a state whose position or attitude is not valid."""
     if not np.isfinite(state.position).all():
-        raise InputError("camera.position", list(state.position), "finite metres")
+        raise InputError("camera.position", list(state.position), "must be finite (metres)")
     if not is_rotation(state.attitude):
-        raise InputError("camera.attitude", list(state.attitude), "a quaternion of norm 1")
+        raise InputError("camera.attitude", list(state.attitude), "must be a unit quaternion")
 
 
-def _moved(state: State, time: float) -> State:
-    """Return the state a short time (s) later, at the same velocity and rate."""
+def _propagate(state: State, time: float) -> State:
+    """Return the state a short time (s) later, at constant velocity and rate."""
     turn = quat_from_rotation_vector(time * np.asarray(state.rate))
     return replace(
         state, position=state.position + time * np.asarray(state.velocity),
@@ -347,8 +351,8 @@ def _moved(state: State, time: float) -> State:
     )  # fmt: skip
 
 
-def _averaged(world: World, view: View, side: int) -> NDArray[np.float32]:
-    """Return the mean over `side` times `side` rays through each pixel of a view."""
+def _supersample(world: World, view: View, side: int) -> NDArray[np.float32]:
+    """Return the mean radiance over `side` x `side` rays per pixel of a view."""
     from lunarsim.sensors.rendering import renderer_of  # noqa: PLC0415  (loads OpenGL)
 
     renderer = renderer_of(world.terrain)

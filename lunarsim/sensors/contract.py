@@ -1,4 +1,4 @@
-"""The contract of sensors."""
+"""Interfaces of sensors and of their settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lunarsim.world import World
 
 
 class Sensor(Protocol):
-    """Anything that turns the truth into a measurement with its own noise."""
+    """Interface of sensors, which convert the truth to a measurement with noise."""
 
     def measure(
         self,
@@ -27,32 +27,32 @@ class Sensor(Protocol):
         Parameters
         ----------
         world, state, time
-            The truth now.
+            True world and state, and the time, s.
         rng
-            The sensor's own stream.
+            Random stream of the sensor.
         mount
-            Rotation (3, 3), sensor to body, that a gimbal holds.
+            Rotation (3, 3), sensor to body, of the gimbal; None: the sensor's default mounting.
         """
         ...
 
 
 class SensorPart(Protocol):
-    """What the registry knows of a sensor: a frozen dataclass of its figures.
+    """Interface of sensor parts: frozen dataclasses of sensor parameters.
 
-    A part that keeps something from one measurement to the next has a method
-    ``build(rng, step) -> Sensor`` besides; without it the part itself measures.
+    A part with state between measurements also has a method ``build(rng, step) -> Sensor``; a part
+    without it is itself the sensor.
 
     Attributes
     ----------
     gives
         Type of its measurements.
     tasked
-        Whether it measures only when tasked; else once a control cycle.
+        Whether it measures only when tasked; otherwise it measures once per control cycle.
     """
 
     gives: ClassVar[type]
     tasked: ClassVar[bool]
 
     def calibration(self) -> Any:
-        """Return what the onboard computer may know of it; for a tasked one with its gimbal."""
+        """Return what the onboard computer knows of the sensor and its gimbal."""
         ...

@@ -1,4 +1,4 @@
-"""A camera's detector: from the light that falls on it to counts."""
+"""Camera detector: conversion of incident light to counts."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from lunarsim.sensors._detector_kernels import read_out
 
 Array = NDArray[np.float64]
 
-# Electrons from which on Poisson's law is taken as a normal one: its skewness is then below 0.06.
-_FEW = 300.0
+# Above this number of electrons the Poisson distribution is approximated by a normal one: its
+# skewness is then below 0.06.
+_MIN_NORMAL_ELECTRONS = 300.0
 
 
-def fall_off(camera: CameraModel, power: float) -> NDArray[np.float32]:
-    """Return the share of the light that reaches each pixel (height, width).
+def illumination_falloff(camera: CameraModel, power: float) -> NDArray[np.float32]:
+    """Return the relative illumination of each pixel (height, width).
 
-    It falls as a power of the cosine of the angle to the boresight.
+    It is a power of the cosine of the angle to the boresight.
     """
     x, y = camera.tangents
     return np.asarray((1.0 + x * x + y * y) ** (-0.5 * power), np.float32)
@@ -28,16 +29,17 @@ def fall_off(camera: CameraModel, power: float) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -> Array:
-    """Return the electrons a second that each pixel (height, width) makes without light.
+    """Return the dark current of each pixel (height, width), electrons per second.
 
     Parameters
     ----------
     shape
-        Height and width.
+        Height and width, pixels.
     share, mean
-        Share of the pixels that are hot, and the mean of their exponentially distributed current.
+        Fraction of hot pixels, and the mean of their exponentially distributed dark current,
+        electrons per second.
     seed
-        Of their places.
+        Seed of the hot pixels.
     """
     height, width = shape
     rng = np.random.default_rng([seed, width, height])
@@ -45,7 +47,7 @@ def dark_current(shape: tuple[int, int], share: float, mean: float, seed: int) -
     return np.where(hot, rng.exponential(1.0, shape) * mean, 0.0)
 
 
-def counted(
+def counts_from_electrons(
     electrons: NDArray[np.float32],
     rng: np.random.Generator,
     *,
@@ -55,13 +57,13 @@ def counted(
     gain: float,
     bits: int,
 ) -> NDArray[np.unsignedinteger[Any]]:
-    """Return the counts (height, width) of electrons, which may be overwritten; see `Camera`."""
+    """Return counts (height, width) for electrons, which are overwritten."""
     few = np.ones(electrons.shape, np.bool_)
     normal = np.zeros(electrons.shape, np.float32)
     if shot_noise or read_noise > 0.0:
         if shot_noise:
-            # Where photons are few they are counted; where many, their noise is normal.
-            few = electrons < np.float32(_FEW)
+            # Poisson for few electrons; the kernel adds normal noise for many.
+            few = electrons < np.float32(_MIN_NORMAL_ELECTRONS)
             electrons[few] = rng.poisson(electrons[few])
         rng.standard_normal(dtype=np.float32, out=normal)
     top = 2**bits - 1

@@ -1,4 +1,4 @@
-"""Automatic exposure: the next picture's time from the last one's histogram."""
+"""Automatic exposure from the histogram of the last image."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from lunarsim.errors import InputError, check_types
 
 @dataclass(frozen=True)
 class ExposureControl:
-    """What an automatic exposure aims at.
+    """Settings of automatic exposure.
 
     Attributes
     ----------
     level
-        Where the bright end of the histogram shall come to lie, over full scale.
+        Target of the bright end of the histogram, over full scale.
     share
-        Share of the pixels that shall be darker than that.
+        Fraction of the pixels that are darker than the bright end.
     shortest, longest
-        Bounds of the time, s.
+        Limits of the exposure time, s.
     most_change
-        Greatest factor from one picture to the next.
+        Maximum factor between consecutive exposure times.
     """
 
     level: float = 0.8
@@ -36,29 +36,31 @@ class ExposureControl:
     def __post_init__(self) -> None:
         check_types("camera.exposure_control", self)
         if not 0.0 < self.level < 1.0:
-            raise InputError("camera.exposure_level", self.level, "between 0 and 1")
+            raise InputError("camera.exposure_level", self.level, "must be between 0 and 1")
         if not 0.0 < self.share < 1.0:
-            raise InputError("camera.exposure_share", self.share, "between 0 and 1")
+            raise InputError("camera.exposure_share", self.share, "must be between 0 and 1")
         if not 0.0 < self.shortest <= self.longest < np.inf:
             bounds = (self.shortest, self.longest)
-            raise InputError("camera.exposure_bounds", bounds, "two positive times, shortest first")
+            raise InputError(
+                "camera.exposure_bounds", bounds, "must be two positive times, shortest first"
+            )
         if not 1.0 < self.most_change < np.inf:
-            raise InputError("camera.exposure_change", self.most_change, "a factor above 1")
+            raise InputError("camera.exposure_change", self.most_change, "must be above 1")
 
     def after(self, counts: NDArray[np.unsignedinteger[Any]], bits: int, exposure: float) -> float:
-        """Return the time (s) for the next picture.
+        """Return the exposure time (s) of the next image.
 
-        A picture whose bright end is clipped says only that it was too long: the time falls by the
-        greatest factor. A black one is followed by the longest step up.
+        If the bright end is saturated, the time is reduced by the maximum factor. A black image is
+        followed by the maximum increase.
 
         Parameters
         ----------
         counts
-            The last picture (height, width).
+            Counts of the last image (height, width).
         bits
-            Of its converter.
+            Bits of the converter.
         exposure
-            Its time, s.
+            Exposure time of the last image, s.
         """
         top = 2**bits - 1
         histogram = np.bincount(counts.ravel(), minlength=top + 1)

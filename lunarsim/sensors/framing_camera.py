@@ -1,4 +1,4 @@
-"""The camera as a part of a lander: its settings, and what the computer is told of it."""
+"""Settings of the camera as a part of a lander, and its calibration."""
 
 from __future__ import annotations
 
@@ -18,54 +18,62 @@ from lunarsim.sensors.metering_camera import MeteringCamera
 
 @dataclass(frozen=True)
 class FramingCamera:
-    """A framing camera on a gimbal.
+    """A framing camera on a gimbal, with optional automatic exposure."""
 
-    Attributes
-    ----------
-    width, height, field_of_view
-        Pixels, and the angle that the width covers, rad.
-    exposure_control
-        "fixed", or "auto": by the histogram of the last picture; `exposure` is the first one's.
-    exposure_level, exposure_shortest, exposure_longest
-        What "auto" aims at; see `ExposureControl`.
-    gimbal_limit
-        Farthest that it points from straight down, rad.
-
-    The rest as in `Camera`.
-    """
-
-    width: int = quantity(640, ge=1, le=8192, help="pixels")
-    height: int = quantity(480, ge=1, le=8192, help="pixels")
-    field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="of the width")
+    width: int = quantity(640, ge=1, le=8192, help="width of the image in pixels")
+    height: int = quantity(480, ge=1, le=8192, help="height of the image in pixels")
+    field_of_view: float = quantity(60.0, "deg", gt=0, lt=170, help="horizontal field of view")
     distortion: tuple[float, float, float, float, float] = quantity(
-        (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady k1, k2, p1, p2, k3"
+        (0.0, 0.0, 0.0, 0.0, 0.0), help="Brown-Conrady coefficients k1, k2, p1, p2, k3"
     )
-    exposure: float = quantity(2e-3, "s", gt=0, le=100, help="time that the shutter is open")
-    sensitivity: float = quantity(5e7, "e-/s", gt=0, le=1e15, help="for I/F = 1")
+    exposure: float = quantity(
+        2e-3, "s", gt=0, le=100, help="exposure time (of the first image with auto exposure)"
+    )
+    sensitivity: float = quantity(
+        5e7, "e-/s", gt=0, le=1e15, help="electrons per second in a pixel at I/F = 1"
+    )
     blur_sigma: float = quantity(0.6, "px", ge=0, le=20, help="point spread, 1 sigma")
-    motion_blur: bool = quantity(True, help="whether turning smears the picture")
-    shot_noise: bool = quantity(True, help="whether photons arrive at random")
-    read_noise: float = quantity(12.0, "e-", ge=0, le=1e6, help="1 sigma")
+    motion_blur: bool = quantity(True, help="whether rotation blurs the image")
+    shot_noise: bool = quantity(True, help="whether photon shot noise is simulated")
+    read_noise: float = quantity(12.0, "e-", ge=0, le=1e6, help="read noise, 1 sigma")
     full_well: float = quantity(
         20_000.0, "e-", ge=1, le=1e9, help="electrons that saturate a pixel"
     )
-    bits: int = quantity(8, ge=1, le=16, help="of the converter")
-    gain: float = quantity(1.0, gt=0, le=100, help="1: full scale is the full well")
-    vignetting: float = quantity(0.0, ge=0, le=10, help="power of the cosine; 4: natural")
-    stray_light: float = quantity(0.0, ge=0, le=0.5, help="share spread over the picture")
-    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="share of all pixels")
-    hot_current: float = quantity(2e5, "e-/s", ge=0, le=1e12, help="their mean dark current")
-    shutter: Literal["global", "rolling"] = quantity("global", help="all lines at once or in turn")
-    line_time: float = quantity(2e-5, "s", ge=0, le=1e-2, help="from line to line when rolling")
+    bits: int = quantity(8, ge=1, le=16, help="bits of the analog-to-digital converter")
+    gain: float = quantity(
+        1.0, gt=0, le=100, help="amplifier gain; at 1 the full well is full scale"
+    )
+    vignetting: float = quantity(
+        0.0, ge=0, le=10, help="exponent of the cosine falloff; 0: none, 4: natural"
+    )
+    stray_light: float = quantity(
+        0.0, ge=0, le=0.5, help="fraction of the light spread uniformly over the image"
+    )
+    hot_pixels: float = quantity(0.0, ge=0, le=0.1, help="fraction of hot pixels")
+    hot_current: float = quantity(
+        2e5, "e-/s", ge=0, le=1e12, help="mean dark current of hot pixels"
+    )
+    shutter: Literal["global", "rolling"] = quantity(
+        "global", help="shutter: all lines at once, or one after another"
+    )
+    line_time: float = quantity(
+        2e-5, "s", ge=0, le=1e-2, help="time between lines of a rolling shutter"
+    )
     antialias: int = quantity(1, ge=1, le=4, help="rays along each side of a pixel")
     exposure_control: Literal["fixed", "auto"] = quantity(
-        "fixed", help="auto: by the histogram of the last picture"
+        "fixed", help="exposure mode; auto: from the histogram of the last image"
     )
-    exposure_level: float = quantity(0.8, gt=0, lt=1, help="bright end of the histogram")
-    exposure_shortest: float = quantity(1e-5, "s", gt=0, le=10, help="of auto")
-    exposure_longest: float = quantity(0.05, "s", gt=0, le=10, help="of auto")
+    exposure_level: float = quantity(
+        0.8, gt=0, lt=1, help="auto exposure: bright end of the histogram over full scale"
+    )
+    exposure_shortest: float = quantity(
+        1e-5, "s", gt=0, le=10, help="auto exposure: minimum exposure time"
+    )
+    exposure_longest: float = quantity(
+        0.05, "s", gt=0, le=10, help="auto exposure: maximum exposure time"
+    )
     gimbal_limit: float = quantity(
-        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
+        180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
     )
 
     gives: ClassVar[type] = Picture
@@ -75,7 +83,7 @@ class FramingCamera:
         if self.exposure_shortest > self.exposure_longest:
             raise InputError(
                 "exposure_shortest", self.exposure_shortest,
-                f"at most exposure_longest_s, {self.exposure_longest:g} s",
+                f"must be at most exposure_longest_s, {self.exposure_longest:g} s",
             )  # fmt: skip
         try:
             self.camera()
@@ -83,7 +91,7 @@ class FramingCamera:
             raise error.renamed(error.field.removeprefix("camera.")) from None
 
     def camera(self) -> Camera:
-        """Return the camera."""
+        """Return the camera without automatic exposure."""
         return Camera.with_field_of_view(
             self.width, self.height, float(np.rad2deg(self.field_of_view)),
             distortion=self.distortion, exposure=self.exposure, sensitivity=self.sensitivity,
@@ -95,7 +103,7 @@ class FramingCamera:
         )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> Camera | MeteringCamera:
-        """Return the camera of one flight, with its own hot pixels."""
+        """Return the camera of one flight, with hot pixels drawn for it."""
         camera = self.camera()
         if self.hot_pixels > 0.0:
             camera = replace(camera, detector_seed=int(rng.integers(2**31)))
@@ -108,7 +116,7 @@ class FramingCamera:
         return MeteringCamera(camera, control)
 
     def calibration(self) -> CameraInstrument:
-        """Return what the onboard computer may know of it; pictures bring the rest."""
+        """Return what the onboard computer knows of the camera."""
         camera = self.camera()
         half = 0.5 * min(self.width / camera.fx, self.height / camera.fy)
         return CameraInstrument(self.gimbal_limit, self.blur_sigma, 1.0 / camera.fx, half)

@@ -1,4 +1,4 @@
-"""Strap-down inertial measurement unit: increments of angle and velocity."""
+"""Strapdown inertial measurement unit: increments of angle and velocity."""
 
 from __future__ import annotations
 
@@ -20,31 +20,30 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InertialUnit:
-    """Gyroscopes and accelerometers, sampled once a step of the simulation.
+    """Gyroscopes and accelerometers, sampled at every step of the simulation.
 
-    Attributes
-    ----------
-    gyroscopes, accelerometers
-        Their errors; left out: a tactical unit.
+    The default errors are those of a tactical-grade unit.
     """
 
-    gyroscopes: TriadErrors = quantity(GYROSCOPES, help="errors, in rad")
-    accelerometers: TriadErrors = quantity(ACCELEROMETERS, help="errors, in m/s")
+    gyroscopes: TriadErrors = quantity(GYROSCOPES, help="errors of the gyroscopes, in rad")
+    accelerometers: TriadErrors = quantity(
+        ACCELEROMETERS, help="errors of the accelerometers, in m/s"
+    )
 
     gives: ClassVar[type] = InertialSamples
     tasked: ClassVar[bool] = False
 
     def build(self, rng: np.random.Generator, step: float) -> Imu:
-        """Return the unit of one power-on."""
+        """Return the unit of one flight, with constant errors drawn for it."""
         return Imu(rng, 1.0 / step, self.gyroscopes, self.accelerometers)
 
     def calibration(self) -> InertialInstrument:
-        """Return what the onboard computer may know of it."""
+        """Return what the onboard computer knows of the unit."""
         return InertialInstrument(self.gyroscopes, self.accelerometers)
 
 
 class _Triad:
-    """Three axes with errors drawn once, and a bias that walks."""
+    """Three axes with constant errors drawn once, and a bias with a random walk."""
 
     def __init__(self, errors: TriadErrors, step: float, rng: np.random.Generator) -> None:
         self.errors = errors
@@ -57,7 +56,7 @@ class _Triad:
         self.remainder = np.zeros(3)
 
     def offsets(self, n: int) -> Array:
-        """Return what the next n increments have besides the truth (n, 3)."""
+        """Return the additive errors of the next n increments (n, 3)."""
         e, dt = self.errors, self.step
         walk = e.bias_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
         noise = e.random_walk * np.sqrt(dt) * self.rng.standard_normal((n, 3))
@@ -66,7 +65,7 @@ class _Triad:
         return np.asarray(bias * dt + noise)
 
     def increments(self, truth: Array) -> Array:
-        """Return increments (n, 3) for true increments (n, 3)."""
+        """Return measured increments (n, 3) for true increments (n, 3)."""
         return np.asarray(
             kernels.sample_all(
                 np.ascontiguousarray(truth), self.matrix, self.offsets(len(truth)),
@@ -76,16 +75,16 @@ class _Triad:
 
 
 class Imu:
-    """Gyroscopes and accelerometers of one power-on.
+    """Gyroscopes and accelerometers of one flight.
 
     Parameters
     ----------
     rng
-        Source of the constants of this power-on and of all noise.
+        Source of the constant errors of this flight and of all noise.
     rate
-        Samples a second, Hz.
+        Sampling rate, Hz.
     gyroscopes, accelerometers
-        Their errors; left out: a tactical unit.
+        Their errors; omitted: a tactical-grade unit.
     """
 
     def __init__(
@@ -96,22 +95,22 @@ class Imu:
         accelerometers: TriadErrors = ACCELEROMETERS,
     ) -> None:
         if not (np.isfinite(rate) and rate > 0.0):
-            raise InputError("imu.rate", rate, "a positive number of samples a second")
+            raise InputError("imu.rate", rate, "must be a positive sampling rate (Hz)")
         self.step = 1.0 / rate
         first, second = rng.spawn(2)
         self.gyroscopes = _Triad(gyroscopes, self.step, first)
         self.accelerometers = _Triad(accelerometers, self.step, second)
 
     def measure(self, rate: ArrayLike, specific_force: ArrayLike) -> tuple[Array, Array]:
-        """Return what the unit gives for consecutive samples.
+        """Return the measured increments of consecutive samples.
 
         Parameters
         ----------
         rate
             Mean angular velocity of each sample (n, 3) or (3,), body axes, rad/s.
         specific_force
-            Mean acceleration less gravity (n, 3) or (3,), body axes, m/s^2; in flight thrust over
-            mass along body z.
+            Mean acceleration minus gravity (n, 3) or (3,), body axes, m/s^2; in flight, thrust
+            divided by mass along body z.
 
         Returns
         -------
@@ -122,7 +121,9 @@ class Imu:
         rate = np.atleast_2d(np.asarray(rate, dtype=np.float64))
         force = np.atleast_2d(np.asarray(specific_force, dtype=np.float64))
         if rate.shape != force.shape or rate.shape[1:] != (3,):
-            raise InputError("imu.specific_force", force.shape, f"the shape of rate, {rate.shape}")
+            raise InputError(
+                "imu.specific_force", force.shape, f"must have the shape of rate, {rate.shape}"
+            )
         angle = self.gyroscopes.increments(rate * self.step)
         velocity = self.accelerometers.increments(force * self.step)
         return angle.reshape(shape), velocity.reshape(shape)
@@ -130,20 +131,20 @@ class Imu:
     def sense(
         self, rows: Array, step: float, gravity: float, time: float, angle: Array | None = None
     ) -> InertialSamples:
-        """Return the samples of a stretch of true motion.
+        """Return the samples along a true trajectory.
 
         Parameters
         ----------
         rows
-            State vectors (n + 1, 15), the first that before the stretch.
+            State vectors (n + 1, 15); the first is the state before the first sample.
         step
-            Between them, s; that of the unit.
+            Time between states, s; that of the unit.
         gravity
             Downward acceleration, m/s^2.
         time
-            Of the last row, s.
+            Time of the last state, s.
         angle
-            What the gyroscopes gave already (n, 3), rad; left out: they are sampled here.
+            Increments already measured by the gyroscopes (n, 3), rad; omitted: they are sampled.
         """
         turn, gained = np.empty((2, len(rows) - 1, 3))
         kernels.motion(np.ascontiguousarray(rows), gravity * step, turn, gained)

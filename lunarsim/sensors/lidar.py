@@ -1,4 +1,4 @@
-"""Flash LiDAR: one range for every pixel of a detector, all at one instant."""
+"""Flash LiDAR: the ranges of all pixels of a detector at one instant."""
 
 from __future__ import annotations
 
@@ -20,81 +20,85 @@ from lunarsim.world import World
 Array = NDArray[np.float64]
 
 _REFERENCE_RANGE = 500.0
-# Of a detector: a map of more returns takes gigabytes.
-_MOST_PIXELS = 2**22
+# Limit of a detector: a map of more returns takes gigabytes of memory.
+_MAX_PIXELS = 2**22
 
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """A flash LiDAR: pixels even in the tangent of the angle (a pin-hole) or in the angle itself.
+    """A flash LiDAR with pixels uniform in the angle or in its tangent.
 
     Defaults are those of section IV.B of the Gaussian DEM paper: 256 x 256 pixels that cover
-    100 x 100 m from 500 m straight above, noise along each ray with 3 sigma = 5 cm at 500 m,
-    growing in proportion to range.
+    100 x 100 m from 500 m vertically above, noise along each ray with 3 sigma = 5 cm at 500 m,
+    proportional to range.
 
     Attributes
     ----------
-    rows, cols
-        Detector size, pixels.
-    half_width
-        Tangent of half the field of view, both axes.
-    noise_ratio
-        Standard deviation of the range over the range.
-    max_range
-        Longest range that gives a return, m.
-    spacing
-        "tangent" or "angle".
-    max_incidence
-        Greatest angle between ray and surface normal that gives a return, rad.
     photons
-        Mean photons of a return from 500 m at normal incidence. They fall with the cosine of the
-        incidence and the square of the range, and a pixel without a photon has no return; None:
-        none is lost.
+        Mean photons of a return from 500 m at normal incidence. They scale with the cosine of the
+        incidence and the inverse square of the range. A pixel without a photon has no return; None:
+        no return is lost.
     divergence
         Half angle of the beam at 1/e^2 of its peak, rad; 0: a line. The range is the mean over the
         footprint.
-    gimbal_limit
-        Greatest angle of the boresight from straight down through the lander, rad.
     range_sigma, boresight_sigma, latency_sigma
-        What a LiDAR errs by over a whole flight, 1 sigma, m, rad (an axis), s: drawn once a flight,
-        and stated in the calibration.
+        Standard deviations of errors that are constant over a flight, m, rad (per axis), s: drawn
+        for every flight, and stated in the calibration.
     range_bias, boresight_off, late
-        Errors besides that the calibration says nothing of, m, rad, s.
+        Additional constant errors that the calibration does not state, m, rad, s.
     """
 
-    rows: int = quantity(256, ge=2, le=4096, help="of the detector")
-    cols: int = quantity(256, ge=2, le=4096, help="of the detector")
+    rows: int = quantity(256, ge=2, le=4096, help="rows of the detector")
+    cols: int = quantity(256, ge=2, le=4096, help="columns of the detector")
     half_width: float = quantity(0.1, gt=0, lt=2, help="tangent of half the field of view")
     noise_ratio: float = quantity(
-        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="1 sigma over the range, along the ray"
+        0.05 / 3.0 / 500.0, ge=0, lt=0.1, help="range noise over range, 1 sigma"
     )
-    max_range: float = quantity(2000.0, "m", gt=0, help="no return beyond")
-    spacing: Literal["tangent", "angle"] = quantity("tangent", help="pixels even in this")
-    max_incidence: float = quantity(90.0, "deg", gt=0, le=90, help="no return beyond")
+    max_range: float = quantity(2000.0, "m", gt=0, help="maximum range with a return")
+    spacing: Literal["tangent", "angle"] = quantity(
+        "tangent", help="quantity in which pixels are uniformly spaced (tangent: pinhole)"
+    )
+    max_incidence: float = quantity(
+        90.0, "deg", gt=0, le=90, help="maximum angle of ray and surface normal with a return"
+    )
     photons: float | None = quantity(
-        None, gt=0, help="mean of a return from 500 m head-on; left out: no return is lost"
+        None,
+        gt=0,
+        help="mean photons of a return from 500 m at normal incidence; omitted: none is lost",
     )
-    divergence: float = quantity(0.0, "mrad", ge=0, lt=100, help="half angle at 1/e^2")
+    divergence: float = quantity(
+        0.0, "mrad", ge=0, lt=100, help="half angle of the beam at 1/e^2 of its peak"
+    )
     gimbal_limit: float = quantity(
-        180.0, "deg", gt=0, le=180, help="greatest angle of the boresight from body -z"
+        180.0, "deg", gt=0, le=180, help="maximum angle of the boresight from body -z"
     )
 
     range_sigma: float = quantity(
-        0.0, "m", ge=0, lt=10, help="constant of all ranges, 1 sigma, drawn and stated"
+        0.0, "m", ge=0, lt=10, help="constant range error, 1 sigma, stated in the calibration"
     )
     boresight_sigma: float = quantity(
-        0.0, "deg", ge=0, lt=5, help="constant of the mount, 1 sigma an axis, drawn and stated"
+        0.0,
+        "deg",
+        ge=0,
+        lt=5,
+        help="boresight misalignment, 1 sigma per axis, stated in the calibration",
     )
     latency_sigma: float = quantity(
-        0.0, "s", ge=0, lt=1, help="of the times of flashes, 1 sigma, drawn and stated"
+        0.0, "s", ge=0, lt=1, help="latency error, 1 sigma, stated in the calibration"
     )
     range_bias: float = quantity(
-        0.0, "m", ge=-10, le=10, help="of all ranges besides, which nobody is told of"
+        0.0, "m", ge=-10, le=10, help="additional range bias, not stated in the calibration"
     )
     boresight_off: float = quantity(
-        0.0, "deg", ge=-5, le=5, help="about the sensor's x besides, which nobody is told of"
+        0.0,
+        "deg",
+        ge=-5,
+        le=5,
+        help="additional boresight bias about sensor x, not stated in the calibration",
     )
-    late: float = quantity(0.0, "s", ge=0, lt=1, help="of flashes besides, which nobody is told of")
+    late: float = quantity(
+        0.0, "s", ge=0, lt=1, help="additional latency bias, not stated in the calibration"
+    )
 
     gives: ClassVar[type] = LidarScan
     tasked: ClassVar[bool] = True
@@ -102,12 +106,12 @@ class FlashLidar:
     def __post_init__(self) -> None:
         check_bounds(self, "lidar")
         if self.spacing not in {"tangent", "angle"}:
-            raise InputError("lidar.spacing", self.spacing, "tangent or angle")
-        if self.rows * self.cols > _MOST_PIXELS:
+            raise InputError("lidar.spacing", self.spacing, "must be tangent or angle")
+        if self.rows * self.cols > _MAX_PIXELS:
             raise InputError(
                 "lidar.rows", self.rows,
-                f"at most {_MOST_PIXELS // self.cols} with {self.cols} columns: {_MOST_PIXELS} "
-                "returns a flash",
+                f"must be at most {_MAX_PIXELS // self.cols} with {self.cols} columns: at most "
+                f"{_MAX_PIXELS} returns per scan",
             )  # fmt: skip
 
     def build(self, rng: np.random.Generator, step: float) -> FlashLidar | BiasedLidar:
@@ -117,7 +121,7 @@ class FlashLidar:
         return BiasedLidar(self, rng) if any(np.ravel((*constant, *stated))) else self
 
     def calibration(self) -> LidarInstrument:
-        """Return what the onboard computer may know of it."""
+        """Return what the onboard computer knows of the LiDAR."""
         spread = self.half_width if self.spacing == "tangent" else np.arctan(self.half_width)
         return LidarInstrument(
             self.gimbal_limit, self.range_sigma, self.boresight_sigma, self.latency_sigma,
@@ -126,7 +130,7 @@ class FlashLidar:
         )  # fmt: skip
 
     def directions(self) -> Array:
-        """Return the pixels' unit vectors (rows * cols, 3) in the sensor frame, row by row."""
+        """Return the unit vectors of the pixels (rows * cols, 3), sensor frame."""
         u = (np.arange(self.cols) + 0.5) / self.cols * 2.0 - 1.0
         v = (np.arange(self.rows) + 0.5) / self.rows * 2.0 - 1.0
         if self.spacing == "angle":
@@ -146,16 +150,16 @@ class FlashLidar:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> LidarScan:
-        """Flash once.
+        """Return one scan.
 
         Parameters
         ----------
         world, state, time
-            The truth now.
+            True world and state, and the time, s.
         rng
             Source of the range noise.
         mount
-            Rotation (3, 3), sensor to body, that the gimbal holds; left out: straight down.
+            Rotation (3, 3), sensor to body, of the gimbal; omitted: boresight along body -z.
         """
         mount = DOWN if mount is None else mount
         direction = self.directions()
@@ -168,16 +172,20 @@ class FlashLidar:
     def _sense(
         self, world: World, origin: Array, rays: Array, rng: np.random.Generator
     ) -> tuple[Array, Array]:
-        """Return measured range and its stated deviation of rays (n, 3), ENU.
+        """Return the measured ranges of rays (n, 3), ENU, and their stated sigmas.
 
-        `origin` is (3,) for all or (n, 3).
+        `origin` is (3,) for all rays or (n, 3).
         """
         hits = world.terrain.cast(origin, rays, self.max_range)
-        true = hits.range if self.divergence == 0.0 else self._beam(world, origin, rays, hits.range)
+        true = (
+            hits.range
+            if self.divergence == 0.0
+            else self._average_over_beam(world, origin, rays, hits.range)
+        )
         cosine = np.clip(-np.einsum("ij,ij->i", hits.normal, rays), 0.0, 1.0)
         incidence = np.arccos(cosine)
         measured = true * (1.0 + self.noise_ratio * rng.standard_normal(true.size))
-        # What is stated goes by what was measured: the truth stays here.
+        # The stated sigma depends on the measured range, so that it does not reveal the true one.
         sigma = self.noise_ratio * np.abs(measured)
         lost = ~(incidence <= self.max_incidence)
         if self.photons is not None:
@@ -187,8 +195,8 @@ class FlashLidar:
             values[lost] = np.nan
         return measured, sigma
 
-    def _beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
-        """Return the mean range over the beam's footprint, NaN where its centre finds nothing.
+    def _average_over_beam(self, world: World, origin: Array, rays: Array, centre: Array) -> Array:
+        """Return the mean range over the beam's footprint; NaN if its centre misses.
 
         Seven rays, the centre and a hexagon, have the second moments of a Gaussian beam.
         """
@@ -211,28 +219,28 @@ class FlashLidar:
 
 
 class BiasedLidar:
-    """A LiDAR with what it errs by over a whole flight.
+    """A LiDAR with errors that are constant over a flight.
 
     Parameters
     ----------
-    figures
-        Of the LiDAR.
+    params
+        Parameters of the LiDAR.
     rng
         Source of its errors.
 
     Attributes
     ----------
     range_bias
-        Added to all ranges, m.
+        Error added to all ranges, m.
     boresight
-        Small rotation between sensor and what the gimbal tells (3,), sensor axes, rad.
+        Small rotation between the sensor and the reported mounting (3,), sensor axes, rad.
     latency
-        By which a flash comes before the time that it is given, s.
+        Time of the true flash before the reported time, s.
     """
 
-    def __init__(self, figures: FlashLidar, rng: np.random.Generator) -> None:
-        f, drawn = figures, rng.standard_normal(5)
-        self.figures = figures
+    def __init__(self, params: FlashLidar, rng: np.random.Generator) -> None:
+        f, drawn = params, rng.standard_normal(5)
+        self.params = params
         self.range_bias = f.range_bias + f.range_sigma * float(drawn[0])
         self.boresight = f.boresight_sigma * drawn[1:4] + [f.boresight_off, 0.0, 0.0]
         self.latency = f.late + f.latency_sigma * float(drawn[4])
@@ -245,7 +253,7 @@ class BiasedLidar:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> LidarScan:
-        """Flash once; the lander is taken to have moved evenly over the latency."""
+        """Return one scan; the lander's motion is assumed constant over the latency."""
         told = DOWN if mount is None else mount
         aim = quat_to_matrix(quat_from_rotation_vector(self.boresight))
         turn = quat_from_rotation_vector(-self.latency * np.asarray(state.rate))
@@ -254,7 +262,7 @@ class BiasedLidar:
             position=state.position - self.latency * state.velocity,
             attitude=quat_multiply(state.attitude, turn),
         )
-        scan = self.figures.measure(world, then, time, rng, told @ aim)
-        # A range biased to below nothing is no return.
+        scan = self.params.measure(world, then, time, rng, told @ aim)
+        # A negative measured range is not a return.
         biased = scan.range + self.range_bias
         return replace(scan, range=np.where(biased > 0.0, biased, np.nan), mount=told)

@@ -1,4 +1,4 @@
-"""A camera that sets its own exposure."""
+"""A camera with automatic or commanded exposure."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 
 
 class MeteringCamera:
-    """A camera that sets the time of each picture by the one before, or as it is told.
+    """A camera that sets its exposure from the previous image, or as commanded.
 
     Parameters
     ----------
     camera
-        The camera, with the time of its first picture.
+        Camera with the exposure time of its first image.
     control
-        What it aims at; None: it does as commanded.
+        Settings of automatic exposure; None: commanded exposure.
     """
 
     def __init__(self, camera: Camera, control: ExposureControl | None) -> None:
@@ -32,7 +32,7 @@ class MeteringCamera:
         self.control = control
 
     def command(self, exposure: float, gain: float | None = None) -> None:
-        """Set time (s) and gain; from now on they stay.
+        """Fix exposure time (s) and gain, and end automatic exposure.
 
         Raises
         ------
@@ -51,7 +51,7 @@ class MeteringCamera:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> Picture:
-        """Take a picture with the gimbal at `mount` (3, 3), and set the time of the next."""
+        """Take an image with the gimbal at `mount` (3, 3), and set the next exposure time."""
         picture = self.camera.measure(world, state, time, rng, mount)
         if self.control is not None:
             exposure = self.control.after(picture.counts, self.camera.bits, self.camera.exposure)

@@ -1,4 +1,4 @@
-"""Fixes of a navigation system that is known by its error budget alone: truth plus errors."""
+"""Navigation fixes generated from an error budget: truth plus errors."""
 
 from __future__ import annotations
 
@@ -19,53 +19,59 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NavigationFixes:
-    """Fixes of position, velocity and attitude with errors of a known budget.
+    """Fixes of position, velocity and attitude with errors of a given budget.
 
     Attributes
     ----------
     position_bias
-        Constant offset of a flight from the map, m.
+        Offset of the position from the map, constant over a flight, m.
     position_drift, drift_time
-        Gauss-Markov drift after the start, m, and its time constant, s: nought at the first fix,
-        it grows to the stated deviation.
+        Gauss-Markov drift, m, and its time constant, s: zero at the first fix, it grows to the
+        stated standard deviation.
     velocity
         Gauss-Markov velocity error with the same time constant, m/s.
     attitude
-        Constant misalignment of a flight, rad.
+        Misalignment, constant over a flight, rad.
     """
 
-    position_bias: float = quantity(5.0, "m", ge=0, help="constant, 1 sigma an axis")
-    position_drift: float = quantity(0.1, "m", ge=0, help="Gauss-Markov, 1 sigma an axis")
-    drift_time: float = quantity(60.0, "s", gt=0, help="time constant of the drift")
-    velocity: float = quantity(0.02, "m/s", ge=0, help="Gauss-Markov, 1 sigma an axis")
-    attitude: float = quantity(0.03, "deg", ge=0, help="constant, 1 sigma an axis")
+    position_bias: float = quantity(
+        5.0, "m", ge=0, help="constant position error, 1 sigma per axis"
+    )
+    position_drift: float = quantity(
+        0.1, "m", ge=0, help="Gauss-Markov position error, 1 sigma per axis"
+    )
+    drift_time: float = quantity(60.0, "s", gt=0, help="time constant of the Gauss-Markov errors")
+    velocity: float = quantity(
+        0.02, "m/s", ge=0, help="Gauss-Markov velocity error, 1 sigma per axis"
+    )
+    attitude: float = quantity(0.03, "deg", ge=0, help="constant attitude error, 1 sigma per axis")
 
     gives: ClassVar[type] = NavigationFix
     tasked: ClassVar[bool] = False
 
-    def build(self, rng: np.random.Generator, step: float) -> FixInstrument:
+    def build(self, rng: np.random.Generator, step: float) -> NavigationFixSource:
         """Return the instrument of one flight."""
-        return FixInstrument(self, rng)
+        return NavigationFixSource(self, rng)
 
     def calibration(self) -> None:
-        """Return what the onboard computer may know of it: a fix carries its covariance."""
+        """Return None: every fix includes its covariance."""
 
     def __post_init__(self) -> None:
         check_bounds(self, "navigation")
 
 
-class FixInstrument:
-    """Gives the true state with errors of a known budget.
+class NavigationFixSource:
+    """Source of the true state with errors of a given budget.
 
-    The hazard map is drawn in the estimated frame, so the constant bias moves map and lander
-    together; the drift since a scan is what misplaces the touchdown on the map.
+    Hazard maps use the estimated frame, so that the constant bias displaces map and lander
+    together. Only the drift since a scan displaces the touchdown on the map.
 
     Parameters
     ----------
     budget
         Standard deviations of the errors.
     rng
-        Source of the constant errors of this flight; `measure` is to be given the same one.
+        Source of the constant errors of this flight; pass the same generator to `measure`.
     """
 
     def __init__(self, budget: NavigationFixes, rng: np.random.Generator) -> None:
@@ -74,8 +80,8 @@ class FixInstrument:
         self._misalignment = quat_from_rotation_vector(budget.attitude * rng.standard_normal(3))
         self._drift = np.zeros(3)
         self._velocity = budget.velocity * rng.standard_normal(3)
-        # Of the drift, as a share of what it grows to.
-        self._drifted = 0.0
+        # Variance of the drift over its final variance.
+        self._drift_variance_ratio = 0.0
         self._time: float | None = None
 
     def measure(
@@ -86,7 +92,7 @@ class FixInstrument:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> NavigationFix:
-        """Return truth plus error at `time`, which must not run backwards."""
+        """Return truth plus errors at `time`, which must not decrease between calls."""
         b = self.budget
         if self._time is not None and time > self._time:
             keep = np.exp(-(time - self._time) / b.drift_time)
@@ -94,7 +100,7 @@ class FixInstrument:
             noise = rng.standard_normal((2, 3))
             self._drift = keep * self._drift + b.position_drift * spread * noise[0]
             self._velocity = keep * self._velocity + b.velocity * spread * noise[1]
-            self._drifted = keep * keep * self._drifted + spread * spread
+            self._drift_variance_ratio = keep * keep * self._drift_variance_ratio + spread * spread
         self._time = time
         return NavigationFix(
             time,
@@ -106,5 +112,5 @@ class FixInstrument:
 
     def _covariance(self) -> Array:
         b = self.budget
-        position = b.position_bias**2 + b.position_drift**2 * self._drifted
+        position = b.position_bias**2 + b.position_drift**2 * self._drift_variance_ratio
         return np.diag(np.repeat([position, b.velocity**2, b.attitude**2], 3))

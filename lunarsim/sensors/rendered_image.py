@@ -1,4 +1,4 @@
-"""What the renderer gives."""
+"""Images produced by the renderer."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class RenderedImage:
-    """What a view shows.
+    """A rendered view.
 
     Attributes
     ----------
     radiance
         Radiance factor I/F (height, width), float32; 0 for the sky.
     range
-        Distance along the pixel's ray (height, width), m, NaN for the sky; None unless asked.
+        Distance along the pixel's ray (height, width), m; NaN for the sky; None unless requested.
     normal
-        Unit surface normal (height, width, 3), ENU, NaN for the sky; None unless asked.
+        Unit surface normal (height, width, 3), ENU; NaN for the sky; None unless requested.
     identity
-        Rock number (height, width), -1 for relief, -2 for the sky; None unless asked.
+        Index of the rock (height, width); -1 for relief, -2 for the sky; None unless requested.
     """
 
     radiance: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Doppler velocimeter: speed and slant range along several beams."""
+"""Doppler velocimeter: radial speed and slant range along several beams."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DopplerVelocimeter:
-    """Beams about straight down, evenly in azimuth.
+    """Beams on a cone around body -z, uniform in azimuth.
 
-    The defaults are those of a coherent Doppler lidar such as NASA's Navigation Doppler Lidar: a
-    few centimetres a second and a few metres from over five kilometres (Amzajerdian et al.,
+    The defaults are typical of a coherent Doppler lidar such as NASA's Navigation Doppler Lidar: a
+    few centimetres per second and a few metres from more than 5 km (Amzajerdian et al.,
     "Development of a coherent Doppler lidar for precision landing on planetary bodies", 2022).
 
     Attributes
     ----------
-    beams
-        How many.
-    cone
-        Angle of each from straight down, rad.
-    speed_noise
-        Standard deviation of a speed, m/s.
     speed_bias, speed_wander
-        Standard deviation of what each beam's speeds are off by at the start, m/s, and by how much
-        that wanders in a second, m/s: drawn for every flight, and stated in the calibration.
-    range_noise
-        Standard deviation of a range, m.
-    max_range
-        m.
-    max_incidence
-        Greatest angle between beam and surface normal with a return, rad.
+        Standard deviation of each beam's initial speed bias, m/s, and of its random walk after one
+        second, m/s: drawn for every flight, and stated in the calibration.
     """
 
-    beams: int = quantity(3, ge=3, le=8, help="evenly in azimuth, the first towards body x")
-    cone: float = quantity(22.5, "deg", gt=0, lt=80, help="of each beam from straight down")
-    speed_noise: float = quantity(0.03, "m/s", gt=0, help="1 sigma a beam")
+    beams: int = quantity(
+        3, ge=3, le=8, help="number of beams, uniform in azimuth, the first towards body x"
+    )
+    cone: float = quantity(22.5, "deg", gt=0, lt=80, help="angle of each beam from body -z")
+    speed_noise: float = quantity(0.03, "m/s", gt=0, help="speed noise per beam, 1 sigma")
     speed_bias: float = quantity(
-        0.02, "m/s", ge=0, lt=10, help="of a beam at the start, 1 sigma, drawn and stated"
+        0.02,
+        "m/s",
+        ge=0,
+        lt=10,
+        help="initial speed bias per beam, 1 sigma, stated in the calibration",
     )
     speed_wander: float = quantity(
-        0.005, "m/s", ge=0, lt=10, help="of that in a second, 1 sigma, drawn and stated"
+        0.005,
+        "m/s",
+        ge=0,
+        lt=10,
+        help="random walk of the speed bias in 1 s, 1 sigma, stated in the calibration",
     )
-    range_noise: float = quantity(2.0, "m", gt=0, help="1 sigma a beam")
-    max_range: float = quantity(5000.0, "m", gt=0, help="no return beyond")
-    max_incidence: float = quantity(75.0, "deg", gt=0, le=90, help="no return beyond")
+    range_noise: float = quantity(2.0, "m", gt=0, help="range noise per beam, 1 sigma")
+    max_range: float = quantity(5000.0, "m", gt=0, help="maximum range with a return")
+    max_incidence: float = quantity(
+        75.0, "deg", gt=0, le=90, help="maximum angle of beam and surface normal with a return"
+    )
 
     gives: ClassVar[type] = DopplerReading
     tasked: ClassVar[bool] = False
@@ -69,7 +69,7 @@ class DopplerVelocimeter:
         return BiasedVelocimeter(self, rng)
 
     def directions(self) -> Array:
-        """Return the beams' unit vectors (n, 3), body axes."""
+        """Return the unit vectors of the beams (n, 3), body axes."""
         azimuth = 2.0 * np.pi * np.arange(self.beams) / self.beams
         across, down = np.sin(self.cone), np.cos(self.cone)
         return np.column_stack(
@@ -77,7 +77,7 @@ class DopplerVelocimeter:
         )
 
     def calibration(self) -> FixedBeams:
-        """Return what the onboard computer may know of it."""
+        """Return what the onboard computer knows of the velocimeter."""
         beams = tuple((float(x), float(y), float(z)) for x, y, z in self.directions())
         return FixedBeams(beams, self.speed_bias, self.speed_wander)
 
@@ -89,7 +89,7 @@ class DopplerVelocimeter:
         rng: np.random.Generator,
         mount: Array | None = None,
     ) -> DopplerReading:
-        """Return one reading; noise is drawn whether or not there is a return."""
+        """Return one reading; random numbers are drawn even without a return."""
         noise = rng.standard_normal((2, self.beams))
         beams = quat_rotate(state.attitude, self.directions())
         hit = world.cast(state.position, beams, self.max_range)
@@ -107,24 +107,24 @@ class DopplerVelocimeter:
 
 
 class BiasedVelocimeter:
-    """A velocimeter with what its beams' speeds are off by over one flight.
+    """A velocimeter with the speed biases of one flight.
 
     Parameters
     ----------
-    figures
-        Of the velocimeter.
+    params
+        Parameters of the velocimeter.
     rng
         Source of its errors.
 
     Attributes
     ----------
     bias
-        Added to the speeds of each beam (n,) at the last reading, m/s; it goes a random walk.
+        Speed bias of each beam (n,) at the last reading, m/s; a random walk.
     """
 
-    def __init__(self, figures: DopplerVelocimeter, rng: np.random.Generator) -> None:
-        self.figures = figures
-        self.bias = figures.speed_bias * rng.standard_normal(figures.beams)
+    def __init__(self, params: DopplerVelocimeter, rng: np.random.Generator) -> None:
+        self.params = params
+        self.bias = params.speed_bias * rng.standard_normal(params.beams)
         self._time: float | None = None
 
     def measure(
@@ -136,9 +136,9 @@ class BiasedVelocimeter:
         mount: Array | None = None,
     ) -> DopplerReading:
         """Return one reading."""
-        reading = self.figures.measure(world, state, time, rng, mount)
+        reading = self.params.measure(world, state, time, rng, mount)
         past = 0.0 if self._time is None else time - self._time
         self._time = time
-        step = self.figures.speed_wander * np.sqrt(past)
-        self.bias = self.bias + step * rng.standard_normal(self.figures.beams)
+        step = self.params.speed_wander * np.sqrt(past)
+        self.bias = self.bias + step * rng.standard_normal(self.params.beams)
         return replace(reading, speed=reading.speed + self.bias)

@@ -1,6 +1,6 @@
-"""Compiled triangulation of a detector's returns: their own mesh, flipped until Delaunay.
+"""Compiled triangulation of a detector's returns by edge flips of their mesh.
 
-Half-edges and coordinates as in `_geometry_kernels`.
+Half-edges and coordinates are those of `_geometry_kernels`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
-    """Add triangles outside the mesh until its outline is convex; return the half-edges used.
+    """Add triangles until the outline is convex; return the half-edges used.
 
     `border[v]` is the half-edge of the outline that starts at vertex v, or -1.
     """
-    # Start at a point of the hull: it is never in a pocket, so going once around is enough.
+    # Start at a point of the hull: it is never in a pocket, so that one pass is sufficient.
     start = 0
     for v in range(x.size):
         if x[v] < x[start] or (x[v] == x[start] and y[v] < y[start]):
@@ -60,7 +60,7 @@ def _fill_pockets(x, y, rows, cols, vertex, twin, used, border):
 @kernel()
 def _previous_on_outline(vertex, twin, e):
     """Return the vertex before the start of outline half-edge e."""
-    # Turn about the start of e until the next edge without a twin.
+    # Rotate about the start of e until the next edge without a twin.
     f = next_edge(next_edge(e))
     while twin[f] >= 0:
         f = next_edge(next_edge(twin[f]))
@@ -69,7 +69,7 @@ def _previous_on_outline(vertex, twin, e):
 
 @kernel()
 def _runs_forward(x, y, first, step, count):
-    """Tell whether every edge along a side of the mesh points towards its far end."""
+    """Return whether every edge along a mesh side points towards its end."""
     last = first + step * (count - 1)
     ux = x[last] - x[first]
     uy = y[last] - y[first]
@@ -81,14 +81,14 @@ def _runs_forward(x, y, first, step, count):
 
 @kernel(inline=True)
 def _pair(twin, e, f):
-    """Make two half-edges each other's twin."""
+    """Link two half-edges as twins."""
     twin[e] = f
     twin[f] = e
 
 
 @kernel(inline=True)
 def _which_diagonal(x, y, a, b, c, d):
-    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either leaves a triangle inverted."""
+    """Return 1 to cut quad abcd along ac, 2 along bd, 0 if either is inverted."""
     abc = orient(x[a], y[a], x[b], y[b], x[c], y[c])
     acd = orient(x[a], y[a], x[c], y[c], x[d], y[d])
     abd = orient(x[a], y[a], x[b], y[b], x[d], y[d])
@@ -105,9 +105,9 @@ def _which_diagonal(x, y, a, b, c, d):
 
 @kernel(inline=True)
 def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
-    """Write the triangles of a quad from half-edge t on; return its east, north and west sides.
+    """Write the triangles of a quad; return its east, north and west sides.
 
-    The south side is half-edge t itself.
+    The south side is half-edge t.
     """
     vertex[t] = a
     vertex[t + 1] = b
@@ -127,8 +127,8 @@ def _cut_quad(t, a, b, c, d, diagonal, vertex, twin):
 
 @kernel()
 def _cut_quads(x, y, rows, cols, vertex, twin):
-    """Write two triangles for each quad of a detector's mesh; tell whether none is folded over."""
-    south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads of the row below
+    """Write two triangles for each quad of the mesh; return if none is folded."""
+    south = np.empty(cols - 1, np.int64)  # upper half-edges of the quads in the previous row
     for i in range(rows - 1):
         west = -1
         for j in range(cols - 1):
@@ -152,7 +152,7 @@ def _cut_quads(x, y, rows, cols, vertex, twin):
 
 @kernel()
 def flip_mesh(points, rows, cols):
-    """Return the Delaunay triangles of a detector's mesh, or none if the mesh folds over."""
+    """Return the Delaunay triangles of a detector's mesh; none if it folds over."""
     n = rows * cols
     nothing = np.empty((0, 3), np.int64)
     x = points[:, 0].copy()

@@ -1,9 +1,9 @@
 """Compiled geometry of a triangulation on integer coordinates below 2**25.
 
-Triangles are half-edges: triangle t owns half-edges 3 t, 3 t + 1, 3 t + 2; `vertex[e]` is where
-half-edge e starts, `twin[e]` the half-edge on its other side (-1 for none). The in-circle test
-multiplies 52-bit minors with 52-bit lifts; where a float64 filter cannot tell the sign the sum
-is done in three 64-bit limbs, exactly.
+Triangles are half-edges: triangle t has half-edges 3 t, 3 t + 1, 3 t + 2; half-edge e starts at
+`vertex[e]`, and `twin[e]` is the half-edge on its other side (-1 for none). The in-circle test
+multiplies 52-bit minors with 52-bit lifts; if a float64 filter cannot determine the sign, the sum
+is computed exactly in three 64-bit limbs.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _exact_sign(m0, l0, m1, l1, m2, l2):
 
 @kernel()
 def in_circle(ax, ay, bx, by, cx, cy, px, py):
-    """Return 1 if p lies inside the circle through the counter-clockwise a, b, c, 0 on it."""
+    """Return 1 if p is inside the circle through a, b, c (CCW), 0 on it."""
     ax -= px
     ay -= py
     bx -= px

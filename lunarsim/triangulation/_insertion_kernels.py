@@ -1,6 +1,6 @@
-"""Compiled triangulation of any points: one after the other, along a Hilbert curve.
+"""Compiled triangulation of arbitrary points by insertion along a Hilbert curve.
 
-Half-edges and coordinates as in `_geometry_kernels`.
+Half-edges and coordinates are those of `_geometry_kernels`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from lunarsim.triangulation._geometry_kernels import in_circle, next_edge, orien
 
 @kernel()
 def hilbert_keys(points, bits):
-    """Return the place of every point along a Hilbert curve of 2**bits steps a side."""
+    """Return the position of every point along a Hilbert curve."""
     out = np.empty(points.shape[0], np.int64)
     for n in range(points.shape[0]):
         x = points[n, 0]
@@ -34,7 +34,7 @@ def hilbert_keys(points, bits):
 
 @kernel()
 def _conflicts(t, vertex, x, y, ghost, px, py):
-    """Tell whether point p destroys triangle t: inside its circle, or outside its hull edge."""
+    """Return whether point p destroys triangle t."""
     a = vertex[3 * t]
     b = vertex[3 * t + 1]
     c = vertex[3 * t + 2]
@@ -50,7 +50,7 @@ def _conflicts(t, vertex, x, y, ghost, px, py):
 
 @kernel()
 def _first_triangle(x, y, order):
-    """Return two points and the first that is not on their line, counter-clockwise; or -1s."""
+    """Return three non-collinear points, counter-clockwise; -1 if there are none."""
     first = order[0]
     second = order[1] if order.size > 1 else -1
     third = -1
@@ -68,7 +68,7 @@ def _first_triangle(x, y, order):
 
 @kernel()
 def _surround_by_ghosts(corner, ghost, vertex, twin):
-    """Write the first triangle and a ghost outside each of its edges."""
+    """Write the first triangle and a ghost triangle outside each of its edges."""
     for e in range(3):
         vertex[e] = corner[e]
         t = e + 1  # ghost outside half-edge e
@@ -77,14 +77,14 @@ def _surround_by_ghosts(corner, ghost, vertex, twin):
         vertex[3 * t + 2] = ghost
         twin[e] = 3 * t
         twin[3 * t] = e
-        # The ghost after this one around the hull starts where this one ends.
+        # The next ghost around the hull starts where this one ends.
         twin[3 * t + 1] = 3 * ((e + 2) % 3 + 1) + 2
         twin[3 * ((e + 2) % 3 + 1) + 2] = 3 * t + 1
 
 
 @kernel(inline=True)
 def _walk_to(px, py, t, x, y, ghost, vertex, twin):
-    """Walk from triangle t to one that point p destroys."""
+    """Walk from triangle t to a triangle that point p destroys."""
     if vertex[3 * t + 2] == ghost:
         t = twin[3 * t] // 3
     came = -1
@@ -106,10 +106,10 @@ def _walk_to(px, py, t, x, y, ghost, vertex, twin):
 
 @kernel(inline=True)
 def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim):
-    """List all triangles that point p destroys, t among them, and the rim of the hole.
+    """List all triangles that p destroys, including t, and the cavity's rim.
 
-    The rim is made of the half-edges outside. Returns the number of triangles and of half-edges;
-    the marks are wiped again.
+    The rim consists of the half-edges outside. Returns the numbers of triangles and of half-edges;
+    the marks are cleared.
     """
     top = 1
     stack[0] = t
@@ -139,7 +139,7 @@ def _dig_cavity(px, py, t, x, y, ghost, vertex, twin, marked, stack, cavity, rim
 
 @kernel(inline=True)
 def _write_fan_triangle(t, a, b, p, ghost, vertex):
-    """Write triangle a, b, p, a ghost vertex last; return its half-edge from a to b."""
+    """Write triangle a, b, p, ghost vertex last; return its half-edge a to b."""
     if a == ghost:
         vertex[3 * t] = b
         vertex[3 * t + 1] = p
@@ -158,9 +158,9 @@ def _write_fan_triangle(t, a, b, p, ghost, vertex):
 
 @kernel(inline=True)
 def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
-    """Fill the hole by a fan from p over its rim; return the last triangle and their number.
+    """Fill the cavity by a fan from p; return last triangle and new total.
 
-    Old triangles' places are used again. `fan` is room for the new half-edge that starts at each
+    Indices of destroyed triangles are reused. `fan` stores the new half-edge that starts at each
     vertex of the rim.
     """
     t = count
@@ -190,7 +190,7 @@ def _fill_by_fan(p, holes, edges, count, ghost, vertex, twin, cavity, rim, fan):
 
 @kernel()
 def _without_ghosts(vertex, count, ghost):
-    """Return the triangles (m, 3) of `count` that have no ghost vertex."""
+    """Return the triangles (m, 3) of the first `count` without ghost vertex."""
     out = np.empty((count, 3), np.int64)
     kept = 0
     for t in range(count):
@@ -203,9 +203,9 @@ def _without_ghosts(vertex, count, ghost):
 
 @kernel()
 def insert_all(points, order):
-    """Return the Delaunay triangles (m, 3) of distinct points, inserted in the given order.
+    """Return the Delaunay triangles (m, 3) of distinct points in given order.
 
-    A ghost triangle keeps its ghost vertex last, so its half-edge 0 is the hull edge seen from
+    A ghost triangle has its ghost vertex last, so that its half-edge 0 is the hull edge seen from
     outside.
     """
     n = points.shape[0]

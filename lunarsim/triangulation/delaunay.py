@@ -1,10 +1,10 @@
-"""Delaunay triangulation: of any points, and faster of a detector's returns in their order.
+"""Delaunay triangulation of points, and faster of a detector's returns.
 
 Coordinates are rounded to 2**-25 of their extent (3 micrometres over 100 m) and become integers.
-On integers orientation and in-circle tests are exact, so the result is the Delaunay triangulation
-of the rounded points whatever their arrangement, and does not depend on the machine. Where more
-than three points lie on one empty circle any triangulation of them is Delaunay; which one comes
-out depends on their order alone.
+Orientation and in-circle tests are exact for integers, so that the result is the Delaunay
+triangulation of the rounded points in any arrangement, and does not depend on the machine. If more
+than three points lie on one empty circle, every triangulation of them is Delaunay; which one is
+returned depends only on their order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lunarsim.triangulation._flip_kernels import flip_mesh
 from lunarsim.triangulation._insertion_kernels import hilbert_keys, insert_all
 
 _BITS = 25
-# Outside of these, steps of the grid of integers are no normal numbers.
+# Outside these limits, steps of the integer grid are not normal floating-point numbers.
 _MIN_EXTENT, _MAX_EXTENT = 1e-290, 1e290
 
 IntArray = NDArray[np.int64]
@@ -25,9 +25,9 @@ IntArray = NDArray[np.int64]
 def _to_integers(xy: ArrayLike) -> IntArray:
     points = np.asarray(xy, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError(f"xy has shape {points.shape}: must be (n, 2)")
+        raise ValueError(f"xy must have the shape (n, 2), got {points.shape}.")
     if not np.isfinite(points).all():
-        raise ValueError("xy holds NaN or infinity: leave such points out")
+        raise ValueError("xy must not contain NaN or infinity. Remove such points.")
     if len(points) == 0:
         return np.zeros((0, 2), np.int64)
     low, high = (np.array([f(column) for column in points.T.copy()]) for f in (np.min, np.max))
@@ -35,33 +35,33 @@ def _to_integers(xy: ArrayLike) -> IntArray:
         extent = float((high - low).max())
     if extent > 0.0 and not _MIN_EXTENT <= extent <= _MAX_EXTENT:
         raise ValueError(
-            f"xy extends over {extent:g}: must be 0, or {_MIN_EXTENT:g} to {_MAX_EXTENT:g}"
+            f"xy must have an extent of 0, or {_MIN_EXTENT:g} to {_MAX_EXTENT:g}, got {extent:g}."
         )
-    # A power of two keeps coordinates that are already multiples of one exact.
+    # A power of two, so that coordinates that are already multiples of one stay exact.
     scale = 2.0 ** (_BITS - 1 - np.frexp(extent)[1]) if extent > 0.0 else 1.0
     return np.asarray(np.rint((points - low) * scale), dtype=np.int64)
 
 
 def delaunay(xy: ArrayLike) -> IntArray:
-    """Triangulate points.
+    """Triangulate points by incremental insertion.
 
-    Incremental insertion along a Hilbert curve (Bowyer 1981, Watson 1981), with the outside of the
-    hull as ghost triangles.
+    Points are inserted along a Hilbert curve (Bowyer 1981, Watson 1981); ghost triangles represent
+    the outside of the hull.
 
     Parameters
     ----------
     xy
-        Points (n, 2). Of points that coincide after rounding the first is used.
+        Points (n, 2). Of points that coincide after rounding, the first is used.
 
     Returns
     -------
     triangles
-        Indices into `xy` (m, 3), counter-clockwise; none if all points lie on one line.
+        Indices into `xy` (m, 3), counter-clockwise; empty if all points are collinear.
 
     Raises
     ------
     ValueError
-        If the array is not (n, 2), holds NaN or infinity, or extends too far or too little.
+        If the array is not (n, 2), contains NaN or infinity, or its extent is out of range.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def delaunay(xy: ArrayLike) -> IntArray:
         return np.zeros((0, 3), np.int64)
     key = hilbert_keys(points, _BITS)
     order = np.argsort(key, kind="stable")
-    # Along the curve coincident points are neighbours.
+    # Coincident points are adjacent along the curve.
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = key[order][1:] != key[order][:-1]
     order = order[fresh]
@@ -83,9 +83,9 @@ def delaunay(xy: ArrayLike) -> IntArray:
 def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
     """Triangulate the returns of a detector, given row by row.
 
-    The detector's own mesh is a triangulation already, unless the ground hides part of itself;
-    edges are flipped until it is Delaunay (Lawson 1977). Where that mesh folds over, or a return
-    is missing, `delaunay` does the work.
+    The detector's own mesh is already a triangulation, unless terrain occludes other terrain; edges
+    are flipped until it is Delaunay (Lawson 1977). If the mesh folds over, or a return is missing,
+    `delaunay` is used.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ def delaunay_of_image(xy: ArrayLike, shape: tuple[int, int]) -> IntArray:
     Raises
     ------
     ValueError
-        If the number of points is not rows * cols, or one is infinite.
+        If the number of points is not rows * cols, or a point is infinite.
     """
     points = np.asarray(xy, dtype=np.float64)
     rows, cols = shape
     if points.shape != (rows * cols, 2):
-        raise ValueError(f"xy has shape {points.shape}: must be ({rows * cols}, 2)")
+        raise ValueError(f"xy must have the shape ({rows * cols}, 2), got {points.shape}.")
     seen = ~np.isnan(points).any(axis=1)
     if seen.all() and rows > 1 and cols > 1:
         triangles = np.asarray(flip_mesh(_to_integers(points), rows, cols))

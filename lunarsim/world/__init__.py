@@ -1,4 +1,4 @@
-"""What is true: the ground, the light on it, gravity; truth as maps; surveys made of it."""
+"""True environment: terrain, illumination, gravity, truth maps and prior surveys."""
 
 from lunarsim.world.light import Light
 from lunarsim.world.world import World

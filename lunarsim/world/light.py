@@ -1,4 +1,4 @@
-"""The Sun and the Earth, and how the ground reflects their light."""
+"""Illumination by Sun and Earth, and reflection by the terrain."""
 
 from __future__ import annotations
 
@@ -17,97 +17,121 @@ from lunarsim.world.photometry import Hapke, hapke_of_albedo, lambert, lunar_lam
 Array = NDArray[np.float64]
 
 
-# The Sun as it is seen from one astronomical unit, rad.
+# Apparent diameter at one astronomical unit, rad.
 SUN_DIAMETER = float(np.radians(0.533))
-# Full Earth: geometric albedo 0.434 (NASA's Earth fact sheet) times (6371 km / 384,400 km)^2.
+# Full Earth: geometric albedo 0.434 (NASA Earth fact sheet) times (6371 km / 384,400 km)^2.
 FULL_EARTH = 0.434 * (6371.0 / 384_400.0) ** 2
 
 
 @dataclass(frozen=True)
 class Light:
-    """The Sun, the Earth, and how the ground reflects them.
+    """Sun, Earth and the photometry of the terrain.
 
-    With the defaults the Sun is a point, the ground of one brightness, and a shadow black.
+    With the defaults the Sun is a point, the albedo is uniform, and shadows are black.
 
     Attributes
     ----------
     azimuth, elevation
-        Of the Sun, rad; below the horizon nothing but `ambient` and Earthshine are left.
+        Direction of the Sun, rad; below the horizon only `ambient` and earthshine remain.
     albedo
-        Normal albedo: I/F when lit and seen from above. 0.12 is a bright mare.
+        Normal albedo: I/F when lit and viewed from above. 0.12 is a bright mare.
     ambient
-        Radiance factor of a shadowed surface over its albedo, the same everywhere.
+        I/F of a shadowed surface over its albedo, uniform.
     photometry
         "lambert", "lunar-lambert" (McEwen 1991) or "hapke" (`lunarsim.world.photometry.Hapke`).
     hapke_b, hapke_c, hapke_surge, hapke_surge_width, hapke_roughness
-        What Hapke's law takes besides the albedo. b and c of the maria and the roughness after Sato
-        et al. (2014); the surge is the whole Moon's after Helfenstein and Veverka (1987), Icarus
-        72, 342-357.
+        Parameters of Hapke's model besides the albedo. b and c of the maria and the roughness are
+        from Sato et al. (2014); the surge is the mean of the Moon, from Helfenstein and Veverka
+        (1987), Icarus 72, 342-357.
     diameter
-        Apparent, of the Sun, rad; 0: a point. From the Moon it is `SUN_DIAMETER`, 0.533 deg.
+        Apparent diameter of the Sun, rad; 0: a point. From the Moon: `SUN_DIAMETER`, 0.533 deg.
     scattered
-        Whether the lit ground lights what it sees of the rest, once.
+        Whether lit terrain illuminates other terrain (one reflection).
     earthshine
-        The Earth's irradiance over the Sun's; `FULL_EARTH`, 1.2e-4, is a full Earth.
+        Irradiance from the Earth over that from the Sun; `FULL_EARTH`, 1.2e-4, for a full Earth.
     earth_azimuth, earth_elevation
-        Of the Earth, rad.
+        Direction of the Earth, rad.
     mottle
-        Standard deviation of the ground's albedo over its mean.
+        Standard deviation of the terrain's albedo over its mean.
     mottle_length
-        Distance at which the correlation of two places is exp(-1), m.
+        Distance at which the correlation of the albedo is exp(-1), m.
     boulder_albedo, boulder_mottle
-        Mean albedo of rocks over the ground's, and its standard deviation over that mean.
+        Mean albedo of rocks over that of the terrain, and its standard deviation over that mean.
     mottle_seed
-        Of the field of mottles; drawn anew for every flight.
+        Seed of the albedo variation; drawn for every flight.
     """
 
-    azimuth: float = quantity(270.0, "deg", help="of the Sun, clockwise from north")
-    elevation: float = quantity(20.0, "deg", ge=-90, le=90, help="of the Sun above the horizon")
-    albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo")
-    ambient: float = quantity(0.0, ge=0, le=1, help="I/F of shadows over the albedo")
+    azimuth: float = quantity(270.0, "deg", help="azimuth of the Sun, clockwise from north")
+    elevation: float = quantity(
+        20.0, "deg", ge=-90, le=90, help="elevation of the Sun above the horizon"
+    )
+    albedo: float = quantity(0.12, gt=0, le=1, help="normal albedo of the terrain")
+    ambient: float = quantity(0.0, ge=0, le=1, help="I/F of shadows divided by the albedo")
     photometry: Literal["lambert", "lunar-lambert", "hapke"] = quantity(
-        "lunar-lambert", help="how the ground reflects"
+        "lunar-lambert", help="reflection model of the terrain"
     )
     hapke_b: float = quantity(0.26, ge=0, le=0.9, help="width of the phase function's lobes")
-    hapke_c: float = quantity(0.08, ge=-1, le=1, help="backward lobe over the forward one")
-    hapke_surge: float = quantity(2.01, ge=0, le=5, help="opposition surge B0")
-    hapke_surge_width: float = quantity(0.07, gt=0, le=1, help="its angular width h")
-    hapke_roughness: float = quantity(23.4, "deg", ge=1, le=45, help="mean slope below a pixel")
-    diameter: float = quantity(0.0, "deg", ge=0, le=2, help="of the Sun's disc; 0: a point")
-    scattered: bool = quantity(False, help="whether lit ground lights the rest")
-    earthshine: float = quantity(0.0, ge=0, le=1e-3, help="Earth's light over the Sun's")
-    earth_azimuth: float = quantity(0.0, "deg", help="of the Earth, clockwise from north")
-    earth_elevation: float = quantity(60.0, "deg", ge=-90, le=90, help="of the Earth")
-    mottle: float = quantity(0.0, ge=0, le=0.3, help="spread of the ground's albedo, 1 sigma")
-    mottle_length: float = quantity(5.0, "m", ge=0.1, le=100, help="its correlation length")
-    boulder_albedo: float = quantity(1.0, ge=0.2, le=4, help="of rocks over the ground's")
-    boulder_mottle: float = quantity(0.0, ge=0, le=0.5, help="spread among rocks, 1 sigma")
+    hapke_c: float = quantity(
+        0.08, ge=-1, le=1, help="excess of the phase function's backward lobe over the forward one"
+    )
+    hapke_surge: float = quantity(2.01, ge=0, le=5, help="amplitude B0 of the opposition surge")
+    hapke_surge_width: float = quantity(
+        0.07, gt=0, le=1, help="angular width h of the opposition surge"
+    )
+    hapke_roughness: float = quantity(
+        23.4, "deg", ge=1, le=45, help="mean slope below the image resolution"
+    )
+    diameter: float = quantity(
+        0.0, "deg", ge=0, le=2, help="apparent diameter of the Sun; 0: a point source"
+    )
+    scattered: bool = quantity(False, help="whether lit terrain illuminates other terrain")
+    earthshine: float = quantity(
+        0.0, ge=0, le=1e-3, help="irradiance from the Earth over that from the Sun"
+    )
+    earth_azimuth: float = quantity(0.0, "deg", help="azimuth of the Earth, clockwise from north")
+    earth_elevation: float = quantity(
+        60.0, "deg", ge=-90, le=90, help="elevation of the Earth above the horizon"
+    )
+    mottle: float = quantity(
+        0.0, ge=0, le=0.3, help="relative variation of the terrain's albedo, 1 sigma"
+    )
+    mottle_length: float = quantity(
+        5.0, "m", ge=0.1, le=100, help="correlation length of the albedo variation"
+    )
+    boulder_albedo: float = quantity(
+        1.0, ge=0.2, le=4, help="mean albedo of rocks over that of the terrain"
+    )
+    boulder_mottle: float = quantity(
+        0.0, ge=0, le=0.5, help="relative variation of albedo among rocks, 1 sigma"
+    )
     mottle_seed: int = hidden(0)
 
     def __post_init__(self) -> None:
         check_bounds(self, "sun")
         if self.photometry not in ("lambert", "lunar-lambert", "hapke"):
-            raise InputError("sun.photometry", self.photometry, "lambert, lunar-lambert or hapke")
+            raise InputError(
+                "sun.photometry", self.photometry, "must be lambert, lunar-lambert or hapke"
+            )
         if self.photometry == "hapke":
             self.hapke()
 
     @property
     def direction(self) -> Array:
-        """Unit vector towards the Sun (3,), ENU."""
+        """Unit vector to the Sun (3,), ENU."""
         return direction_from_angles(self.azimuth, self.elevation)
 
     @property
     def earth(self) -> Array:
-        """Unit vector towards the Earth (3,), ENU."""
+        """Unit vector to the Earth (3,), ENU."""
         return direction_from_angles(self.earth_azimuth, self.earth_elevation)
 
     def hapke(self) -> Hapke:
-        """Return Hapke's law for this ground.
+        """Return Hapke's model with the normal albedo of this terrain.
 
         Raises
         ------
         InputError
-            If no grain is white enough for the albedo.
+            If no single-scattering albedo gives the normal albedo.
         """
         return hapke_of_albedo(
             self.albedo, self.hapke_b, self.hapke_c, self.hapke_surge, self.hapke_surge_width,
@@ -116,23 +140,25 @@ class Light:
 
     @property
     def diffuse_albedo(self) -> float:
-        """I/F of ground that is lit evenly from all sides, over that light's irradiance."""
-        return float(_hemispheric(self._law)[1])
+        """I/F under uniform diffuse illumination, over its irradiance."""
+        return float(_hemispheric(self._photometry_key)[1])
 
     def hemispheric_albedo(self, mu0: ArrayLike) -> Array:
-        """Return the share of light at cosines of incidence `mu0` that leaves the ground."""
-        return np.asarray(np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._law)[0]))
+        """Return the hemispherical albedo at cosines of incidence `mu0`."""
+        return np.asarray(
+            np.interp(np.asarray(mu0, float), _COSINES, _hemispheric(self._photometry_key)[0])
+        )
 
     @property
-    def _law(self) -> Light:
-        """The same ground under a Sun of no matter where: the key to what hangs on the law."""
+    def _photometry_key(self) -> Light:
+        """Same photometry with a fixed Sun, as cache key."""
         return Light(
             0.0, 0.5, self.albedo, 0.0, self.photometry, self.hapke_b, self.hapke_c,
             self.hapke_surge, self.hapke_surge_width, self.hapke_roughness,
         )  # fmt: skip
 
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-        """Return I/F of sunlit ground of mean albedo; see `lunarsim.world.photometry`."""
+        """Return I/F of sunlit terrain of mean albedo from cosines of the angles."""
         if self.photometry == "lambert":
             return lambert(self.albedo, mu0) + 0.0 * np.asarray(mu)
         if self.photometry == "lunar-lambert":
@@ -140,13 +166,13 @@ class Light:
         return self.hapke().radiance_factor(mu0, mu, cos_phase)
 
 
-# Cosines of incidence at which hemispherical albedos are kept.
+# Cosines of incidence at which hemispherical albedos are tabulated.
 _COSINES = np.linspace(0.01, 1.0, 34)
 
 
 @lru_cache(maxsize=16)
 def _hemispheric(law: Light) -> tuple[Array, float]:
-    """Return the hemispherical albedo at `_COSINES`, and its mean under light from all sides."""
+    """Return the hemispherical albedo at `_COSINES` and its mean under diffuse light."""
     mu, weight = np.polynomial.legendre.leggauss(24)
     mu, weight = 0.5 * (mu + 1.0), 0.5 * weight
     psi = np.pi * (np.arange(24) + 0.5) / 24

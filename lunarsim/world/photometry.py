@@ -1,8 +1,7 @@
-"""How ground reflects sunlight: radiance factors I/F of three laws.
+"""Reflection of sunlight by terrain: radiance factors I/F of three models.
 
-Angles come as cosines: of incidence `mu0`, of emission `mu` and of the phase angle. I/F is pi times
-the radiance over the Sun's irradiance on a surface that faces it; it is that of a Lambert surface
-of the same brightness, seen and lit from above.
+Angles are given as cosines: of incidence `mu0`, of emission `mu` and of the phase angle. I/F is pi
+times the radiance divided by the solar irradiance on a surface that faces the Sun.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
-_LEAST = 1e-6
+_MIN_COSINE = 1e-6
 
 
 def lambert(albedo: float, mu0: ArrayLike) -> Array:
-    """Return I/F of a surface that is as bright from everywhere.
+    """Return I/F of a Lambert surface.
 
     Examples
     --------
@@ -33,7 +32,9 @@ def lambert(albedo: float, mu0: ArrayLike) -> Array:
 
 
 def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-    """Return I/F after McEwen (1991), Icarus 92, 298-311; his polynomial in the phase angle.
+    """Return I/F of the lunar-Lambert model with McEwen's phase polynomial.
+
+    Source: McEwen (1991), Icarus 92, 298-311.
 
     Examples
     --------
@@ -48,24 +49,25 @@ def lunar_lambert(albedo: float, mu0: ArrayLike, mu: ArrayLike, cos_phase: Array
 
 @dataclass(frozen=True)
 class Hapke:
-    """Hapke's law with shadow-hiding opposition surge and macroscopic roughness.
+    """Hapke's model with shadow-hiding opposition surge and macroscopic roughness.
 
     I/F = w/4 mu0e / (mu0e + mue) [p(g) (1 + B(g)) + H(mu0e) H(mue) - 1] S(i, e, psi): Hapke (2012),
     Theory of Reflectance and Emittance Spectroscopy, 2nd ed.; H as in Hapke (2002), Icarus 157,
-    523-534, Eq. 13; roughness as in Hapke (1984), Icarus 59, 41-59. No coherent backscatter, and
-    a porosity factor of 1, as in the maps of Sato et al. (2014), JGR Planets 119, 1775-1805.
+    523-534, Eq. 13; roughness as in Hapke (1984), Icarus 59, 41-59. Coherent backscatter is not
+    modelled, and the porosity factor is 1, as in Sato et al. (2014), JGR Planets 119, 1775-1805.
 
     Attributes
     ----------
     w
         Single-scattering albedo.
     b, c
-        Width of the lobes of the double Henyey-Greenstein phase function, and what the backward
-        one has more than the forward one.
+        Width of the lobes of the double Henyey-Greenstein phase function, and excess of the
+        backward lobe over the forward one.
     surge, surge_width
-        B0, and h, the tangent of half the phase angle at which the surge is half of it.
+        Amplitude B0 and width h of the surge; h is the tangent of half the phase angle at which
+        the surge is B0 / 2.
     roughness
-        Mean slope of what is too small to be seen, rad; more than 0.
+        Mean slope below the image resolution, rad; more than 0.
     """
 
     w: float
@@ -76,13 +78,13 @@ class Hapke:
     roughness: float
 
     def radiance_factor(self, mu0: ArrayLike, mu: ArrayLike, cos_phase: ArrayLike) -> Array:
-        """Return I/F; 0 where the surface is turned away from the Sun."""
+        """Return I/F; 0 where the surface faces away from the Sun."""
         mu0, mu, cos_g = np.broadcast_arrays(
             np.asarray(mu0, float), np.asarray(mu, float), np.asarray(cos_phase, float)
         )
         lit = mu0 > 0.0
-        low, eye = np.asarray(np.maximum(mu0, _LEAST)), np.asarray(np.maximum(mu, 1e-4))
-        mu0_rough, mu_rough, shadow = self._rough(low, eye, cos_g)
+        low, eye = np.asarray(np.maximum(mu0, _MIN_COSINE)), np.asarray(np.maximum(mu, 1e-4))
+        mu0_rough, mu_rough, shadow = self._roughness_correction(low, eye, cos_g)
         single = self._phase_function(cos_g) * (1.0 + self._surge(cos_g))
         several = self._h(mu0_rough) * self._h(mu_rough) - 1.0
         out = 0.25 * self.w * mu0_rough / (mu0_rough + mu_rough) * (single + several) * shadow
@@ -95,7 +97,7 @@ class Hapke:
         return np.asarray(0.5 * ((1.0 + self.c) * back + (1.0 - self.c) * forth))
 
     def _surge(self, cos_g: Array) -> Array:
-        half = np.sqrt((1.0 - np.minimum(cos_g, 1.0)) / np.maximum(1.0 + cos_g, _LEAST))
+        half = np.sqrt((1.0 - np.minimum(cos_g, 1.0)) / np.maximum(1.0 + cos_g, _MIN_COSINE))
         return np.asarray(self.surge / (1.0 + half / self.surge_width))
 
     def _h(self, x: Array) -> Array:
@@ -105,8 +107,10 @@ class Hapke:
             1.0 / (1.0 - self.w * x * (r + 0.5 * (1.0 - 2.0 * r * x) * np.log((1.0 + x) / x)))
         )
 
-    def _rough(self, mu0: Array, mu: Array, cos_g: Array) -> tuple[Array, Array, Array]:
-        """Return effective cosines of incidence and emission, and the share S."""
+    def _roughness_correction(
+        self, mu0: Array, mu: Array, cos_g: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return effective cosines of incidence and emission, and the function S."""
         tangent = np.tan(self.roughness)
         chi = 1.0 / np.sqrt(1.0 + np.pi * tangent**2)
         sin0, sin = (np.sqrt(np.maximum(1.0 - m * m, 1e-9)) for m in (mu0, mu))
@@ -120,8 +124,8 @@ class Hapke:
         second0, second = (
             np.exp(-((m / (s * tangent)) ** 2) / np.pi) for m, s in ((mu0, sin0), (mu, sin))
         )
-        low = mu0 >= mu  # the Sun stands higher than the eye
-        # The far one of the two directions rules both corrections.
+        low = mu0 >= mu  # the Sun is higher than the viewer
+        # The lower of the two directions determines both corrections.
         e1_far, e1_near = np.where(low, first, first0), np.where(low, first0, first)
         e2_far, e2_near = np.where(low, second, second0), np.where(low, second0, second)
         below = 2.0 - e1_far - psi / np.pi * e1_near
@@ -140,22 +144,24 @@ class Hapke:
 def hapke_of_albedo(
     albedo: float, b: float, c: float, surge: float, surge_width: float, roughness: float
 ) -> Hapke:
-    """Return the law whose I/F is `albedo` when lit and seen from above: w is found for it.
+    """Return Hapke's model whose normal albedo is `albedo`, by solving for w.
 
     Raises
     ------
     InputError
-        If no grain is white enough for it.
+        If no single-scattering albedo w gives it.
     """
     if not 0.0 <= albedo <= 1.0:
-        raise InputError("sun.albedo", albedo, "from 0 to 1")
+        raise InputError("sun.albedo", albedo, "must be from 0 to 1")
 
     def excess(w: float) -> float:
         law = Hapke(w, b, c, surge, surge_width, roughness)
         return float(law.radiance_factor(1.0, 1.0, 1.0)) - albedo
 
     if excess(1.0 - 1e-9) < 0.0:
-        most = albedo + excess(1.0 - 1e-9)
-        raise InputError("sun.albedo", albedo, f"at most {most:.3f} with this phase function")
+        max_albedo = albedo + excess(1.0 - 1e-9)
+        raise InputError(
+            "sun.albedo", albedo, f"must be at most {max_albedo:.3f} with this phase function"
+        )
     w = brentq(excess, 0.0, 1.0 - 1e-9, xtol=1e-12)
     return Hapke(float(w), b, c, surge, surge_width, roughness)

@@ -1,8 +1,8 @@
-"""Ground beyond the map: coarser levels about it, and a sphere beyond those.
+"""Terrain beyond the map: coarser fractal or measured levels on a spherical Moon.
 
-A place is named by its way over the sphere, east and north of the map's origin. Each level fades
-out towards its edge, and the map's edge is carried on into the level about it, so that height over
-the sphere has no step anywhere. Levels are built when something first looks at them.
+A point is located by its arc east and north of the map's origin on the sphere. Each level fades
+out towards its edge, and heights at the map's edge blend into the surrounding level, so that the
+height above the sphere is continuous. A level is built when it is first needed.
 """
 
 from __future__ import annotations
@@ -25,49 +25,41 @@ from lunarsim.world.terrain import Heightfield, RayHits, Terrain, fractal_relief
 
 Array = NDArray[np.float64]
 
-_MOST_POSTS = 4_000
-# One number or several.
+_MAX_POSTS_PER_SIDE = 4_000
 Numbers = float | tuple[float, ...]
-# Points of a ray that are looked at before the first crossing is halved.
-_SAMPLES, _HALVINGS = 400, 40
+# Samples along a ray before bisection of the first crossing, and bisection steps.
+_SAMPLES, _BISECTIONS = 400, 40
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What lies about the map, finest level first; heights add up.
+    """Settings of the terrain beyond the map; heights of levels add up.
 
-    Attributes
-    ----------
-    sizes, postings
-        Side of each level's square and distance of its posts, m.
-    rms_slopes
-        Of each level over its posting, rad.
-    hurst
-        Of all levels.
-    margin
-        Share of a level's half side, and of the map's, over which it passes into the next.
-    path
-        Raster that is the first level, its middle at the map's origin; left out: it is drawn.
-    dtm_posting, dtm_unit, dtm_nodata
-        How the raster is read; see the keys of the same names of `[terrain]`.
+    The raster at `path`, if given, is the first level, with its middle at the map's origin.
     """
 
-    sizes: tuple[float, ...] = quantity((40_960.0, 1_024_000.0), "m", gt=0, help="of each square")
-    postings: tuple[float, ...] = quantity((40.0, 1_000.0), "m", gt=0, help="of each level's posts")
-    rms_slopes: tuple[float, ...] = quantity(
-        (3.0, 1.0), "deg", ge=0, lt=45, help="of each level over its posting"
+    sizes: tuple[float, ...] = quantity(
+        (40_960.0, 1_024_000.0), "m", gt=0, help="side of each level's square, finest level first"
     )
-    hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of the levels")
-    margin: float = quantity(0.3, gt=0, le=1, help="share of half a side that passes over")
-    path: Path | None = quantity(None, help="raster that is the first level, as it is")
+    postings: tuple[float, ...] = quantity(
+        (40.0, 1_000.0), "m", gt=0, help="distance between posts of each level"
+    )
+    rms_slopes: tuple[float, ...] = quantity(
+        (3.0, 1.0), "deg", ge=0, lt=45, help="RMS slope of each level over its posting"
+    )
+    hurst: float = quantity(0.8, gt=0, lt=1, help="Hurst exponent of all levels")
+    margin: float = quantity(
+        0.3, gt=0, le=1, help="width of the blend into the next level over half a side"
+    )
+    path: Path | None = quantity(None, help="raster used as the first level; omitted: fractal")
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="distance between posts, for a raster without a frame"
+        None, "m", gt=0, help="distance between posts, for a raster without georeferencing"
     )
     dtm_unit: str | None = quantity(
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="numbers that mark posts without a height; [] for none"
+        None, help="values that mark posts without a height; [] for none"
     )
 
     def __post_init__(self) -> None:
@@ -75,10 +67,12 @@ class Surroundings:
         for name in ("postings", "rms_slopes"):
             if len(getattr(self, name)) != len(self.sizes):
                 raise InputError(
-                    f"surroundings.{name}", getattr(self, name), f"{len(self.sizes)}, as sizes"
+                    f"surroundings.{name}",
+                    getattr(self, name),
+                    f"must have one value per level ({len(self.sizes)}, as sizes)",
                 )
         for size, posting in zip(self.sizes, self.postings, strict=True):
-            check_side("surroundings.sizes", size, posting, _MOST_POSTS, "posts")
+            check_side("surroundings.sizes", size, posting, _MAX_POSTS_PER_SIDE, "posts")
 
     def posts_read(self) -> int:
         """Return the number of posts of the raster, from the file's header; 0 without a raster.
@@ -92,13 +86,13 @@ class Surroundings:
 
         return read_size(self.path, posting=self.dtm_posting).posts if self.path else 0
 
-    def build(self, terrain: Terrain, moon: CentralGravity, streams: Streams) -> Surrounded:
-        """Return the ground of one flight; what is drawn comes from its streams."""
+    def build(self, terrain: Terrain, moon: CentralGravity, streams: Streams) -> FarTerrain:
+        """Return the far terrain of one flight; random levels use its streams."""
 
         @cache
         def level(n: int) -> Heightfield:
             if n == 0 and self.path is not None:
-                return _measured(self)
+                return _load_measured(self)
             grid = Grid.centred((0.0, 0.0), self.sizes[n], self.postings[n])
             drawn = fractal_relief(
                 grid, streams.get(f"surroundings.{n}"), hurst=self.hurst,
@@ -106,11 +100,11 @@ class Surroundings:
             )  # fmt: skip
             return Heightfield(grid, drawn.z - drawn.z[grid.rows // 2, grid.cols // 2])
 
-        return Surrounded(terrain, moon, self, level)
+        return FarTerrain(terrain, moon, self, level)
 
 
-def _measured(settings: Surroundings) -> Heightfield:
-    """Return the raster of the first level; height 0 is at its centre, which is the origin."""
+def _load_measured(settings: Surroundings) -> Heightfield:
+    """Return the raster as first level, with height 0 at its centre, the origin."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert settings.path is not None
@@ -126,33 +120,38 @@ def _measured(settings: Surroundings) -> Heightfield:
         )
         raise InputError(field, error.value, problem, remedy) from None
     if not np.isfinite(z.z).all():
-        raise InputError("surroundings.path", str(settings.path), "a raster without gaps")
+        raise InputError(
+            "surroundings.path",
+            str(settings.path),
+            "must be a raster without gaps",
+            "Fill its gaps or choose another raster.",
+        )
     g = z.grid
     x0, y0 = (-0.5 * (n - 1) * g.posting for n in (g.cols, g.rows))
     middle = z.z[g.rows // 2, g.cols // 2]
     return Heightfield(Grid(x0, y0, g.posting, g.rows, g.cols), z.z - middle)
 
 
-def _smooth(share: Array) -> Array:
-    """Return 1 at shares of nought and less, 0 at 1 and more, without a kink."""
+def _smoothstep(share: Array) -> Array:
+    """Return a smooth step from 1 (values up to 0) to 0 (values from 1)."""
     s = np.clip(share, 0.0, 1.0)
     return np.asarray(1.0 - s * s * (3.0 - 2.0 * s))
 
 
 @dataclass(frozen=True)
-class Surrounded:
-    """A map, levels about it, and the sphere; see `Surroundings`.
+class FarTerrain:
+    """A map, the levels around it, and the sphere; built by `Surroundings`.
 
     Attributes
     ----------
     terrain
-        The map.
+        Terrain of the map.
     moon
-        The sphere.
+        Sphere and central gravity.
     settings
-        Sizes and margins.
+        Sizes and blending margins.
     level
-        Returns a level by its number, built when it is first asked for.
+        Function that returns a level by its number and builds it on first use.
     """
 
     terrain: Terrain
@@ -161,7 +160,7 @@ class Surrounded:
     level: Callable[[int], Heightfield] = field(repr=False, compare=False)
 
     def way(self, position: ArrayLike) -> Array:
-        """Return the way over the sphere (..., 2), m, east and north, to below positions."""
+        """Return the arcs (..., 2) east and north below positions (..., 3), m."""
         r = self.moon.from_centre(position)
         aside = np.hypot(r[..., 0], r[..., 1])
         arc = self.moon.radius * np.arctan2(aside, r[..., 2])
@@ -169,48 +168,48 @@ class Surrounded:
         return np.asarray(unit * arc[..., None])
 
     def elevation(self, way: ArrayLike) -> Array:
-        """Return the height of the ground over the sphere (...,), m, at ways (..., 2)."""
+        """Return the terrain height above the sphere (...,), m, at arcs (..., 2)."""
         xy = np.asarray(way, dtype=np.float64)
         flat = xy.reshape(-1, 2)
         west, east, south, north = self.terrain.bounds
         edge = np.clip(flat, (west, south), (east, north))
         beyond = np.hypot(*(flat - edge).T)
         over = self.settings.margin * 0.5 * min(east - west, north - south)
-        share = _smooth(beyond / over)
+        share = _smoothstep(beyond / over)
         z = np.zeros(len(flat))
         outside = beyond > 0.0
         if outside.any():
             z[outside] = (1.0 - share[outside]) * self._levels(flat[outside])
         near = share > 0.0
         if near.any():
-            # The map is level, the sphere falls away from it.
+            # The map is flat: the sphere curves down below it.
             drop = (edge[near] ** 2).sum(axis=1) / (2.0 * self.moon.radius)
             z[near] += share[near] * (self.terrain.elevation(edge[near]) + drop)
         return z.reshape(xy.shape[:-1])
 
     def _levels(self, flat: Array) -> Array:
-        """Return the sum of the levels at ways (n, 2), m."""
+        """Return the sum of the levels at arcs (n, 2), m."""
         z = np.zeros(len(flat))
         for n, size in enumerate(self.settings.sizes):
-            most = np.abs(flat).max(axis=1)
+            max_offset = np.abs(flat).max(axis=1)
             half = 0.5 * size
-            inside = most < half
+            inside = max_offset < half
             if not inside.any():
                 continue
             one = self.level(n)
             half = min(half, -one.grid.x0, -one.grid.y0)
-            share = _smooth((most / half - 1.0) / self.settings.margin + 1.0)
+            share = _smoothstep((max_offset / half - 1.0) / self.settings.margin + 1.0)
             g = one.grid
             at = (flat[:, 1] - g.y0) / g.posting, (flat[:, 0] - g.x0) / g.posting
             z += share * ndimage.map_coordinates(one.z, at, order=1, mode="nearest")
         return z
 
     def clearance(self, position: ArrayLike) -> Array:
-        """Return heights above the ground below (...,), m, of positions (..., 3)."""
+        """Return heights above the terrain (...,), m, of positions (..., 3)."""
         return np.asarray(self.moon.height(position) - self.elevation(self.way(position)))
 
     def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
-        """Cast rays (n, 3) from a point (3,) onto the ground; see `Terrain.cast`."""
+        """Cast rays (n, 3) from a point (3,) onto the terrain, as `Terrain.cast`."""
         origin = np.asarray(origin, dtype=np.float64)
         rays = np.atleast_2d(np.asarray(direction, dtype=np.float64))
         found = np.array([self._first(origin, ray, max_range) for ray in rays])
@@ -220,10 +219,10 @@ class Surrounded:
         return RayHits(found, normal, rock)
 
     def _first(self, origin: Array, ray: Array, max_range: float) -> float:
-        """Return the range at which a ray first meets the ground, m; NaN if it does not."""
+        """Return the range at which a ray first hits the terrain, m; NaN if it misses."""
         r = self.moon.from_centre(origin)
         along, height = float(r @ ray), float(self.moon.height(origin))
-        # Nowhere is the ground higher than the lander and a sphere 20 km down at once.
+        # Terrain lies above a sphere 20 km below the datum: no hit lies beyond that sphere.
         low = self.moon.radius - 20_000.0
         root = along * along - float(r @ r) + low * low
         far = -along - np.sqrt(root) if root > 0.0 else -along
@@ -235,14 +234,14 @@ class Surrounded:
         if len(under) == 0 or under[0] == 0:
             return float("nan")
         a, b = t[under[0] - 1], t[under[0]]
-        for _ in range(_HALVINGS):
+        for _ in range(_BISECTIONS):
             middle = 0.5 * (a + b)
             above = self.clearance(origin + middle * ray) > 0.0
             a, b = (middle, b) if above else (a, middle)
         return float(0.5 * (a + b))
 
     def _normal(self, points: Array) -> Array:
-        """Return the normal of the ground below points (n, 3), ENU, over a metre."""
+        """Return terrain normals below points (n, 3), ENU, from differences over 1 m."""
 
         def rise(step: Array) -> Array:
             ahead, behind = self.way(points + step), self.way(points - step)
@@ -254,6 +253,6 @@ class Surrounded:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the map and of all levels, bytes; builds them."""
+        """Memory of the map and of all levels, bytes; builds the levels."""
         made = (self.level(n) for n in range(len(self.settings.sizes)))
         return self.terrain.nbytes + sum(one.z.nbytes for one in made)

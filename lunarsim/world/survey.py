@@ -1,4 +1,4 @@
-"""Surveys of the true ground: the prior maps that missions are planned on."""
+"""Simulated surveys of the true terrain: the prior maps used for mission planning."""
 
 from __future__ import annotations
 
@@ -16,49 +16,38 @@ from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-# Samples of the ground along each side of a post's square.
+# Terrain samples along each side of the square that a post averages.
 _SAMPLES = 4
-# Along a side of a map.
-_MOST_POSTS = 4000
-# A patch out of date shows bumps of this width, m.
-_BUMP = 2.0
+_MAX_POSTS_PER_SIDE = 4000
+# Correlation length of the height differences in an outdated patch, m.
+_BUMP_WIDTH_M = 2.0
 
 
 @dataclass(frozen=True)
 class PriorSurvey:
-    """A survey of the ground about the target that the lander brings along as a map.
+    """Survey of the terrain around the target, carried on board as a prior map."""
 
-    Attributes
-    ----------
-    size, posting
-        Side of the square, and its posts, m.
-    sigma
-        Noise of each post, m.
-    offset
-        By which the whole map is wrong (3,), m.
-    stale_share, stale_side, stale_sigma, correlation, void_share
-        See `survey`.
-    """
-
-    size: float = quantity(300.0, "m", gt=0, help="side of the square about the target")
-    posting: float = quantity(0.5, "m", gt=0, help="distance of the posts")
-    sigma: float = quantity(0.1, "m", gt=0, help="noise of each post")
+    size: float = quantity(300.0, "m", gt=0, help="side of the square map around the target")
+    posting: float = quantity(0.5, "m", gt=0, help="distance between posts of the map")
+    sigma: float = quantity(0.1, "m", gt=0, help="height noise of each post, 1 sigma")
     offset: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="by which the whole map is wrong"
+        (0.0, 0.0, 0.0), "m", help="constant error of the complete map (ENU)"
     )
-    stale_share: float = quantity(0.0, ge=0, lt=1, help="of the map out of date")
-    stale_side: float = quantity(12.0, "m", gt=0, help="of the patches out of date")
-    stale_sigma: float = quantity(0.4, "m", ge=0, help="of what they show besides the ground")
-    correlation: float = quantity(0.0, "m", ge=0, le=50, help="at which errors are still alike")
-    void_share: float = quantity(0.0, ge=0, lt=1, help="of the posts without an elevation")
+    stale_share: float = quantity(0.0, ge=0, lt=1, help="fraction of the map that is out of date")
+    stale_side: float = quantity(12.0, "m", gt=0, help="side of each out-of-date patch")
+    stale_sigma: float = quantity(
+        0.4, "m", ge=0, help="height error inside out-of-date patches, 1 sigma"
+    )
+    correlation: float = quantity(0.0, "m", ge=0, le=50, help="correlation length of the noise")
+    void_share: float = quantity(0.0, ge=0, lt=1, help="fraction of posts without an elevation")
 
     def __post_init__(self) -> None:
-        check_side("size", self.size, self.posting, _MOST_POSTS, "posts")
+        check_side("size", self.size, self.posting, _MAX_POSTS_PER_SIDE, "posts")
 
     def build(
         self, terrain: Terrain, centre: tuple[float, float], rng: np.random.Generator
     ) -> PriorMap:
-        """Return the map about a point (east, north; m)."""
+        """Return the map around a point (east, north; m)."""
         grid = Grid.centred(centre, self.size, self.posting)
         made = survey(
             terrain,
@@ -88,30 +77,30 @@ def survey(
     correlation: float = 0.0,
     void_share: float = 0.0,
 ) -> PriorMap:
-    """Return a map of the terrain as an earlier survey might have made it.
+    """Return a map of the terrain as an earlier survey could have measured it.
 
     Parameters
     ----------
     terrain
-        The ground now.
+        True terrain.
     grid
         Posts of the map.
     rng
-        Source of noise and of what has changed since.
+        Source of the noise, the out-of-date patches and the voids.
     sigma
-        Of the noise of each post, m.
+        Height noise of each post, 1 sigma, m.
     stale_share, stale_side, stale_sigma
-        Share of the map out of date, side of the square patches that are (m), and deviation of what
-        the map shows there from what there is now (m). The map does not know of them.
+        Fraction of the map that is out of date, side of its square patches (m) and standard
+        deviation of the height error in them (m). The map does not mark these patches.
     correlation
-        See `PriorMap`, m.
+        Correlation length of the noise, as in `PriorMap`, m.
     void_share
-        Share of the posts that have no elevation, drawn one by one.
+        Fraction of posts without an elevation, drawn independently.
     """
     if not 0.0 <= stale_share < 1.0:
-        raise InputError("prior.stale_share", stale_share, "from 0 to below 1")
+        raise InputError("prior.stale_share", stale_share, "must be from 0 to below 1")
     if not 0.0 <= void_share < 1.0:
-        raise InputError("prior.void_share", void_share, "from 0 to below 1")
+        raise InputError("prior.void_share", void_share, "must be from 0 to below 1")
     fine = Grid(
         grid.x0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
         grid.y0 - grid.posting * (0.5 - 0.5 / _SAMPLES),
@@ -124,7 +113,7 @@ def survey(
     area = grid.rows * grid.cols * grid.posting**2
     patches = round(stale_share * area / stale_side**2)
     if patches:
-        mean = mean + _changes(grid, patches, stale_side, stale_sigma, rng)
+        mean = mean + _stale_patches(grid, patches, stale_side, stale_sigma, rng)
     elevation = mean + sigma * _noise(grid, correlation, rng)
     if void_share > 0.0:
         elevation[rng.random(grid.shape) < void_share] = np.nan
@@ -132,10 +121,10 @@ def survey(
 
 
 def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
-    """Return errors of deviation 1 whose correlation falls as a Gaussian (rows, cols)."""
+    """Return errors of unit variance with a Gaussian correlation (rows, cols)."""
     if correlation == 0.0:
         return rng.standard_normal(grid.shape)
-    # White noise filtered by a Gaussian is correlated over root two times its width.
+    # White noise filtered by a Gaussian has a correlation length of root two times its width.
     width = correlation / np.sqrt(2.0) / grid.posting
     room = int(np.ceil(4.0 * width))
     white = rng.standard_normal((grid.rows + 2 * room, grid.cols + 2 * room))
@@ -147,11 +136,11 @@ def _noise(grid: Grid, correlation: float, rng: np.random.Generator) -> Array:
     return np.asarray(smooth[inner] / gain)
 
 
-def _changes(
+def _stale_patches(
     grid: Grid, patches: int, side: float, sigma: float, rng: np.random.Generator
 ) -> Array:
-    """Return what square patches of the map show besides the ground (rows, cols), m."""
-    bumps = ndimage.gaussian_filter(rng.standard_normal(grid.shape), _BUMP / grid.posting)
+    """Return the height errors of the out-of-date patches of the map (rows, cols), m."""
+    bumps = ndimage.gaussian_filter(rng.standard_normal(grid.shape), _BUMP_WIDTH_M / grid.posting)
     bumps *= sigma / bumps.std()
     stale = np.zeros(grid.shape, np.bool_)
     west, east, south, north = grid.extent

@@ -1,4 +1,4 @@
-"""The exact safety of the true terrain, for judging maps and for the oracle."""
+"""Exact safety of the true terrain, for evaluating maps and for the oracle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lunarsim.safety import SafetyMap, exact_safety
 from lunarsim.safety.footprint import footprint_of
 from lunarsim.world import World
 
-# Of the yardstick, m: its own, so that no map's setting changes what maps are judged by.
+# Fixed, so that no map setting changes the reference that maps are evaluated against, m.
 POSTING = 0.2
 # West, east, south and north edges, m.
 Bounds = tuple[float, float, float, float]
@@ -30,9 +30,9 @@ class Truth:
     safety
         Exact safety map, in the true ENU frame.
     elevation
-        True elevation on its grid (rows, cols), m.
+        True elevation on the grid of `safety` (rows, cols), m.
     lander
-        The lander it was evaluated for.
+        Lander that the safety applies to.
     """
 
     safety: SafetyMap
@@ -43,17 +43,17 @@ class Truth:
     def of(
         cls, world: World, lander: Lander, posting: float = POSTING, bounds: Bounds | None = None
     ) -> Truth:
-        """Evaluate exact safety.
+        """Evaluate the exact safety of a world for a lander.
 
         Parameters
         ----------
         world, lander
-            What is evaluated.
+            World and lander to evaluate.
         posting
-            Distance of cells, m.
+            Cell size, m.
         bounds
-            West, east, south and north edges of the part that is evaluated, m; omitted: the
-            complete terrain. The cells are those of the complete terrain.
+            West, east, south and north edges of the part to evaluate, m; omitted: the complete
+            terrain. Cells coincide with those of the complete terrain.
         """
         west, east, south, north = world.terrain.bounds
         grid = Grid.centred(
@@ -66,7 +66,7 @@ class Truth:
         return cls(exact_safety(elevation, grid, lander), elevation, lander)
 
     def within(self, bounds: Bounds, most_cells: int) -> Truth:
-        """Return the truth within bounds, thinned to at most so many cells along a side."""
+        """Return the truth within bounds, decimated to `most_cells` per side."""
         rows, cols = _cells_within(self.safety.grid, bounds, 0)
         step = -(-max(rows.stop - rows.start, cols.stop - cols.start) // most_cells)
         rows, cols = slice(rows.start, rows.stop, step), slice(cols.start, cols.stop, step)
@@ -79,12 +79,12 @@ class Truth:
 
     @cached_property
     def clearance(self) -> NDArray[np.float64]:
-        """Distance of each safe cell's centre to the nearest unsafe one's (rows, cols), m."""
+        """Distance from each safe cell's centre to the nearest unsafe one's, m."""
         cells = ndimage.distance_transform_edt(self.safety.safe)
         return np.asarray(cells * self.safety.grid.posting)
 
     def safe_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which true points (..., 2) are exactly safe (nearest cell); False off the map."""
+        """Return whether points (..., 2) are exactly safe; False off the map."""
         grid = self.safety.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)
@@ -92,7 +92,7 @@ class Truth:
         return np.asarray(inside & safe)
 
     def known_at(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Tell at which true points (..., 2) the exact test has a verdict (nearest cell)."""
+        """Return whether exact safety is known at true points (..., 2) (nearest cell)."""
         grid = self.safety.grid
         row, col = grid.cell(xy)
         known = self.safety.observed[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)]
@@ -101,14 +101,14 @@ class Truth:
     def safe_share(
         self, centre: ArrayLike, half_sides: ArrayLike, heading: float | None = None
     ) -> float:
-        """Return the share of exactly safe cells in a rectangle.
+        """Return the fraction of exactly safe cells in a rectangle.
 
         Parameters
         ----------
         centre, half_sides
             East and north (2,), m.
         heading
-            Azimuth of body x (rad) for the share at that heading alone.
+            Azimuth of the body x axis, rad; omitted: cells must be safe at every heading.
         """
         grid = self.safety.grid
         safe = self.safety.safe
@@ -122,7 +122,7 @@ class Truth:
 
 
 def _cells_within(grid: Grid, bounds: Bounds, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the cells in bounds, and of `margin` cells around them."""
+    """Return the rows and columns of the cells in bounds, extended by `margin` cells."""
     west, east, south, north = bounds
     (south_row, north_row), (west_col, east_col) = grid.cell([[west, south], [east, north]])
     return (
@@ -132,7 +132,7 @@ def _cells_within(grid: Grid, bounds: Bounds, margin: int) -> tuple[slice, slice
 
 
 def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
-    """Return the grid of some rows and columns."""
+    """Return the grid of the selected rows and columns."""
     step = rows.step or 1
     return Grid(
         grid.x0 + grid.posting * cols.start, grid.y0 + grid.posting * rows.start,

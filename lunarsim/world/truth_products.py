@@ -1,4 +1,4 @@
-"""Truth as maps: what a perfect survey of the ground would say."""
+"""Maps of the true terrain: elevation, slope, rocks, safety and shadow."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lunarsim.safety import exact_safety
 from lunarsim.whole_netcdf import write_netcdf_whole
 from lunarsim.world import World
 
-_OFF = 1e-3  # rays to the Sun start this far off the ground, m
+# Rays to the Sun start this far above the surface, so that they do not hit it, m.
+_RAY_OFFSET_M = 1e-3
 
 
-# Along a side of the maps.
-_MOST_CELLS = 8000
+_MAX_CELLS_PER_SIDE = 8000
 
 
 @dataclass(frozen=True)
@@ -30,17 +30,17 @@ class TruthProducts:
     Attributes
     ----------
     grid
-        Places the cells.
+        Grid of the maps.
     elevation
-        Of relief and rocks, m; NaN where unknown.
+        Elevation of terrain and rocks, m; NaN where unknown.
     slope
-        Angle of the surface normal from the vertical, rocks included, rad; NaN where unknown.
+        Angle between surface normal and vertical, rocks included, rad; NaN where unknown.
     rock
-        Number of the rock on top, -1 for relief.
+        Index of the rock on top; -1 for bare terrain.
     safe
-        Exact safety of the lander (Definition III.1 of the Gaussian DEM paper), at any heading.
+        Exact safety for the lander at every heading (Definition III.1 of the Gaussian DEM paper).
     shadow
-        Whether the cell's centre sees no Sun; True at night.
+        Whether the cell's centre is in shadow; True everywhere at night.
     """
 
     grid: Grid
@@ -52,7 +52,7 @@ class TruthProducts:
 
     @classmethod
     def of(cls, world: World, lander: Lander, grid: Grid) -> TruthProducts:
-        """Survey the world."""
+        """Compute all maps of a world on a grid."""
         terrain = world.terrain
         elevation = terrain.raster(grid)
         centres = grid.centres()
@@ -63,7 +63,7 @@ class TruthProducts:
         if sun[2] > 0.0:
             lit = ~dark & np.isfinite(elevation)
             ground = np.dstack((centres, elevation.astype(np.float64)))
-            start = ground + _OFF * normal
+            start = ground + _RAY_OFFSET_M * normal
             rays = np.broadcast_to(sun, (int(lit.sum()), 3))
             dark[lit] = np.isfinite(terrain.cast(start[lit], rays, normals=False).range)
         safe = exact_safety(elevation, grid, lander).safe
@@ -94,16 +94,21 @@ def survey_grid(world: World, centre: tuple[float, float], size: float, posting:
     Raises
     ------
     InputError
-        If a value is not positive or the square reaches beyond the terrain.
+        If a value is not positive or the square extends beyond the terrain.
     """
     if not (np.isfinite(posting) and posting > 0.0):
-        raise InputError("--posting", posting, "more than 0, in metres")
+        raise InputError("--posting", posting, "must be more than 0 (metres)")
     if not (np.isfinite(size) and size >= 10.0 * posting):
-        raise InputError("--size", size, f"at least ten postings, {10.0 * posting:g} m")
-    check_side("--size", size, posting, _MOST_CELLS)
+        raise InputError("--size", size, f"must be at least ten postings, {10.0 * posting:g} m")
+    check_side("--size", size, posting, _MAX_CELLS_PER_SIDE)
     west, east, south, north = world.terrain.bounds
     half = 0.5 * size
-    room = min(centre[0] - west, east - centre[0], centre[1] - south, north - centre[1])
-    if half > room:
-        raise InputError("--size", size, f"at most {2.0 * room:g} m around the target")
+    max_half = min(centre[0] - west, east - centre[0], centre[1] - south, north - centre[1])
+    if half > max_half:
+        raise InputError(
+            "--size",
+            size,
+            f"must be at most {2.0 * max_half:g} m",
+            "The square around the target must lie on the terrain.",
+        )
     return Grid.centred(centre, size, posting)

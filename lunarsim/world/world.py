@@ -1,4 +1,4 @@
-"""The truth that sensors look at."""
+"""The true environment that the sensors observe."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.models.gravity import CentralGravity
 from lunarsim.world.light import Light
-from lunarsim.world.surroundings import Surrounded
+from lunarsim.world.surroundings import FarTerrain
 from lunarsim.world.terrain import RayHits, Terrain
 
 
 @dataclass(frozen=True)
 class World:
-    """Everything that is true and not the lander.
+    """Collect the true environment of a flight.
 
     Attributes
     ----------
     terrain
-        The ground.
+        True terrain of the map area.
     gravity
-        Downward acceleration, m/s^2; uniform, since a descent spans a kilometre, but for a `moon`.
+        Uniform downward acceleration, m/s^2; used only if `moon` is None.
     moon
-        Round ground and central gravity, for descents from orbit; None: level and uniform.
+        Spherical Moon with central gravity, for descents from orbit; None: flat terrain and uniform
+        gravity.
     surroundings
-        Ground beyond the map, on such a Moon; None: nothing is seen there.
+        Terrain beyond the map on the spherical Moon; None: rays that leave the map hit nothing.
     light
-        The Sun and the ground's photometry; only cameras look at it.
+        Sun, Earth and photometry of the terrain; only cameras use it.
     """
 
     terrain: Terrain
     gravity: float
     light: Light = field(default_factory=Light)
     moon: CentralGravity | None = None
-    surroundings: Surrounded | None = None
+    surroundings: FarTerrain | None = None
 
     def cast(self, origin: ArrayLike, direction: ArrayLike, max_range: float = np.inf) -> RayHits:
-        """Cast rays onto the map, and where they miss it onto what lies about it.
+        """Cast rays onto the map, then those that miss onto the far terrain.
 
-        See `Terrain.cast`.
+        Parameters and results are those of `Terrain.cast`.
         """
         hits = self.terrain.cast(origin, direction, max_range)
         if self.surroundings is None or np.isfinite(hits.range).all():
@@ -54,11 +55,11 @@ class World:
         )
 
     def under(self, position: NDArray[np.float64], low: float) -> bool:
-        """Tell whether a position (3,) is a metre under all ground, whose least height is `low`."""
+        """Return whether a position (3,) is over 1 m below the terrain."""
         if self.surroundings is not None:
             return bool(self.surroundings.clearance(position) < -1.0)
         return bool(self.height(position) < low - 1.0)
 
     def height(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return heights (...,) over the level of the origin, m, of positions (..., 3)."""
+        """Return heights (...,) of positions (..., 3) above the datum of the origin, m."""
         return position[..., 2] if self.moon is None else self.moon.height(position)

@@ -45,7 +45,7 @@ def test_same_seed_same_rocks():
 
 
 def test_overfull_field_is_refused():
-    with pytest.raises(InputError, match="smaller cover"):
+    with pytest.raises(InputError, match="must be smaller"):
         place_rocks(flat_terrain(size=10.0).relief, np.full(500, 1.5), np.random.default_rng(1))
 
 

@@ -37,9 +37,7 @@ def test_rays_meet_rock_or_ground(shape, seed):
     row = rock(rng, shape)
     origin, direction = rays(rng, row, 120)
     distance, found = np.empty(120), np.empty((120, 3))
-    kernels.cast_on_level_ground(
-        origin, direction, row[None], table.planes, table.count, distance, found
-    )
+    kernels.cast_on_plane(origin, direction, row[None], table.planes, table.count, distance, found)
     met = missed = agreed = 0
     for n in range(120):
         met_rock = plain.entry(origin[n], direction[n], row, planes, FAR, 0.02)
@@ -82,8 +80,6 @@ def test_a_ray_that_starts_on_a_rock_has_left_it():
     distance, normal = np.empty(2), np.empty((2, 3))
     origin = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     direction = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, -1.0]])
-    kernels.cast_on_level_ground(
-        origin, direction, row, table.planes, table.count, distance, normal
-    )
+    kernels.cast_on_plane(origin, direction, row, table.planes, table.count, distance, normal)
     assert distance[0] == np.inf  # up and away
     assert distance[1] == pytest.approx(0.0, abs=1e-12)  # down into it

@@ -14,7 +14,15 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import site_probability as quadtree
 from lunarsim.safety.bends import Term, columns
 from lunarsim.safety.calibration import FARTHER
-from lunarsim.safety.ensemble import HOPELESS, MARGIN, SURE, UNTOLD, Ensemble, Odds, cautious
+from lunarsim.safety.ensemble import (
+    HOPELESS,
+    MARGIN,
+    SURE,
+    UNTOLD,
+    Ensemble,
+    LogOddsBounds,
+    cautious,
+)
 from lunarsim.safety.logistic import Logistic
 
 
@@ -43,7 +51,7 @@ def test_odds_of_terms_are_those_of_their_features(seed, fits, each):
 def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     low = np.array([-9.0, -9.0, -3.0, 0.0, 3.6, 3.8, 3.8, 9.0])
     apart = np.array([2.0, 6.5, 0.05, 0.0, 0.1, 0.8, 2.5, 5.0])
-    said = Odds(low, low + apart).verdict(np.ones(8))
+    said = LogOddsBounds(low, low + apart).verdict(np.ones(8))
     assert expit(3.6 - MARGIN) < SURE < (1.0 - UNTOLD) * expit(3.8 - MARGIN)
     assert expit(-2.95) < HOPELESS < expit(-2.5)
     assert said.agreed.tolist() == [True, False, True, False, False, True, True, True]
@@ -51,7 +59,7 @@ def test_fits_agree_where_all_call_a_site_surely_safe_or_surely_not():
     assert (1.0 - UNTOLD) / said.p - 1.0 == pytest.approx(2.0 * np.exp(-low))
     assert said.p.max() < 1.0 - UNTOLD
     # What is fatal by itself leaves it neither safe nor told.
-    said = Odds(low, low + apart).verdict(np.full(8, 0.5))
+    said = LogOddsBounds(low, low + apart).verdict(np.full(8, 0.5))
     assert said.p.max() == 0.5
     assert said.agreed.tolist() == [True, False, True, *[False] * 5]
 
@@ -77,7 +85,7 @@ def test_what_no_world_can_tell_is_what_a_world_of_750_sites_may_hide():
     hidden = (1.0 - UNTOLD) ** 750
     assert hidden == pytest.approx(0.05, abs=0.001)
     # Odds of being unsafe: doubled where claimed, twelve times near the domain of the packaged fit.
-    even = Odds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
+    even = LogOddsBounds(np.zeros(1), np.zeros(1)).verdict(np.ones(1)).p
     assert even == pytest.approx((1.0 - UNTOLD) / 3.0)
     near = cautious(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool), FARTHER)
     assert near == pytest.approx(SURE * (1.0 - UNTOLD) / 13.0)

@@ -220,7 +220,7 @@ def test_the_domain_is_that_of_nearly_all_sites():
 def test_another_lander_is_refused(change, key, right):
     e = evidence()
     other = replace(e, lander=replace(LANDER, **change))
-    with pytest.raises(InputError, match=rf"vehicle\.{key} = .*: {right}, for which"):
+    with pytest.raises(InputError, match=rf"vehicle\.{key}: must be {right}, as in"):
         calibrated_safety(other, refit=refit())
     # What safety does not depend on may differ.
     calibrated_safety(replace(e, lander=replace(LANDER, dry_mass=900.0)), refit=refit())
@@ -273,7 +273,7 @@ GONE = object()
 @pytest.mark.parametrize(
     ("keys", "value", "says"),
     [
-        (("inside", "slope"), -0.1, r"calibration\.slope.*at least 0"),
+        (("inside", "slope"), -0.1, r"calibration\.slope.*0 or more"),
         (("outside", "slope"), float("nan"), r"calibration\.slope.*finite"),
         (("inside", "intercept"), "1", r"calibration\.intercept.*finite"),
         (("inside", "intercept"), 10**400, r"calibration\.intercept.*finite"),
@@ -286,7 +286,7 @@ GONE = object()
         (("domain", "spacing"), [0.1, float("inf")], r"calibration\.spacing"),
         (("lander", "leg_radius_m"), GONE, "leg_radius_m"),
         (("regression",), 5, r"calibration\.regression.*text"),
-        (("flights",), 1.5, r"calibration\.flights.*whole"),
+        (("flights",), 1.5, r"calibration\.flights.*integer"),
         (("before",), {"x": 1.0}, r"calibration\.x.*table"),
         (("format",), "other", "format"),
     ],
@@ -309,11 +309,11 @@ def test_other_files_are_refused(tmp_path, keys, value, says):
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"weights": [1.0]}', b"\xff\xfe"])
 def test_no_such_file(tmp_path, text):
-    with pytest.raises(InputError, match=r"none\.json.*lunarsim calibrate"):
+    with pytest.raises(InputError, match=r"lunarsim calibrate.*none\.json"):
         ScenarioCalibration.load(tmp_path / "none.json")
     path = tmp_path / "c.json"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError, match=r"c\.json.*lunarsim calibrate"):
+    with pytest.raises(InputError, match=r"lunarsim calibrate.*c\.json"):
         ScenarioCalibration.load(path)
 
 

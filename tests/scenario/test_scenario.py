@@ -70,7 +70,7 @@ def test_relative_paths_start_from_the_files_folder(tmp_path):
         ({"vehicle": {"dry_mass_kg": float("nan")}}, "vehicle.dry_mass_kg", "finite"),
         ({"rocks": {"cover": 0.9}}, "rocks.cover", "less than or equal to 0.2"),
         ({"rocks": {"min_diameter_m": 5.0}}, "rocks.min_diameter_m", "less than max_diameter_m"),
-        ({"terrain": {"kind": "dtm"}}, "terrain.path", "the raster to load"),
+        ({"terrain": {"kind": "dtm"}}, "terrain.path", "must name a raster file"),
         ({"simulation": {"cycle_s": 0.015}}, "simulation.cycle_s", "whole number"),
         ({"start": {"position_m": [0.0, 1.0]}}, "start.position_m", "a list of 3 values in m"),
         ({"start": {"position_m": [0.0, 1.0, 2.0, 3.0]}}, "start.position_m", "a list of 3 values"),

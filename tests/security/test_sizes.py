@@ -72,7 +72,7 @@ def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words)
     [
         ({"terrain": {"size_m": 2500.0, "posting_m": 0.5},
           "rocks": {"cover": 0.2, "min_diameter_m": 0.01}},
-         ["rocks.min_diameter_m = 0.01", "smaller cover"]),
+         ["rocks.min_diameter_m = 0.01", "must be smaller"]),
         ({"moon": {}, "surroundings": {"sizes_m": [40_000.0] * 400, "postings_m": [10.0] * 400,
                                        "rms_slopes_deg": [1.0] * 400}},
          ["surroundings.sizes_m", "fewer levels"]),

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from lunarsim.sensors.detector import counted
+from lunarsim.sensors.detector import counts_from_electrons
 
 
 def plainly(electrons, rng, shot_noise, read_noise, full_well, gain, bits):
@@ -29,7 +29,7 @@ def plainly(electrons, rng, shot_noise, read_noise, full_well, gain, bits):
 @pytest.mark.parametrize("bits", [8, 9, 12, 16])
 def test_what_is_no_number_counts_nothing_and_no_count_is_beyond_the_top(bits):
     electrons = np.array([[np.nan, np.inf, -np.inf, -5.0, 1e30, 0.0]], np.float32)
-    found = counted(
+    found = counts_from_electrons(
         electrons, np.random.default_rng(0), shot_noise=False, read_noise=1.0, full_well=2e4,
         gain=1.0, bits=bits,
     )  # fmt: skip
@@ -45,7 +45,7 @@ def test_counts_are_those_of_one_operation_after_the_other(shot, read, gain, bit
     electrons = np.random.default_rng(1).choice(
         np.array([0.0, 3.0, 299.0, 300.0, 5e3, 2.1e4, 9e4], np.float32), (60, 70)
     )
-    found = counted(
+    found = counts_from_electrons(
         electrons.copy(), np.random.default_rng(2), shot_noise=shot, read_noise=read,
         full_well=2e4, gain=gain, bits=bits,
     )  # fmt: skip

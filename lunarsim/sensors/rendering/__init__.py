@@ -1,4 +1,4 @@
-"""Rendering of terrain through OpenGL: radiance, range, normal and identity of every pixel."""
+"""OpenGL rendering of radiance, range, normal and identity of every pixel."""
 
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.renderer import Renderer, renderer_of

@@ -1,7 +1,7 @@
-"""Compiled choice of the rocks to draw.
+"""Compiled selection of the rocks to draw.
 
-A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape); `reach` scales a rock's
-outline and `foot` is the elevation down to which its sides are drawn.
+A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape); `reach` is the radius of a
+rock's outline and `foot` is the elevation down to which its sides are drawn.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lunarsim.models._pinhole_kernels import to_pixel
 
 @kernel(parallel=True)
 def rock_feet(rocks, reach, z, x0, y0, p):
-    """Return an elevation (n,) below the relief everywhere under each rock's outline."""
+    """Return an elevation (n,) below all relief under each rock's outline."""
     rows, cols = z.shape
     foot = np.empty(rocks.shape[0])
     for n in prange(rocks.shape[0]):
@@ -32,7 +32,7 @@ def rock_feet(rocks, reach, z, x0, y0, p):
 
 @kernel(exact=True)
 def _sides(rocks, n, reach):
-    """Return the halves of the sides of the box about rock n, ENU: along e (2), along f (2)."""
+    """Return the half side vectors of the box around rock n, ENU."""
     scale = reach[n] / max(rocks[n, 3], rocks[n, 4])
     e = rocks[n, 3] * scale
     f = rocks[n, 4] * scale
@@ -41,10 +41,9 @@ def _sides(rocks, n, reach):
 
 @kernel()
 def _fit(u0, v0, u1, v1, width, height, box, m):
-    """Write the whole pixels with centres in a rectangle to row m; return whether there are any.
+    """Write the pixels with centres in a rectangle to row m; return if any.
 
-    Centres lie at whole numbers. Half a hundredth of a pixel covers what float32 loses in the
-    shader.
+    Centres are at integers. A margin of 0.005 pixels covers rounding of float32 in the shader.
     """
     u0 = max(np.ceil(u0 - 0.005), 0.0)
     v0 = max(np.ceil(v0 - 0.005), 0.0)
@@ -59,9 +58,9 @@ def _fit(u0, v0, u1, v1, width, height, box, m):
 
 @kernel()
 def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, width, height, near):
-    """Return the pixels (m, 4) that each rock of `number` (m,) may cover, and whether any (m,).
+    """Return the pixels (m, 4) that each rock may cover, and whether any (m,).
 
-    A rock between the centres of pixels covers none and is left out: nothing changes.
+    A rock between the centres of pixels covers none and is omitted.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -78,7 +77,7 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
         sx = to_sensor[0, 0] * dx + to_sensor[0, 1] * dy + to_sensor[0, 2] * dz
         sy = to_sensor[1, 0] * dx + to_sensor[1, 1] * dy + to_sensor[1, 2] * dz
         sz = to_sensor[2, 0] * dx + to_sensor[2, 1] * dy + to_sensor[2, 2] * dz
-        # A ball that holds the rock, against the sides of the view.
+        # Test a sphere that contains the rock against the sides of the view.
         ball = 1.5 * reach[n] + max(rocks[n, 5], rocks[n, 2] - foot[n])
         outside = (
             sz < near - ball
@@ -103,7 +102,7 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
             y = rocks[n, 1] + e * sides[1] + f * sides[3] - eye[1]
             z = top if k & 4 else base
             sz = to_sensor[2, 0] * x + to_sensor[2, 1] * y + to_sensor[2, 2] * z
-            if sz < 0.02:  # reaches behind the camera: may cover anything
+            if sz < 0.02:  # extends behind the camera: may cover any pixel
                 u0 = 0.0
                 v0 = 0.0
                 u1 = width
@@ -121,29 +120,42 @@ def visible_rocks(rocks, reach, foot, number, eye, to_sensor, fx, fy, cx, cy, wi
 
 
 @kernel()
-def _is_read(u0, v0, u1, v1, width, height, normal, least, most):
-    """Return whether a box of texels meets all strips, or the border of the map."""
-    # As `MapReads.meet` has it.
+def _is_read(u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound):
+    """Return whether a box of texels meets all strips, or the map's border."""
+    # As `ShadowMapReads.meet` has it.
     if u0 < 4.0 or v0 < 4.0 or u1 > width - 4.0 or v1 > height - 4.0:
         return True
-    for k in range(least.size):
+    for k in range(lower_bound.size):
         a = normal[k, 0]
         b = normal[k, 1]
-        if max(a * u0, a * u1) + max(b * v0, b * v1) < least[k]:
+        if max(a * u0, a * u1) + max(b * v0, b * v1) < lower_bound[k]:
             return False
-        if min(a * u0, a * u1) + min(b * v0, b * v1) > most[k]:
+        if min(a * u0, a * u1) + min(b * v0, b * v1) > upper_bound[k]:
             return False
     return True
 
 
 @kernel()
 def shading_rocks(
-    rocks, reach, foot, number, eye, lean, axes, corner, texel, width, height, normal, least, most
+    rocks,
+    reach,
+    foot,
+    number,
+    eye,
+    lean,
+    axes,
+    corner,
+    texel,
+    width,
+    height,
+    normal,
+    lower_bound,
+    upper_bound,
 ):
-    """Return the texels (m, 4) that each rock of `number` (m,) may darken, and whether any (m,).
+    """Return the texels (m, 4) that each rock may shadow, and whether any (m,).
 
-    `axes` (2, 2) turns ENU to the map's axes, `corner` is the map's corner in them, in metres. What
-    is never read counts as not darkened: see `MapReads` for `normal`, `least` and `most`.
+    `axes` (2, 2) transforms ENU to the map's axes, `corner` is the map's corner in them, m. Texels
+    outside the strips of `ShadowMapReads` (`normal`, `lower_bound`, `upper_bound`) are omitted.
     """
     count = number.size
     seen = np.zeros(count, np.bool_)
@@ -170,21 +182,21 @@ def shading_rocks(
                 u1 = max(u1, u)
                 v0 = min(v0, v)
                 v1 = max(v1, v)
-        # Division keeps the order.
+        # Division by a positive number preserves the order.
         u0 /= texel
         u1 /= texel
         v0 /= texel
         v1 /= texel
-        # Centres of texels lie at halves.
+        # Centres of texels are at half integers.
         seen[m] = _fit(u0 - 0.5, v0 - 0.5, u1 - 0.5, v1 - 0.5, width, height, box, m) and _is_read(
-            u0, v0, u1, v1, width, height, normal, least, most
+            u0, v0, u1, v1, width, height, normal, lower_bound, upper_bound
         )
     return box, seen
 
 
 @kernel()
 def gather(box, number, drawn):
-    """Return the rows of `box` (n, 4), as float32 (m, 4), and the numbers (m,) where `drawn`."""
+    """Return the rows of `box` as float32 (m, 4), and the indices, where `drawn`."""
     picked = np.flatnonzero(drawn)
     out = np.empty((picked.size, 4), np.float32)
     for m in range(picked.size):
@@ -195,7 +207,7 @@ def gather(box, number, drawn):
 
 @kernel()
 def box_corners(box, number, picked):
-    """Return the corners of boxes `picked` (m,) from the picture's corner, and their numbers.
+    """Return the corners of boxes, relative to the image's corner, and indices.
 
     Rows (4 m, 3), float32: lower left, lower right, upper left, upper right.
     """

@@ -1,4 +1,4 @@
-"""Kernels of light that ground throws on ground."""
+"""Compiled computation of light scattered from terrain to terrain."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ Array = NDArray[np.float64]
 
 
 @kernel(inline=True, inner=True)
-def between(values: Array, row: float, column: float) -> float:
-    """Return the value of an array at a place among its elements, bilinearly."""
+def interpolate(values: Array, row: float, column: float) -> float:
+    """Interpolate an array bilinearly at a fractional row and column."""
     a, b = min(int(row), values.shape[0] - 2), min(int(column), values.shape[1] - 2)
     v, u = row - a, column - b
     south = (1.0 - u) * values[a, b] + u * values[a, b + 1]
@@ -22,16 +22,16 @@ def between(values: Array, row: float, column: float) -> float:
 
 @kernel(parallel=True)
 def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
-    """Return which posts (rows, cols) see the middle of the Sun.
+    """Return which posts (rows, cols) see the centre of the Sun.
 
     Parameters
     ----------
     z
-        Elevations (rows, cols), m; NaN hides nothing.
+        Elevations (rows, cols), m; NaN casts no shadow.
     posting
-        Distance of posts, m.
+        Distance between posts, m.
     sun
-        Unit vector towards the Sun (3,), above the horizon.
+        Unit vector to the Sun (3,), above the horizon.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape, np.bool_)
@@ -39,7 +39,7 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
     if run < 1e-9:
         out[:] = True
         return out
-    # One post along the greater axis a step.
+    # Each step advances one post along the major axis.
     scale = max(abs(sun[0]), abs(sun[1]))
     east, north = sun[0] / scale, sun[1] / scale
     rise = sun[2] / scale * posting
@@ -54,35 +54,35 @@ def lit_posts(z: Array, posting: float, sun: Array) -> NDArray[np.bool_]:
                 height += rise
                 if height > highest or not (0.0 <= x <= cols - 1.0 and 0.0 <= y <= rows - 1.0):
                     break
-                if between(z, y, x) > height:
+                if interpolate(z, y, x) > height:
                     lit = False
             out[i, j] = lit
     return out
 
 
 @kernel(parallel=True)
-def gathered(
+def scattered_irradiance(
     z: Array, slope: Array, posting: float, shine: Array, azimuths: int, growth: float
 ) -> Array:
-    """Return the irradiance (rows, cols) of posts by the ground that they see, over the Sun's.
+    """Return the irradiance (rows, cols) of posts by visible terrain, over the Sun's.
 
-    Along each azimuth the ground is sounded at growing steps; what rises over all before it is
-    seen, and fills the band of elevation angles between.
+    Along each azimuth the terrain is sampled at increasing distances; a sample above all nearer
+    ones is visible, and fills the band of elevation angles in between.
 
     Parameters
     ----------
     z
         Elevations (rows, cols), m.
     slope
-        Rise to the east and to the north of each post (rows, cols, 2).
+        Gradient to the east and to the north at each post (rows, cols, 2).
     posting
-        Distance of posts, m.
+        Distance between posts, m.
     shine
-        I/F of every post as seen from anywhere (rows, cols).
+        I/F of every post, equal in all directions (rows, cols).
     azimuths
-        How many are looked along.
+        Number of azimuths.
     growth
-        Factor from one distance to the next, beyond the posts next to it.
+        Factor between consecutive distances, except close to the post.
     """
     rows, cols = z.shape
     out = np.zeros(z.shape)
@@ -94,7 +94,7 @@ def gathered(
             for k in range(azimuths):
                 angle = 2.0 * np.pi * (k + 0.5) / azimuths
                 x, y = np.cos(angle), np.sin(angle)
-                # The post's own plane hides what is below it.
+                # The post's own tangent plane hides what is below it.
                 own = east * x + north * y
                 across, up = -own / length, 1.0 / length
                 seen = np.arctan(own)
@@ -104,7 +104,7 @@ def gathered(
                     row, column = i + distance * y, j + distance * x
                     if not (0.0 <= row <= rows - 1.0 and 0.0 <= column <= cols - 1.0):
                         break
-                    here = np.arctan((between(z, row, column) - z[i, j]) / (distance * posting))
+                    here = np.arctan((interpolate(z, row, column) - z[i, j]) / (distance * posting))
                     if here > seen + 1e-7:
                         top = np.sin(here)
                         # Integral of (n . direction) cos(elevation) over the band.
@@ -112,7 +112,7 @@ def gathered(
                             here - seen + 0.5 * (np.sin(2.0 * here) - np.sin(2.0 * seen))
                         ) + up * 0.5 * (top * top - sine * sine)
                         # Rounding may make the integral over a narrow band negative.
-                        total += between(shine, row, column) * max(band, 0.0)
+                        total += interpolate(shine, row, column) * max(band, 0.0)
                         seen, sine = here, top
                     distance = max(distance + 1.0, distance * growth)
             out[i, j] = 2.0 * total / azimuths

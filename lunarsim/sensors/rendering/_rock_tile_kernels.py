@@ -1,6 +1,6 @@
-"""Compiled choice of the tiles of rocks that a picture or a shadow map may hold.
+"""Compiled selection of tiles of rocks for an image or a shadow map.
 
-What is left out holds nothing: bounds are of whole tiles, and a little wider than rounding.
+Omitted tiles are certainly empty: bounds cover complete tiles and include a rounding margin.
 """
 
 from __future__ import annotations
@@ -9,17 +9,18 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Share of a length by which bounds are wider than it, and a floor for it, m and texels.
-_SPARE = 1e-6
+# Relative margin of bounds, with a minimum of this many metres or texels.
+_RELATIVE_MARGIN = 1e-6
 
 
 @kernel()
 def tile_bounds(rocks, reach, foot, order, start):
-    """Return bounds of tiles of rocks: low (t, 3), high (t, 3), radius and margin (t,).
+    """Return bounds of tiles: low (t, 3), high (t, 3), radius and margin (t,).
 
-    Tile t has the rocks `order[start[t]:start[t + 1]]`. `low` and `high` hold the rocks' places and
-    elevations from foot to top, `radius` is that of the greatest ball about a rock's base in which
-    it lies (see `visible_rocks`), and `margin` how far a rock's box goes over its place.
+    Tile t contains the rocks `order[start[t]:start[t + 1]]`. `low` and `high` bound the rocks'
+    positions and their elevations from foot to top. `radius` is that of the largest sphere around a
+    rock's base that contains it, as in `visible_rocks`. `margin` is the maximum lateral extent of a
+    rock's box.
     """
     count = start.size - 1
     low = np.full((count, 3), np.inf)
@@ -41,10 +42,10 @@ def tile_bounds(rocks, reach, foot, order, start):
 
 @kernel()
 def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, height, near):
-    """Return which tiles (t,) may hold a rock that `visible_rocks` sees."""
+    """Return which tiles (t,) may contain a rock that `visible_rocks` selects."""
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
-    # Inward normals of the sides of the view in sensor axes, and how far within they begin.
+    # Inward normals of the view's sides in sensor axes.
     sides = np.array([
         [0.0, 0.0, 1.0],
         [fx, 0.0, cx + 0.5],
@@ -63,16 +64,16 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
     for t in range(count):
         kept[t] = True
         for s in range(5):
-            most = 0.0
+            maximum = 0.0
             scale = 0.0
             for k in range(3):
                 lower = (low[t, k] - eye[k]) * normal[s, k]
                 upper = (high[t, k] - eye[k]) * normal[s, k]
-                most += max(lower, upper)
+                maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
             begin = near if s == 0 else 0.0
-            spare = _SPARE * (scale + size[s] * (1.0 + radius[t]))
-            if most < begin - radius[t] * size[s] - spare:
+            spare = _RELATIVE_MARGIN * (scale + size[s] * (1.0 + radius[t]))
+            if maximum < begin - radius[t] * size[s] - spare:
                 kept[t] = False
                 break
     return kept
@@ -80,28 +81,28 @@ def tiles_in_view(low, high, radius, eye, to_sensor, fx, fy, cx, cy, width, heig
 
 @kernel()
 def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, height):
-    """Return which tiles (t,) may hold a rock that `shading_rocks` finds."""
+    """Return which tiles (t,) may contain a rock that `shading_rocks` selects."""
     count = low.shape[0]
     kept = np.zeros(count, np.bool_)
     for t in range(count):
         kept[t] = True
         for s in range(2):
-            # Place in the map is linear in the point.
+            # The map position is linear in the point.
             rise = -(axes[s, 0] * lean[0] + axes[s, 1] * lean[1])
-            least = -corner[s]
-            most = -corner[s]
+            minimum = -corner[s]
+            maximum = -corner[s]
             scale = abs(corner[s]) + margin[t]
             for k in range(3):
                 slope = rise if k == 2 else axes[s, k]
                 wider = 0.0 if k == 2 else margin[t]
                 lower = (low[t, k] - wider - eye[k]) * slope
                 upper = (high[t, k] + wider - eye[k]) * slope
-                least += min(lower, upper)
-                most += max(lower, upper)
+                minimum += min(lower, upper)
+                maximum += max(lower, upper)
                 scale += max(abs(lower), abs(upper))
-            spare = texel + _SPARE * scale
+            spare = texel + _RELATIVE_MARGIN * scale
             last = (width if s == 0 else height) * texel
-            if most < -spare or least > last + spare:
+            if maximum < -spare or minimum > last + spare:
                 kept[t] = False
                 break
     return kept
@@ -109,7 +110,7 @@ def tiles_that_shade(low, high, margin, eye, lean, axes, corner, texel, width, h
 
 @kernel()
 def rocks_of(order, start, kept):
-    """Return the numbers of the rocks of the tiles that are kept, rising."""
+    """Return the indices of the rocks in the selected tiles, in ascending order."""
     mark = np.zeros(order.size, np.bool_)
     for t in range(kept.size):
         if kept[t]:

@@ -1,9 +1,9 @@
-"""Compiled drawing of rocks that cover a pixel or two.
+"""Compiled drawing of rocks that cover a few pixels.
 
-A software OpenGL driver shades sixteen pixels for the sake of one. Small rocks are therefore met by
-their rays here, with the geometry of the ray caster, and reach OpenGL as points. On one thread: a
-picture's rays take a millisecond or two, and threads that wait for each other take the processor
-from the driver's, which draws meanwhile.
+A software OpenGL driver shades 16 pixels to draw one. Small rocks are therefore ray traced here,
+with the geometry of the ray caster, and passed to OpenGL as points. This runs on one thread: the
+rays of an image take 1 to 2 ms, and waiting threads would take processor time from the driver,
+which draws at the same time.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from lunarsim._jit import kernel
 from lunarsim.models._pinhole_kernels import to_tangents
 from lunarsim.rocks._kernels import rock_hit, rock_normal
 
-MOST = 16  # pixels that a small rock's box holds
+MOST = 16  # maximum number of pixels in a small rock's box
 
 
 @kernel()
 def split(box):
-    """Return the indices of boxes (n, 4) that hold few pixels, where each one's start, the rest.
+    """Return indices of boxes with few pixels, their first pixels, other boxes.
 
-    The last start is the number of pixels in all.
+    The last element of the first pixels is the total number of pixels.
     """
     area = np.empty(box.shape[0], np.int64)
     for m in range(box.shape[0]):
@@ -34,7 +34,7 @@ def split(box):
 
 @kernel()
 def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, fy, cx, cy, near):
-    """Write pixel, depth, normal and number of small rocks where rays meet them.
+    """Write pixel, depth, normal and index of small rocks where rays hit them.
 
     Returns rows (m, 7), float32, and which of them are hits (m,).
     """
@@ -75,9 +75,10 @@ def sight(rocks, planes, count, box, number, small, start, eye, to_sensor, fx, f
 def shade(
     rocks, planes, count, box, number, small, start, eye, lean, axes, corner, texel, highest, lowest
 ):
-    """Write texel and depth of the highest lee face of small rocks along each sunray.
+    """Write texel and depth of small rocks' highest faces away from the Sun.
 
-    Returns rows (m, 3), float32, and which of them are hits (m,). Elevations are above the camera.
+    Returns rows (m, 3), float32, and which of them are hits (m,). Elevations are relative to the
+    camera.
     """
     out = np.empty((start[-1], 3), np.float32)
     hit = np.zeros(start[-1], np.bool_)
@@ -93,7 +94,7 @@ def shade(
             b = corner[1] + texel * (v + 0.5)
             x = eye[0] + axes[0, 0] * a + axes[1, 0] * b
             y = eye[1] + axes[0, 1] * a + axes[1, 1] * b
-            # Up towards the Sun: where this ray enters the rock, one from the Sun leaves it.
+            # The ray points to the Sun: where it enters the rock, a ray from the Sun leaves it.
             t = rock_hit(x, y, eye[2], lean[0], lean[1], 1.0, rocks, n, planes, count)
             if t == np.inf:
                 continue
@@ -106,8 +107,8 @@ def shade(
 
 
 @kernel()
-def least(points, hit, height, width):
-    """Return the least depth (height, width), float32, of points that hit; 1 where there is none.
+def min_depth(points, hit, height, width):
+    """Return the minimum depth (height, width), float32, of hits; 1 if none.
 
     `points` (m, 3) are column, row and depth.
     """

@@ -1,4 +1,4 @@
-"""Compiled tables of the relief's tiles, and the choice of those to draw."""
+"""Compiled bounds, errors and selection of the relief's tiles."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
-# Looking straight down, a tile may be this many times as far off as where rays graze it.
-_MENDED = 4.0
+# Maximum factor on the tolerated error, and thus on the distance, when looking straight down
+# instead of at a grazing angle.
+_STEEP_VIEW_FACTOR = 4.0
 
 
 @kernel()
 def _extremes(z, i0, j0, i1, j1):
-    """Return lowest, highest and steepest (a cell) of a tile, and whether a post is missing."""
+    """Return minimum, maximum and steepest rise of a tile, and if posts miss."""
     low = np.inf
     top = -np.inf
     steep = 0.0
@@ -39,7 +40,7 @@ def _extremes(z, i0, j0, i1, j1):
 
 @kernel()
 def _decimation_error(z, i0, j0, i1, j1, step):
-    """Return the greatest distance in height between a tile and that through every n-th post."""
+    """Return the maximum vertical error of a tile drawn with every `step`-th post."""
     worst = 0.0
     for ci in range(i0, i1, step):
         for cj in range(j0, j1, step):
@@ -63,10 +64,10 @@ def _decimation_error(z, i0, j0, i1, j1, step):
 
 @kernel(parallel=True)
 def tile_tables(z, side, levels, p):
-    """Return lowest, highest, steepest gradient and decimation errors of tiles.
+    """Return minimum, maximum, steepest gradient and decimation errors of tiles.
 
-    Tile (i, j) spans `side` cells from post (i * side, j * side) on. Its error at level l is the
-    greatest distance in height between the relief and the relief through every 2^l-th post; it is
+    Tile (i, j) spans `side` cells from post (i * side, j * side). Its error at level l is the
+    maximum vertical distance between the relief and the relief through every 2^l-th post; it is
     infinite where an elevation is missing.
     """
     rows, cols = z.shape
@@ -95,10 +96,10 @@ def tile_tables(z, side, levels, p):
 
 @kernel()
 def lee_blocks(z, first, side, blocks, p, sun, share):
-    """Return which blocks (m, blocks^2) of tiles have a face turned away from the Sun, or nearly.
+    """Return which blocks (m, blocks^2) of tiles face away from the Sun, or nearly.
 
-    `first` (m, 2) are the first column and row of each tile; its blocks are counted row by row.
-    Nearly: towards the Sun the face rises by more than `share` of what the sunrays do.
+    `first` (m, 2) are the first column and row of each tile; its blocks are numbered row by row. A
+    face counts if it rises towards the Sun by more than `share` times the rise of the Sun's rays.
     """
     rows, cols = z.shape
     out = np.zeros((first.shape[0], blocks * blocks), np.bool_)
@@ -113,7 +114,7 @@ def lee_blocks(z, first, side, blocks, p, sun, share):
                 z11 = np.float64(z[i + 1, j + 1])
                 lower = (z10 - z00) * sun[0] + (z11 - z10) * sun[1]
                 upper = (z11 - z01) * sun[0] + (z01 - z00) * sun[1]
-                # What is missing counts, too.
+                # Missing elevations (NaN) count as turned away.
                 if not (lower <= limit and upper <= limit):
                     block = (i - first[m, 1]) // wide * blocks + (j - first[m, 0]) // wide
                     out[m, block] = True
@@ -122,9 +123,9 @@ def lee_blocks(z, first, side, blocks, p, sun, share):
 
 @kernel(parallel=True)
 def cell_corners(z, ground):
-    """Return the elevations over `ground` of the corners of every cell (rows, cols, 4), float32.
+    """Return the heights of the corners of every cell (rows, cols, 4), float32.
 
-    In the order SW, SE, NW, NE. Beyond the last post, the last one stands.
+    The order is SW, SE, NW, NE. Beyond the last post its value is repeated.
     """
     rows, cols = z.shape
     out = np.empty((rows, cols, 4), np.float32)
@@ -140,29 +141,29 @@ def cell_corners(z, ground):
 
 
 @kernel()
-def _coarsest(error, n, most):
-    """Return the coarsest level of tile n in the first run of levels whose error fits."""
+def _coarsest(error, n, max_error):
+    """Return the coarsest level of tile n with errors up to `max_error`."""
     level = 0
-    while level + 1 < error.shape[0] and error[level + 1, n] <= most:
+    while level + 1 < error.shape[0] and error[level + 1, n] <= max_error:
         level += 1
     return level
 
 
 @kernel()
 def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_tolerance):
-    """Return which tiles (n,) a camera may show, how finely, and where the shown ones are.
+    """Return the visible tiles (n,) of a camera, their levels and bounds.
 
-    Levels (n,) are those for the picture and for the shadow map. The last three are the least
-    distance of a shown tile and the corners of the box that holds all of them (3,). `bounds` are
-    the tangents at the left, right, upper and lower border.
+    Levels (n,) are for the image and for the shadow map. The bounds are the minimum distance of a
+    visible tile and the corners of the bounding box of all of them (3,). `bounds` are the tangents
+    at the left, right, upper and lower border of the image.
     """
     count = low.shape[0]
     shown = np.zeros(count, np.bool_)
     level = np.zeros(count, np.int64)
     shadow_level = np.zeros(count, np.int64)
     nearest = np.inf
-    least = np.full(3, np.inf)
-    most = np.full(3, -np.inf)
+    box_low = np.full(3, np.inf)
+    box_high = np.full(3, -np.inf)
     for n in range(count):
         square = 0.0
         run = 0.0
@@ -172,9 +173,9 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_toleranc
             if k < 2:
                 run = max(run, eye[k] - low[n, k], high[n, k] - eye[k])
         distance = np.sqrt(square)
-        # The shader mends what a coarse tile does to rays that come down steeply.
+        # The shader corrects the displacement by coarse tiles for steeply descending rays.
         slant = run / max(eye[2] - high[n, 2], 1e-9)
-        steep = min(max(_MENDED / max(slant * slant, 1.0), 1.0), _MENDED)
+        steep = min(max(_STEEP_VIEW_FACTOR / max(slant * slant, 1.0), 1.0), _STEEP_VIEW_FACTOR)
         level[n] = _coarsest(error, n, tolerance * steep * distance)
         shadow_level[n] = _coarsest(error, n, shadow_tolerance * distance)
         behind = left = right = above = below = 0
@@ -194,6 +195,6 @@ def choose(low, high, error, eye, axes, bounds, near, tolerance, shadow_toleranc
         if shown[n]:
             nearest = min(nearest, distance)
             for k in range(3):
-                least[k] = min(least[k], low[n, k])
-                most[k] = max(most[k], high[n, k])
-    return shown, level, shadow_level, nearest, least, most
+                box_low[k] = min(box_low[k], low[n, k])
+                box_high[k] = max(box_high[k], high[n, k])
+    return shown, level, shadow_level, nearest, box_low, box_high

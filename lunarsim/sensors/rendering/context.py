@@ -1,7 +1,7 @@
-"""One OpenGL context per process, owned by one thread that does all rendering.
+"""One OpenGL context per process, used only by one rendering thread.
 
-A context is current in one thread only, and OpenGL calls from any other thread fail or draw garbage
-without an error. All functions that use OpenGL therefore run on the render thread.
+A context is current in one thread only. OpenGL calls from any other thread fail or draw garbage
+without an error. All functions that use OpenGL therefore run on the rendering thread.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from lunarsim.errors import RenderingError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_INSTALL = (
-    "rendering needs OpenGL 3.3 through EGL; on Debian or Ubuntu: "
+_MISSING_OPENGL = (
+    "Rendering needs OpenGL 3.3 through EGL. On Debian or Ubuntu: "
     "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
 )
-_WRONG_WIDTH = (
-    "llvmpipe renders with vectors of 128 or 512 bits here, which can end the process inside Mesa "
-    "(seen with 22.3); set LP_NATIVE_VECTOR_WIDTH=256"
+_WRONG_VECTOR_WIDTH = (
+    "Rendering with 128-bit or 512-bit vectors can crash in Mesa (seen with 22.3). "
+    "Set LP_NATIVE_VECTOR_WIDTH=256."
 )
 _here = threading.local()
 _render_thread = DaemonThreads(1, "lunarsim-render")
 
 
 def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function that uses OpenGL run on the render thread; its callers wait for it."""
+    """Run a function on the rendering thread; callers wait for its result."""
 
     def run(threads: int, *args: P.args, **kwargs: P.kwargs) -> R:
         _here.is_render_thread = True
         numba.set_num_threads(threads)
-        # Garbage collection, in whichever thread, only queues OpenGL objects; they are freed here.
+        # Garbage collection in other threads only queues OpenGL objects; free them here.
         gl_context().gc()
         return function(*args, **kwargs)
 
@@ -59,30 +59,30 @@ def on_render_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 @lru_cache(maxsize=1)
 def gl_context() -> moderngl.Context:
-    """Return the context of this process, on the render thread only.
+    """Return the context of this process; call it on the rendering thread only.
 
     Raises
     ------
     RenderingError
-        Where EGL or OpenGL is missing, or llvmpipe renders with vectors of another width than 256
-        bits; it says what to install or to set.
+        If EGL or OpenGL is missing, or llvmpipe does not use 256-bit vectors. The message contains
+        the remedy.
     """
     if not getattr(_here, "is_render_thread", False):
-        raise RuntimeError("OpenGL runs on one thread only: decorate its caller on_render_thread.")
+        raise RuntimeError("OpenGL runs on one thread only: decorate the caller on_render_thread.")
     try:
         context = moderngl.create_context(standalone=True, backend="egl", require=330)  # type: ignore[arg-type]
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
-        raise RenderingError(f"{_INSTALL} ({error})") from error
+        raise RenderingError(f"{_MISSING_OPENGL} ({error})") from error
     renderer = context.info["GL_RENDERER"]
     if renderer.startswith("llvmpipe") and "256 bits" not in renderer:
-        raise RenderingError(_WRONG_WIDTH)
+        raise RenderingError(_WRONG_VECTOR_WIDTH)
     context.gc_mode = "context_gc"
     os.register_at_fork(after_in_child=forks.mark_unsafe)
     return context
 
 
 def shader(*names: str, defines: tuple[str, ...] = ()) -> str:
-    """Return GLSL source: version, definitions, and the named files of the package."""
+    """Return GLSL source: version, definitions, and the named shader files."""
     folder = files(__package__) / "shaders"
     parts = ["#version 330", *(f"#define {line}" for line in defines)]
     parts += [(folder / f"{name}.glsl").read_text(encoding="utf-8") for name in names]

@@ -1,4 +1,4 @@
-"""What shaders are told of a picture: one block of uniforms, written once."""
+"""Parameters of an image for the shaders, in one uniform block."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.world.light import Light
 
-# As in frame.glsl; fields of two keep whole groups of four, as std140 asks.
+# Layout of frame.glsl; pairs fill complete groups of four floats, as std140 requires.
 FRAME = np.dtype(
     [
         ("axes", "(3,4)f4"),
@@ -43,22 +43,22 @@ def frame_block(
     view: View, clip: tuple[float, float], light: Light, grid: Grid, cells: tuple[int, int],
     ground: float, frame: ShadowFrame | None, texture: tuple[int, int],
 ) -> NDArray[np.void]:  # fmt: skip
-    """Return the block of a picture.
+    """Return the uniform block of an image.
 
     Parameters
     ----------
     view, clip
-        The camera, with the least and greatest depth, m.
+        Camera, and its minimum and maximum depth, m.
     light
-        The Sun and the surface.
+        Light and photometry.
     grid
-        Of the relief.
+        Grid of the relief.
     cells
-        Columns and rows of cells that the relief's texture holds.
+        Columns and rows of cells in the relief's texture.
     ground
-        Elevation from which that counts, m.
+        Elevation that is zero in that texture, m.
     frame, texture
-        The shadow map, None where nothing shades, and the size of its texture, texels.
+        Shadow map (None: no shadows), and the size of its texture, texels.
     """
     block = np.zeros((), FRAME)
     block["axes"][:, :3] = view.axes.T
@@ -78,7 +78,7 @@ def frame_block(
     block["eye_cell"] = cell
     block["eye_in_cell"] = posts - cell
     if frame is None:
-        block["map_dark"] = -1e30, 0.0  # no texel is as low as that
+        block["map_dark"] = -1e30, 0.0  # below every depth in the map
         return block
     block["lean"] = frame.lean
     block["to_map"] = frame.to_texels()
@@ -87,6 +87,6 @@ def frame_block(
     high, low = frame.heights
     block["map_dark"] = (high - frame.slack) / (high - low), -1.0 / (high - low)
     block["heights"] = frame.heights
-    block["from_map"] = frame.axes * frame.texel  # its rows are the columns of the way back
+    block["from_map"] = frame.axes * frame.texel  # rows are the columns of the inverse transform
     block["map_corner"] = frame.axes.T @ frame.corner
     return block

@@ -1,4 +1,4 @@
-"""`glow_map`: how much light each place of a relief gets from the lit ground that it sees."""
+"""Irradiance of a relief by the sunlit terrain around each point."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# At most so many posts along a side: light from about changes slowly.
-_SIDE = 192
+# Maximum number of posts along a side: scattered light varies slowly.
+_MAX_POSTS_PER_SIDE = 192
 _AZIMUTHS = 16
-_GROWTH = 1.2
+_DISTANCE_FACTOR = 1.2
 
 
 @dataclass(frozen=True)
-class GlowMap:
-    """Light thrown on a relief by itself, once.
+class ScatteredLightMap:
+    """Irradiance of a relief by its own scattered light, single scattering.
 
     Attributes
     ----------
     corner
-        Place of the first value (2,), ENU, m.
+        Position of the first value (2,), ENU, m.
     posting
-        Distance of values, m.
+        Distance between values, m.
     values
-        Irradiance over the Sun's, and the mean I/F of the ground about (rows, cols, 2), float32.
+        Irradiance over the Sun's, and mean I/F of the surrounding terrain (rows, cols, 2), float32.
     """
 
     corner: Array
@@ -39,27 +39,27 @@ class GlowMap:
     values: NDArray[np.float32]
 
     def from_camera(self, eye: Array) -> Array:
-        """Return scale and offset (4,) from metres about the camera to the texture."""
+        """Return scale and offset (4,) from metres relative to the camera to the texture."""
         rows, cols = self.values.shape[:2]
         size = np.array([cols, rows])
         posts = (eye[:2] - self.corner) / self.posting
         return np.concatenate((1.0 / (self.posting * size), (posts + 0.5) / size))
 
 
-def glow_map(relief: Heightfield, light: Light) -> GlowMap:
-    """Return the light that a relief throws on itself.
+def scattered_light_map(relief: Heightfield, light: Light) -> ScatteredLightMap:
+    """Return the irradiance of a relief by its own scattered light.
 
-    Each place shines with the hemispherical albedo at its angle of incidence, the same in all
-    directions; it is lit by the middle of the Sun. Rocks take part in receiving only.
+    Terrain reflects equally in all directions, with the hemispherical albedo at its angle of
+    incidence, and is lit by a point Sun. Rocks receive scattered light but do not reflect it.
 
     Parameters
     ----------
     relief
-        The relief; what is unknown of it counts as level with the lowest known.
+        Relief; no-data counts as terrain at the minimum elevation.
     light
-        The Sun and the law of reflection.
+        Sun and photometry.
     """
-    step = max(1, -(-max(relief.z.shape) // _SIDE))
+    step = max(1, -(-max(relief.z.shape) // _MAX_POSTS_PER_SIDE))
     z = relief.z[::step, ::step].astype(np.float64)
     z = np.where(np.isfinite(z), z, np.nanmin(relief.z))
     posting = step * relief.grid.posting
@@ -73,8 +73,10 @@ def glow_map(relief: Heightfield, light: Light) -> GlowMap:
         cosine = np.where(lit, np.maximum(cosine, 0.0), 0.0)
         shine = cosine * light.hemispheric_albedo(cosine)
         slope = np.stack((east, north), axis=-1)
-        values[..., 0] = kernels.gathered(z, slope, posting, shine, _AZIMUTHS, _GROWTH)
-        # The filter's running sums leave some -1e-17 behind where nothing shines.
+        values[..., 0] = kernels.scattered_irradiance(
+            z, slope, posting, shine, _AZIMUTHS, _DISTANCE_FACTOR
+        )
+        # The filter's running sums leave values of about -1e-17 in dark areas.
         values[..., 1] = np.maximum(ndimage.uniform_filter(shine, 5, mode="nearest"), 0.0)
     corner = np.array([relief.grid.x0, relief.grid.y0])
-    return GlowMap(corner, posting, values)
+    return ScatteredLightMap(corner, posting, values)

@@ -1,6 +1,6 @@
-"""`LeeBlocks`: what of a relief is turned away from the Sun.
+"""Selection of the parts of a relief that are turned away from the Sun.
 
-Only that is ever drawn into a shadow map, and it is little of most ground.
+Only these are drawn into a shadow map, and they are a small part of most terrain.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# Faces count as turned away that lie within this share of the sunrays' slope: a driver rounds
-# corners to a fraction of a texel. Where a texel is far larger than a cell, that is not enough.
-_SHARE = 0.05
-_TEXELS = 3.0
+# Tolerance on the slope of the Sun's rays for faces turned away from the Sun, because a driver
+# rounds corners to a fraction of a texel; and the texel size, in postings, up to which it suffices.
+_SLOPE_TOLERANCE = 0.05
+_MAX_TEXEL_POSTINGS = 3.0
 
 
-class LeeBlocks:
-    """Squares of 8 x 8 cells, the blocks of tiles, that have a face turned away from a Sun.
+class ShadowCasterBlocks:
+    """Blocks of 8 x 8 cells that have a face turned away from the Sun.
 
     Parameters
     ----------
     relief
-        The relief.
+        Relief.
     tiles
-        Its tiles.
+        Tiles of the relief, which consist of the blocks.
     """
 
     def __init__(self, relief: Heightfield, tiles: ReliefTiles) -> None:
@@ -46,23 +46,23 @@ class LeeBlocks:
         Parameters
         ----------
         picked
-            Numbers of the tiles (m,).
+            Indices of the tiles (m,).
         edges
-            Level of detail of their edges (m, 4): those of a coarser neighbour have other faces.
+            Levels of detail of their edges (m, 4); next to a coarser neighbour faces differ.
         sun
-            Unit vector towards the Sun (3,), ENU.
+            Unit vector to the Sun (3,), ENU.
         texel
-            Of the shadow map, m.
+            Texel size of the shadow map, m.
         """
         p = self._relief.grid.posting
-        if texel > _TEXELS * p:
+        if texel > _MAX_TEXEL_POSTINGS * p:
             return np.ones((len(picked), BLOCKS * BLOCKS), np.bool_)
         if not np.array_equal(sun, self._sun):
             self._sun = np.array(sun)
             self._known[:] = False
         new = picked[~self._known[picked]]
         self._lee[new] = kernels.lee_blocks(
-            self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SHARE
+            self._relief.z, self._first[new], SIDE, BLOCKS, p, self._sun, 1.0 - _SLOPE_TOLERANCE
         )
         self._known[new] = True
         lee = self._lee[picked]

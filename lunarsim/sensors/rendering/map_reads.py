@@ -1,7 +1,7 @@
-"""`MapReads`: where in a shadow map a picture looks.
+"""Bounds of the part of a shadow map that an image reads.
 
-The map is a rectangle along the Sun's azimuth about all that the picture shows, so a picture that
-lies askew of it, or one that runs off to a side, never looks into much of it.
+The map is a rectangle along the Sun's azimuth around everything visible. An image whose footprint
+is oblique to it, or extends to one side, reads only a part of it.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 
 Array = NDArray[np.float64]
 
-# Texels about a place that a shader may read, with room for what float32 loses.
-_ABOUT = 3.0
-# Where the relief is drawn coarsely its points move along their rays, twice by 0.4 % of the range
-# at most (`shade_fragment.glsl`); the rest is for the steps of the depth that is read back.
-_MENDED = 0.01
-# The least drop of a ray for each metre, for the map's reads to be bounded at all.
-_LEVEL = 1e-3
+# Neighbourhood in texels that a shader may read, with a margin for the rounding of float32.
+_NEIGHBOURHOOD = 3.0
+# Coarse relief displaces points along their rays, twice by at most 0.4 % of the range
+# (`shade_fragment.glsl`); the remainder covers the resolution of the depth buffer.
+_DISPLACEMENT = 0.01
+# Minimum descent of a ray per metre for which the reads are bounded.
+_MIN_DESCENT = 1e-3
 
-# The edges of the body of rays between two levels: its points are numbered by ray (around the
-# picture) and level.
+# Edges of the body of rays between two elevations; its points are numbered by ray (around the
+# image) and elevation.
 _EDGES = np.array(
     [[2 * k + j, 2 * ((k + 1) % 4) + j] for k in range(4) for j in range(2)]
     + [[2 * k, 2 * k + 1] for k in range(4)]
@@ -33,55 +33,55 @@ _EDGES = np.array(
 
 
 @dataclass(frozen=True)
-class MapReads:
-    """Strips of a shadow map in all of which a picture's points lie, unless on the map's border.
+class ShadowMapReads:
+    """Strips of a shadow map that contain all inner points an image reads.
 
     Attributes
     ----------
     normal
-        Unit normals of the strips (k, 2), in the map's axes; none where anything may be read.
-    least, most
+        Unit normals of the strips (k, 2), map axes; empty if any texel may be read.
+    lower_bound, upper_bound
         Bounds of the strips along their normals (k,), texels.
     size
-        Texels of the map along its axes.
+        Size of the map along its axes, texels.
     """
 
     normal: Array
-    least: Array
-    most: Array
+    lower_bound: Array
+    upper_bound: Array
     size: tuple[int, int]
 
     @classmethod
-    def anywhere(cls, frame: ShadowFrame) -> MapReads:
-        """Return the reads of a picture of which nothing is known."""
+    def anywhere(cls, frame: ShadowFrame) -> ShadowMapReads:
+        """Return reads without bounds."""
         return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0), frame.size)
 
     @classmethod
-    def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> MapReads:
-        """Return the reads of a view that shows points between two elevations alone, m."""
+    def of(cls, view: View, frame: ShadowFrame, lowest: float, highest: float) -> ShadowMapReads:
+        """Return the reads of a view that shows only points between two elevations, m."""
         drop = float(view.position[2]) - lowest
-        top = highest + _MENDED * drop
+        top = highest + _DISPLACEMENT * drop
         left, right, upper, lower = view.border
         border = np.array([[left, upper, 1.0], [right, upper, 1.0], [right, lower, 1.0],
                            [left, lower, 1.0]]) @ view.axes.T  # fmt: skip
-        steep = -border[:, 2] > _LEVEL * np.linalg.norm(border, axis=1)
+        steep = -border[:, 2] > _MIN_DESCENT * np.linalg.norm(border, axis=1)
         if not steep.all() or top >= view.position[2]:
             return cls.anywhere(frame)
-        levels = np.array([-(1.0 + _MENDED) * drop, top - view.position[2]])
+        levels = np.array([-(1.0 + _DISPLACEMENT) * drop, top - view.position[2]])
         points = (border[:, None] * (levels / border[:, 2:])[..., None]).reshape(-1, 3)
         place = frame.texels_of(points)
         edge = place[_EDGES[:, 1]] - place[_EDGES[:, 0]]
         normal = np.column_stack((-edge[:, 1], edge[:, 0]))
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
         along = place @ normal.T
-        room = _ABOUT * np.abs(normal).sum(axis=1)
+        room = _NEIGHBOURHOOD * np.abs(normal).sum(axis=1)
         return cls(normal, along.min(axis=0) - room, along.max(axis=0) + room, frame.size)
 
     def meet(self, place: Array) -> NDArray[np.bool_]:
-        """Return which convex bodies with corners (n, c, 2), in texels, may darken what is read."""
+        """Return which convex bodies (n, c, 2), in texels, may shadow what is read."""
         along = place @ self.normal.T
-        within = ((along.max(1) >= self.least) & (along.min(1) <= self.most)).all(-1)
-        # A point beyond the map reads its border.
-        last = np.array(self.size) - _ABOUT - 1.0
-        border = ((place.min(1) < _ABOUT + 1.0) | (place.max(1) > last)).any(-1)
+        within = ((along.max(1) >= self.lower_bound) & (along.min(1) <= self.upper_bound)).all(-1)
+        # A point outside the map reads its border.
+        last = np.array(self.size) - _NEIGHBOURHOOD - 1.0
+        border = ((place.min(1) < _NEIGHBOURHOOD + 1.0) | (place.max(1) > last)).any(-1)
         return np.asarray(within | border)

@@ -1,4 +1,4 @@
-"""Albedo that varies: a field of mottles on the ground, and a number for every rock."""
+"""Albedo variation: a random field on the terrain, and a factor for every rock."""
 
 from __future__ import annotations
 
@@ -7,26 +7,21 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.shading_model import MOTTLE_RANGE
+from lunarsim.sensors.rendering.shading_model import ALBEDO_FIELD_RANGE
 from lunarsim.world.light import Light
 
 Array = NDArray[np.float64]
 
 _SIDE = 1024
-# Texels in a correlation length.
+# Texels per correlation length.
 _DETAIL = 8
 
 
 @lru_cache(maxsize=4)
-def mottle_field(seed: int) -> NDArray[np.uint8]:
-    """Return a periodic field (1024, 1024) whose correlation is exp(-distance / 8 texels).
+def albedo_field(seed: int) -> NDArray[np.uint8]:
+    """Return a periodic random field (1024, 1024) of exponential correlation.
 
-    It is normal with mean 128 and a standard deviation of an eighth of 255, cut off at four.
-
-    Parameters
-    ----------
-    seed
-        Of its generator.
+    Values are normal with mean 128 and standard deviation 255 / 8, limited to four deviations.
     """
     rng = np.random.default_rng([seed, 0])
     k = 2.0 * np.pi * np.fft.fftfreq(_SIDE)
@@ -34,20 +29,20 @@ def mottle_field(seed: int) -> NDArray[np.uint8]:
     power[0, 0] = 0.0
     noise = np.fft.rfft2(rng.standard_normal((_SIDE, _SIDE)))
     field = np.fft.irfft2(noise * np.sqrt(power), (_SIDE, _SIDE))
-    field *= 255.0 / (2.0 * MOTTLE_RANGE * field.std())
+    field *= 255.0 / (2.0 * ALBEDO_FIELD_RANGE * field.std())
     return np.clip(np.rint(128.0 + field), 0, 255).astype(np.uint8)
 
 
-def mottles_from_camera(light: Light, eye: Array) -> Array:
-    """Return scale and offset (4,) from metres about the camera to the field, which repeats."""
+def albedo_from_camera(light: Light, eye: Array) -> Array:
+    """Return scale and offset (4,) from the camera's metres to the field."""
     scale = _DETAIL / (light.mottle_length * _SIDE)
     return np.array([scale, scale, *((eye[:2] * scale) % 1.0)])
 
 
 def rock_albedos(light: Light, count: int) -> Array:
-    """Return the albedo of every rock (count,) over the mean ground's.
+    """Return the albedo of every rock (count,) over the mean of the terrain.
 
-    Log-normal about `boulder_albedo`; rock i has the same whatever the number of rocks.
+    It is log-normal around `boulder_albedo`; the value of rock i does not depend on `count`.
     """
     spread = np.sqrt(np.log1p(light.boulder_mottle**2))
     normal = np.random.default_rng([light.mottle_seed, 1]).standard_normal(count)

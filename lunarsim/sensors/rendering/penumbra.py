@@ -1,4 +1,4 @@
-"""Penumbrae: how the Sun's disc looks from a shadow map, and where its edge may fall."""
+"""Penumbrae: the Sun's disc in the shadow map, and bounds of the texels."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, plain
+from lunarsim.sensors.rendering.programs import BLOCK, BOUNDS, SHADOW, disable_filtering
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.sensors.rendering.target import ShadowMap
 
 Array = NDArray[np.float64]
 
-# The farthest that an edge is sought, blocks of the shadow map.
-_FARTHEST = 128
+# Maximum search distance for an edge, blocks of the shadow map.
+_MAX_SEARCH_BLOCKS = 128
 
 
 def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
-    """Return the half axes (2,) of the Sun's disc in the map, texels for each metre of rise.
+    """Return the half axes (2,) of the Sun's disc in the map, texels per metre.
 
-    Along the Sun's azimuth first: what stands h over a point hides parts of the disc at places of
-    the map up to h tan(r) / sin(e)^2 from it, and across h tan(r) / sin(e), with the disc's radius
-    r and the Sun's elevation e; to first order in r.
+    The first axis is along the Sun's azimuth. An occluder at height h over a point hides parts of
+    the disc within h tan(r) / sin(e)^2 along the azimuth, and h tan(r) / sin(e) across, with the
+    radius r of the disc and the elevation e of the Sun; to first order in r.
     """
     radius = np.tan(0.5 * diameter)
     sine = max(float(sun[2]), float(radius))
@@ -29,16 +29,16 @@ def disc_axes(frame: ShadowFrame, sun: Array, diameter: float) -> Array:
 
 
 class PenumbraBounds:
-    """Least and greatest depth of a shadow map within reach of each of its blocks.
+    """Minimum and maximum depth of a shadow map around each of its blocks.
 
     Parameters
     ----------
     ctx
-        The context.
+        OpenGL context.
     programs
-        Its programs.
+        Programs of the context.
     shadow
-        The shadow map.
+        Shadow map.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class PenumbraBounds:
         self.size = size
         self._textures = [ctx.texture(size, 4, dtype="f4") for _ in range(2)]
         for texture in self._textures:
-            plain(texture)
+            disable_filtering(texture)
         self._buffers = [ctx.framebuffer([texture]) for texture in self._textures]
         self._programs = programs
         self._screens = {
@@ -57,26 +57,26 @@ class PenumbraBounds:
         }
 
     def draw(self, frame: ShadowFrame, axes: Array, reach: float) -> None:
-        """Measure the blocks of a map that has been drawn, and those about them.
+        """Compute the bounds of a map that has been drawn.
 
         Parameters
         ----------
         frame
-            Of the map.
+            Frame of the map.
         axes
-            Half axes of the Sun's disc for each unit of depth (2,), texels.
+            Half axes of the Sun's disc per unit of depth (2,), texels.
         reach
-            The most that a penumbra reaches, texels.
+            Maximum half width of a penumbra, texels.
         """
         last = [-(-n // BLOCK) - 1 for n in frame.size]
-        far = int(min(np.ceil(reach / BLOCK) + 1, _FARTHEST))
+        far = int(min(np.ceil(reach / BLOCK) + 1, _MAX_SEARCH_BLOCKS))
         self._shadow.texture.use(SHADOW)
         self._programs["bounds"]["last"] = (frame.size[0] - 1, frame.size[1] - 1)
         self._pass("bounds", 0, last)
         for k, way in enumerate(((far, 0), (0, far))):
             self._textures[k].use(BOUNDS)
             self._programs["spread"]["spread"] = (*last, *way)
-            # Both axes together: no more than the true distance.
+            # The sum over both axes is then at most the true distance.
             self._programs["spread"]["growth"] = BLOCK / float(axes[k]) / np.sqrt(2.0)
             self._pass("spread", 1 - k, last)
         self._textures[0].use(BOUNDS)

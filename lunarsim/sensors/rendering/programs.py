@@ -1,4 +1,4 @@
-"""Programs, meshes and textures of one context, and how values reach them."""
+"""Shader programs, meshes and textures of a context, and their inputs."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ Array = NDArray[np.float64]
 def float_texture(ctx: moderngl.Context, data: NDArray[Any]) -> moderngl.Texture:
     """Return an array (rows, cols, parts) as a float32 texture without filtering.
 
-    Rows that are a power of two apart fall on the same places of a processor's cache: such an array
-    gets a few columns more, as the last one.
+    Rows a power of two apart conflict in a processor's cache; such an array is padded by a few
+    columns.
     """
     data = np.ascontiguousarray(data, np.float32)
     if data.strides[0] % 1024 == 0:
         data = np.pad(data, ((0, 0), (0, 16), (0, 0)), mode="edge")
     rows, cols, parts = data.shape
     texture = ctx.texture((cols, rows), parts, data.tobytes(), dtype="f4")
-    plain(texture)
+    disable_filtering(texture)
     return texture
 
 
-def plain(texture: moderngl.Texture) -> None:
-    """Have a texture read as it is: the nearest texel, the last one beyond its edge."""
+def disable_filtering(texture: moderngl.Texture) -> None:
+    """Read a texture without filtering, and clamp it at its edges."""
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
 
 
 @lru_cache(maxsize=LEVELS)
 def tile_mesh(ctx: moderngl.Context, level: int) -> tuple[moderngl.Buffer, moderngl.Buffer]:
-    """Return the vertices and triangles of one level of detail; all terrains share them."""
+    """Return the vertices and triangles of one level of detail."""
     posts, triangles = level_mesh(level)
     return ctx.buffer(posts.tobytes()), ctx.buffer(triangles.tobytes())
 
 
-# Texture units, and what the shaders call them.
+# Texture units, and the names of their samplers in the shaders.
 CORNERS, SHADOW, DEPTHS, ROCKS, BOUNDS, GLOW, MOTTLES = range(7)
 _UNITS = {
     "corners": CORNERS,
@@ -58,11 +58,11 @@ _UNITS = {
     "mottles": MOTTLES,
 }
 
-# Side of the squares of the shadow map whose least and greatest depth are known, texels.
+# Side of the blocks of the shadow map whose minimum and maximum depth are computed, texels.
 BLOCK = 16
 
-# Rocks are drawn by one program a kind: a driver that works on many pixels at once would run the
-# code of every kind for each of them.
+# One program per kind of rock: a driver that processes many pixels at once would run the code of
+# all kinds for each of them.
 ROCK_KINDS = ("half-sphere", "cube", "hull")
 
 
@@ -74,16 +74,16 @@ def shade_name(*, coarse: bool, leaks: bool, truth: bool) -> str:
     coarse
         Whether the relief was drawn coarsely.
     leaks
-        Whether light may leak through ridges in the shadow map.
+        Whether light may leak through narrow ridges in the shadow map.
     truth
-        Whether range, normal and identity are drawn too.
+        Whether range, normal and identity are also output.
     """
     return "shade" + "-coarse" * coarse + "-leaks" * leaks + "-truth" * truth
 
 
 @lru_cache(maxsize=2)
 def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str, moderngl.Program]:
-    """Return the programs that draw depth and shadow maps; terrains of one context share them."""
+    """Return the programs that draw depth and shadow maps."""
     block = (f"BLOCK {BLOCK}",)
     programs = {
         "relief": ctx.program(
@@ -104,12 +104,12 @@ def geometry_programs(ctx: moderngl.Context, holes: tuple[str, ...]) -> dict[str
             shader("frame", "rock_vertex", defines=("SHADOW", *shape)),
             shader(*before, f"{stem}_shadow_fragment", defines=shape),
         )
-    return _ready(programs)
+    return _bind_inputs(programs)
 
 
 @lru_cache(maxsize=16)
 def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, moderngl.Program]:
-    """Return the programs that draw pictures under one kind of light."""
+    """Return the programs that render images under one shading model."""
     lit, own = model.sources(), model.defines
     before = ("frame", *lit[:1], "given_light")
     programs = {}
@@ -130,23 +130,23 @@ def shading_programs(ctx: moderngl.Context, model: ShadingModel) -> dict[str, mo
                 shader(*before, "rock_vertex", defines=(*shape, *own)),
                 shader(*lit, "paint", *first, f"{stem}_fragment", defines=(*shape, *truth, *own)),
             )
-    return _ready(programs)
+    return _bind_inputs(programs)
 
 
 def _rock_kind(kind: str) -> tuple[tuple[str, ...], tuple[str, ...], str]:
-    """Return definitions, what goes before, and the beginning of the shaders' names of a kind."""
+    """Return definitions, preceding sources and shader name prefix of a kind of rock."""
     if kind == "half-sphere":
         return (), ("half_sphere",), "half_sphere"
     table = shape_table()
-    most = table.planes.shape[1]
-    faces = int(table.count[CUBE]) if kind == "cube" else most
-    return (f"MOST {most}", f"FACES {faces}"), (), "hull"
+    max_faces = table.planes.shape[1]
+    faces = int(table.count[CUBE]) if kind == "cube" else max_faces
+    return (f"MOST {max_faces}", f"FACES {faces}"), (), "hull"
 
 
-def _ready(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
-    """Tell programs their textures, their block of uniforms and the shapes of rocks."""
+def _bind_inputs(programs: dict[str, moderngl.Program]) -> dict[str, moderngl.Program]:
+    """Bind textures, uniform block and rock shapes of programs."""
     table = shape_table()
-    # Half spaces that hold everything fill the table up.
+    # Unused faces of the table become half spaces that contain everything.
     planes = table.planes.astype("f4")
     planes[~planes[..., :3].any(2), 3] = 1.0
     for program in programs.values():

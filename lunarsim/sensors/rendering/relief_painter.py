@@ -1,4 +1,4 @@
-"""Drawing the relief: tiles at the level of detail that a picture needs."""
+"""Drawing of the relief: tiles at the level of detail that an image needs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.sensors.rendering.lee_blocks import LeeBlocks
+from lunarsim.sensors.rendering.lee_blocks import ShadowCasterBlocks
 from lunarsim.sensors.rendering.programs import CORNERS, float_texture, tile_mesh
 from lunarsim.sensors.rendering.relief_tiles import BLOCKS, LEVELS, SIDE, ReliefTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -15,39 +15,39 @@ from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# What the shader takes for each tile; see relief_vertex.glsl.
+# Instance attributes of a tile in relief_vertex.glsl.
 _INSTANCE = np.dtype([("tile", "4i4"), ("edges", "4i4"), ("placed", "16f4")])
 
 
-class ReliefPainter:
-    """Draws a relief.
+class ReliefRenderer:
+    """Draws the depth and the shadow map of a relief.
 
     Parameters
     ----------
     ctx
-        The context.
+        OpenGL context.
     programs
-        The programs of that context.
+        Programs of the context.
     relief
-        The relief.
+        Relief to draw.
 
     Attributes
     ----------
     tiles
-        The tiles of the relief.
+        Tiles of the relief.
     corners
-        Elevations of the corners of each cell, as a texture.
+        Texture of the elevations of the corners of each cell.
     ground
-        The elevation from which they count, m.
+        Elevation that is zero in the texture, m.
     """
 
     def __init__(
         self, ctx: moderngl.Context, programs: dict[str, moderngl.Program], relief: Heightfield
     ) -> None:
         self.tiles = ReliefTiles.of(relief)
-        self._lee = LeeBlocks(relief, self.tiles)
+        self._lee = ShadowCasterBlocks(relief, self.tiles)
         self._grid = relief.grid
-        # Elevations are counted from the middle, in whole metres, so that float32 is precise.
+        # Elevations are relative to the middle, in whole metres, for the precision of float32.
         finite = relief.z[np.isfinite(relief.z)]
         self.ground = float(np.round(0.5 * (finite.min() + finite.max()))) if finite.size else 0.0
         self.corners = float_texture(ctx, kernels.cell_corners(relief.z, self.ground))
@@ -64,34 +64,34 @@ class ReliefPainter:
         Parameters
         ----------
         matrix
-            From metres about the eye, ENU, to clip coordinates (4, 4).
+            Transform from metres relative to the camera, ENU, to clip coordinates (4, 4).
         eye
-            ENU (3,), m.
+            Position of the camera, ENU (3,), m.
         shown, level
-            Which tiles, and the level of detail of every tile, shown or not (n,).
+            Tiles to draw, and the level of detail of every tile (n,).
         """
         self.corners.use(CORNERS)
         for k in range(LEVELS):
             picked = np.flatnonzero(shown & (level == k))
             if picked.size:
-                self._hand_on("relief", k, self._instances(matrix, eye, picked, level))
+                self._draw_instances("relief", k, self._instances(matrix, eye, picked, level))
 
     def draw_shadows(
         self, frame: ShadowFrame, sun: Array, eye: Array, shades: NDArray[np.bool_],
         level: NDArray[np.int64],
     ) -> None:  # fmt: skip
-        """Draw what of tiles is turned away from the Sun into a shadow map.
+        """Draw the parts of tiles that are turned away from the Sun into a shadow map.
 
         Parameters
         ----------
         frame
-            Of the map.
+            Frame of the map.
         sun
-            Unit vector towards the Sun (3,), ENU.
+            Unit vector to the Sun (3,), ENU.
         eye
-            ENU (3,), m.
+            Position of the camera, ENU (3,), m.
         shades, level
-            Which tiles, and the level of detail of every tile (n,).
+            Tiles to draw, and the level of detail of every tile (n,).
         """
         self.corners.use(CORNERS)
         matrix = frame.matrix()
@@ -101,14 +101,16 @@ class ReliefPainter:
                 continue
             rows = self._instances(matrix, eye, picked, level)
             if k > 0:
-                self._hand_on("relief-shadow", k, rows)
+                self._draw_instances("relief-shadow", k, rows)
                 continue
             lee = self._lee.of(picked, rows["edges"], sun, frame.texel)
             for block, some in enumerate(lee.T):
                 if some.any():
-                    self._hand_on("relief-shadow", 0, rows[some], block)
+                    self._draw_instances("relief-shadow", 0, rows[some], block)
 
-    def _hand_on(self, name: str, k: int, rows: NDArray[np.void], block: int | None = None) -> None:
+    def _draw_instances(
+        self, name: str, k: int, rows: NDArray[np.void], block: int | None = None
+    ) -> None:
         """Draw instances of a mesh, or of one of its blocks."""
         if (name, k) not in self._vaos:
             posts, triangles = tile_mesh(self._ctx, k)
@@ -127,7 +129,7 @@ class ReliefPainter:
     def _instances(
         self, matrix: Array, eye: Array, picked: NDArray[np.int64], level: NDArray[np.int64]
     ) -> NDArray[np.void]:
-        """Return what the shader needs of each tile; positions are summed in float64."""
+        """Return the instance attributes of tiles; positions are computed in float64."""
         g, tiles = self._grid, self.tiles
         rows = np.empty(picked.size, _INSTANCE)
         first = tiles.first[picked]

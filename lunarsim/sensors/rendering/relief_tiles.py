@@ -1,4 +1,4 @@
-"""Tiles of the relief: which to draw, and how finely."""
+"""Tiles of the relief, and their selection and level of detail for a view."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TileChoice:
-    """What a camera shows of a relief.
+    """Tiles of a relief to draw for a view.
 
     Attributes
     ----------
     shown
-        Which tiles may be in the picture (n,).
+        Whether each tile may be visible (n,).
     level, shadow_level
-        The coarsest level of detail that is good enough for the picture and for the shadow map, of
-        every tile (n,).
+        Coarsest sufficient level of detail of every tile (n,), for the image and for the shadow
+        map.
     nearest
-        Least distance of a shown tile, m.
+        Minimum distance of a visible tile, m.
     low, high
-        Corners of the box that holds all shown tiles (3,), m.
+        Corners of the bounding box of all visible tiles (3,), m.
     """
 
     shown: NDArray[np.bool_]
@@ -44,20 +44,20 @@ class TileChoice:
 
 @dataclass(frozen=True)
 class ReliefTiles:
-    """Squares of 32 x 32 cells with their extent and the error of drawing them coarsely.
+    """Tiles of 32 x 32 cells with bounding boxes and errors of coarser levels.
 
     Attributes
     ----------
     first
         First column and row of each tile (n, 2).
     low, high
-        Corners of the box that holds each tile (n, 3), m; only tiles with any elevation.
+        Corners of the bounding box of each tile (n, 3), m; tiles without data are omitted.
     steepness
-        Greatest gradient of each tile (n,).
+        Maximum gradient of each tile (n,).
     error
-        Greatest vertical error of each level of detail (6, n), m: level l keeps every 2^l-th post.
+        Maximum vertical error of each level of detail (6, n), m: level l keeps every 2^l-th post.
     neighbour
-        Numbers of the tiles to the west, east, south and north of each (n, 4); its own where
+        Indices of the tiles to the west, east, south and north of each (n, 4); its own index where
         there is none.
     """
 
@@ -70,7 +70,7 @@ class ReliefTiles:
 
     @classmethod
     def of(cls, relief: Heightfield) -> ReliefTiles:
-        """Measure the tiles of a relief."""
+        """Compute the tiles of a relief."""
         g = relief.grid
         low, top, steep, error = kernels.tile_tables(relief.z, SIDE, LEVELS, g.posting)
         i, j = np.nonzero(np.isfinite(low))
@@ -88,7 +88,7 @@ class ReliefTiles:
         )
 
     def corners(self) -> Array:
-        """Return the corners of every box (n, 8, 3), m."""
+        """Return the corners of every bounding box (n, 8, 3), m."""
         pick = (np.arange(8)[:, None] >> np.arange(3)) & 1
         return np.asarray(np.where(pick, self.high[:, None, :], self.low[:, None, :]))
 
@@ -96,19 +96,18 @@ class ReliefTiles:
         self, eye: Array, axes: Array, bounds: Array, near: float, tolerance: float,
         shadow_tolerance: float,
     ) -> TileChoice:  # fmt: skip
-        """Return what a camera shows.
+        """Return the tiles to draw for a camera.
 
         Parameters
         ----------
         eye, axes
-            Place (3,) and axes (3, 3) of the sensor, ENU.
+            Position (3,), m, and axes (3, 3) of the camera, ENU.
         bounds
-            Tangents at the left, right, upper and lower border of the picture (4,).
+            Tangents at the left, right, upper and lower border of the image (4,).
         near
-            Least depth, m.
+            Minimum depth, m.
         tolerance, shadow_tolerance
-            Vertical error that is allowed for each metre of distance, in the picture and in the
-            shadow map.
+            Maximum vertical error per metre of distance, in the image and in the shadow map.
         """
         return TileChoice(*kernels.choose(
             self.low, self.high, self.error, eye, np.ascontiguousarray(axes), bounds, near,
@@ -119,7 +118,7 @@ class ReliefTiles:
 def _neighbours(
     i: NDArray[np.int64], j: NDArray[np.int64], shape: tuple[int, ...]
 ) -> NDArray[np.int64]:
-    """Return the numbers of the four neighbours of tiles at rows `i` and columns `j`."""
+    """Return the indices of the four neighbours of tiles at rows `i` and columns `j`."""
     number = np.full((shape[0] + 2, shape[1] + 2), -1)
     number[i + 1, j + 1] = np.arange(i.size)
     around = np.stack(
@@ -131,7 +130,7 @@ def _neighbours(
 def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
     """Return the vertices (column, row) and triangles of one tile at a level.
 
-    At the finest level the triangles of a block of the tile stand together, block by block.
+    At the finest level the triangles are ordered by block.
     """
     step = 2**level
     n = SIDE // step
@@ -141,7 +140,7 @@ def level_mesh(level: int) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
         wide = n // BLOCKS
         a = a.reshape(BLOCKS, wide, BLOCKS, wide).swapaxes(1, 2)
     a = a.reshape(BLOCKS * BLOCKS if level == 0 else 1, -1)
-    # The diagonal runs from south-west to north-east, as the terrain's does.
+    # The diagonal runs from south-west to north-east, as in `Heightfield`.
     pair = np.stack(
         (np.stack((a, a + 1, a + n + 2), -1), np.stack((a, a + n + 2, a + n + 1), -1)), axis=1
     )

@@ -1,9 +1,10 @@
-"""`Renderer`: pictures of one terrain.
+"""Renderer of images of one terrain.
 
 The relief is drawn as tiles of triangles at a level of detail whose error stays below a fraction
-of a pixel; its normals always come from the finest triangles. Rocks are boxes on the screen in
-which the shader meets the exact shape. Shadows come from a map along the Sun's rays that holds the
-highest face turned away from the Sun: a lit face never lies on it, so nothing shades itself.
+of a pixel; its normals always come from the finest triangles. A rock is drawn as a screen box in
+which the shader intersects the exact shape. Shadows come from a map along the Sun's rays of the
+highest faces turned away from the Sun: a lit face is never in the map, so that no face shadows
+itself.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
 from lunarsim.sensors.rendering.frame_block import FRAME, frame_block
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.mottles import rock_albedos
 from lunarsim.sensors.rendering.penumbra import PenumbraBounds, disc_axes
 from lunarsim.sensors.rendering.programs import (
@@ -31,9 +32,9 @@ from lunarsim.sensors.rendering.programs import (
     shade_name,
     shading_programs,
 )
-from lunarsim.sensors.rendering.relief_painter import ReliefPainter
+from lunarsim.sensors.rendering.relief_painter import ReliefRenderer
 from lunarsim.sensors.rendering.relief_tiles import TileChoice
-from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.rock_painter import RockRenderer
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shading_model import ShadingModel
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -44,27 +45,27 @@ from lunarsim.world.terrain import Terrain
 
 Array = NDArray[np.float64]
 
-# Drawing the relief coarsely may move it by this share of its distance, and a shadow's edge by
-# this share of a pixel.
+# Maximum displacement by coarse relief: of a point, over its distance, and of a shadow's edge, in
+# pixels.
 _RANGE_ERROR = 4e-4
-_SHADOW_ERROR = 0.5
-# Ridges may be narrower than a texel of the shadow map where posts are no farther apart than this
-# many of them.
-_NARROW = 4.0
+_SHADOW_ERROR_PX = 0.5
+# If a posting is smaller than this many texels of the shadow map, ridges may be narrower than a
+# texel.
+_NARROW_RIDGE_TEXELS = 4.0
 
 
 class Renderer:
-    """All buffers of one terrain on the graphics device; any thread may use it.
+    """Graphics buffers and programs of one terrain, usable from any thread.
 
     Parameters
     ----------
     terrain
-        What is drawn.
+        Terrain to render.
 
     Raises
     ------
     RenderingError
-        Where OpenGL is missing or the relief has more posts than a texture can hold.
+        If OpenGL is missing or the relief has more posts than a texture can hold.
     """
 
     @on_render_thread
@@ -73,13 +74,16 @@ class Renderer:
         self._ctx = ctx
         relief = terrain.relief
         self._relief = relief
-        most = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        if max(relief.z.shape) > most:
-            raise RenderingError(f"the relief has {relief.z.shape} posts; this device holds {most}")
+        max_size = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        if max(relief.z.shape) > max_size:
+            raise RenderingError(
+                f"The relief has {relief.z.shape} posts, but this device holds at most {max_size} "
+                "per side."
+            )
         holes = () if np.isfinite(relief.z).all() else ("HOLES",)
         self._programs = geometry_programs(ctx, holes)
-        self._ground = ReliefPainter(ctx, self._programs, relief)
-        self._rocks = RockPainter(ctx, self._programs, terrain)
+        self._ground = ReliefRenderer(ctx, self._programs, relief)
+        self._rocks = RockRenderer(ctx, self._programs, terrain)
         tiles = self._ground.tiles
         self._tiles = tiles
         self._corners = tiles.corners()
@@ -97,22 +101,22 @@ class Renderer:
     def render(
         self, view: View, light: Light, *, truth: bool = False, shadows: bool = True
     ) -> RenderedImage:
-        """Draw the terrain.
+        """Render an image of the terrain.
 
         Parameters
         ----------
         view, light
-            Camera and Sun.
+            Camera and light.
         truth
-            Whether to return range, normal and identity too; the relief is then drawn at its
-            finest level.
+            Whether to return range, normal and identity; the relief is then drawn at its finest
+            level.
         shadows
-            Whether points can shade each other.
+            Whether to compute shadows.
 
         Raises
         ------
         InputError
-            If the camera is under the ground or its pose is none.
+            If the camera is below the terrain or its pose is not valid.
         """
         self._check(view)
         sun = light.direction
@@ -133,12 +137,12 @@ class Renderer:
         shades = self._shading_tiles(view, sun, frame)
         reach = self._set_penumbra(block, frame, light, bool(shades.any()))
         programs = self._set_surface(block, light, view, wide=reach > 1.0)
-        self._hand_over(block)
+        self._upload_frame(block)
         seen = self._rocks.seen(view, clip[0])
         with self._ctx.scope(target.picture, moderngl.DEPTH_TEST):
             leaks = False
             if frame is not None:
-                reads = self._reads(view, frame, choice, seen, reach)
+                reads = self._map_reads(view, frame, choice, seen, reach)
                 leaks = self._draw_shadows(view, sun, frame, reads, shades, choice.shadow_level)
                 if reach > 1.0:
                     self._penumbra_bounds().draw(frame, block["penumbra"][:2], reach)
@@ -154,8 +158,8 @@ class Renderer:
             self._rocks.draw(programs, view, clip[0], seen, truth)
             return read_image(target, view, truth)
 
-    def _hand_over(self, block: NDArray[np.void]) -> None:
-        """Give the shaders what they are told of a picture."""
+    def _upload_frame(self, block: NDArray[np.void]) -> None:
+        """Pass the parameters of an image to the shaders."""
         self._block.orphan()
         self._block.write(block.tobytes())
         self._block.bind_to_uniform_block(0)
@@ -163,7 +167,7 @@ class Renderer:
     def _shade(
         self, target: Target, over: moderngl.Framebuffer, coarse: bool, program: moderngl.Program
     ) -> None:
-        """Shade the relief; mend its depth where it was drawn coarsely."""
+        """Shade the relief; correct its depth where it was drawn coarsely."""
         if coarse:
             over.use()
             over.clear(depth=1.0)
@@ -180,11 +184,13 @@ class Renderer:
         self._ctx.depth_func = "<"
 
     def _check(self, view: View) -> None:
-        """Refuse what is no pose, or one under the ground."""
+        """Refuse a pose that is not valid or is below the terrain."""
         if not np.isfinite(view.position).all():
-            raise InputError("camera.position", [float(x) for x in view.position], "finite metres")
+            raise InputError(
+                "camera.position", [float(x) for x in view.position], "must be finite (metres)"
+            )
         if not np.allclose(view.axes.T @ view.axes, np.eye(3), atol=1e-3):
-            raise InputError("camera.axes", view.axes.tolist(), "a rotation matrix (3, 3)")
+            raise InputError("camera.axes", view.axes.tolist(), "must be a rotation matrix (3, 3)")
 
         e, n, up = view.position
         g = self._relief.grid
@@ -195,44 +201,44 @@ class Renderer:
             if up <= ground:
                 raise InputError(
                     "camera.position", [float(x) for x in view.position],
-                    f"a point above the ground, which is at {ground:.2f} m there",
+                    f"must be above the terrain, which is at {ground:.2f} m",
                 )  # fmt: skip
 
     def _clip(self, view: View) -> tuple[float, float]:
-        """Return the least and greatest depth that anything can have, m."""
+        """Return the minimum and maximum depth of all visible points, m."""
         along = (self._corners.reshape(-1, 3) - view.position) @ view.axes[:, 2]
         far = max(float(along.max(initial=1.0)) * 1.01 + 10.0, 1.0)
-        # No ray meets anything before it has come down to the highest rock.
-        steepest = np.linalg.norm([self._tan(view), 1.0])
+        # No ray hits anything before it descends to the top of the highest rock.
+        steepest = np.linalg.norm([self._corner_tangent(view), 1.0])
         drop = float(view.position[2] - self._highest - self._rocks.tallest)
         return max(0.5 * drop / float(steepest), 2e-4 * far, 0.02), far
 
     @staticmethod
-    def _tan(view: View) -> float:
-        """Return the tangent of the angle between boresight and the farthest corner."""
+    def _corner_tangent(view: View) -> float:
+        """Return the tangent of the angle between boresight and the most distant corner."""
         left, right, upper, lower = view.border
         return float(np.hypot(max(-left, right), max(-upper, lower)))
 
     def _choose(self, view: View, sun: Array, near: float) -> TileChoice:
-        """Return what to draw of the relief, and how finely."""
+        """Return the tiles to draw and their levels of detail."""
         run = max(sun[2], 0.02) / max(float(np.hypot(sun[0], sun[1])), 1e-6)
-        shift = min(_RANGE_ERROR, _SHADOW_ERROR / max(view.fx, view.fy) * run)
+        shift = min(_RANGE_ERROR, _SHADOW_ERROR_PX / max(view.fx, view.fy) * run)
         bounds = np.array(view.border)
         return self._tiles.choose(view.position, view.axes, bounds, near, _RANGE_ERROR, shift)
 
     def _shadow_frame(self, view: View, sun: Array, choice: TileChoice) -> ShadowFrame:
-        """Return what the shadow map covers, and see to a map of that size."""
+        """Return the frame of the shadow map, and allocate a map of its size."""
         rock = self._rocks.tallest
         lowest = min(self._lowest, self._rocks.lowest)
         frame = ShadowFrame.of(view, sun, choice, self._highest + rock, lowest, rock)
         if self._shadow is None or not self._shadow.suits(frame.size):
             self._shadow = self._bounds = None
-            self._ctx.gc()  # frees the memory before more is taken
+            self._ctx.gc()  # frees the old map before a new one is allocated
             self._shadow = ShadowMap.of(self._ctx, frame.size)
         return frame
 
     def _penumbra_bounds(self) -> PenumbraBounds:
-        """Return the bounds of the present shadow map."""
+        """Return the penumbra bounds of the current shadow map."""
         if self._bounds is None:
             assert self._shadow is not None
             self._bounds = PenumbraBounds(self._ctx, self._programs, self._shadow)
@@ -241,7 +247,7 @@ class Renderer:
     def _set_surface(
         self, block: NDArray[np.void], light: Light, view: View, *, wide: bool
     ) -> dict[str, moderngl.Program]:
-        """Bind what is known of the surface; return the programs for a light."""
+        """Bind the surface textures and albedos; return the programs for a light."""
         self._surface.use(light, view.position, block)
         if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
             self._rocks.set_albedo(rock_albedos(light, self._rocks.count))
@@ -251,9 +257,9 @@ class Renderer:
     def _set_penumbra(
         self, block: NDArray[np.void], frame: ShadowFrame | None, light: Light, relief_shades: bool
     ) -> float:
-        """Write how the Sun's disc looks in the map; return the most that its edge reaches, texels.
+        """Write the size of the Sun's disc in the map; return its maximum radius, texels.
 
-        That is half the width of the widest penumbra; 0 where the Sun is a point.
+        The radius is half the width of the widest penumbra; 0 for a point Sun.
         """
         if frame is None or light.diameter == 0.0:
             return 0.0
@@ -271,27 +277,27 @@ class Renderer:
     def _shading_tiles(
         self, view: View, sun: Array, frame: ShadowFrame | None
     ) -> NDArray[np.bool_]:
-        """Return which tiles may throw a shadow on what the map covers."""
+        """Return which tiles may cast shadows onto the area of the map."""
         if frame is None:
             return np.zeros(len(self._corners), np.bool_)
-        # Only a face steeper than the sunrays is turned away from the Sun.
+        # Only a face steeper than the Sun's rays is turned away from the Sun.
         steep = self._tiles.steepness * float(np.hypot(sun[0], sun[1])) > sun[2]
         return np.asarray(steep & frame.shades(self._corners, view.position))
 
-    def _reads(
+    def _map_reads(
         self, view: View, frame: ShadowFrame, choice: TileChoice, seen: DrawnRocks, reach: float
-    ) -> MapReads:
-        """Return where in the shadow map a picture looks."""
-        if reach > 1.0:  # the search for the edges of penumbrae goes far
-            return MapReads.anywhere(frame)
+    ) -> ShadowMapReads:
+        """Return which part of the shadow map an image reads."""
+        if reach > 1.0:  # the search for penumbrae may read any texel
+            return ShadowMapReads.anywhere(frame)
         low, high = self._rocks.heights(seen)
         low, high = min(low, float(choice.low[2])), max(high, float(choice.high[2]))
         if not np.isfinite([low, high]).all():
-            return MapReads.anywhere(frame)
-        return MapReads.of(view, frame, low, high)
+            return ShadowMapReads.anywhere(frame)
+        return ShadowMapReads.of(view, frame, low, high)
 
     def _draw_shadows(
-        self, view: View, sun: Array, frame: ShadowFrame, reads: MapReads,
+        self, view: View, sun: Array, frame: ShadowFrame, reads: ShadowMapReads,
         shades: NDArray[np.bool_], level: NDArray[np.int64],
     ) -> bool:  # fmt: skip
         """Draw the shadow map; return whether light may leak through ridges in it."""
@@ -308,7 +314,7 @@ class Renderer:
         self._ground.draw_shadows(frame, sun, view.position, drawn, level)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         shadow.texture.use(SHADOW)
-        return bool(shades.any()) and self._relief.grid.posting < _NARROW * frame.texel
+        return bool(shades.any()) and self._relief.grid.posting < _NARROW_RIDGE_TEXELS * frame.texel
 
     def _target(self, width: int, height: int, truth: bool) -> Target:
         key = (width, height, truth)
@@ -322,20 +328,20 @@ _RENDERERS: dict[int, Renderer] = {}
 
 @on_render_thread
 def renderer_of(terrain: Terrain) -> Renderer:
-    """Return the renderer of a terrain, created once and kept as long as the terrain lives."""
+    """Return the renderer of a terrain, which is kept for its lifetime."""
     key = id(terrain)
     if key not in _RENDERERS:
         _RENDERERS[key] = Renderer(terrain)
-        # Its buffers are freed when the last reference to the renderer goes.
+        # The buffers are freed when the last reference to the renderer is deleted.
         weakref.finalize(terrain, _RENDERERS.pop, key, None).atexit = False
     return _RENDERERS[key]
 
 
 def _camera_matrix(view: View, near: float, far: float) -> Array:
-    """Return the map (4, 4) from metres about the camera, ENU, to clip coordinates."""
+    """Return the matrix (4, 4) from the camera's metres, ENU, to clip coordinates."""
     x, y, z = view.axes.T
     out = np.zeros((4, 4))
-    # The centre of the first pixel is at 0; the rows of the picture go up in clip coordinates.
+    # The centre of the first pixel is at 0; image rows increase upwards in clip coordinates.
     out[0, :3] = 2.0 * view.fx / view.width * x + ((2.0 * view.cx + 1.0) / view.width - 1.0) * z
     out[1, :3] = 2.0 * view.fy / view.height * y + ((2.0 * view.cy + 1.0) / view.height - 1.0) * z
     out[2, :3] = (far + near) / (far - near) * z

@@ -1,6 +1,6 @@
-"""Drawing rocks: boxes on the screen in which the shader meets the exact shape.
+"""Drawing of rocks: screen boxes in which the shader intersects the exact shape.
 
-Rocks of a few pixels are met by their rays on the processor and drawn as points.
+Rocks of a few pixels are ray traced on the CPU and drawn as points.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from lunarsim.models.pinhole import View
 from lunarsim.rocks.shapes import CUBE, ELLIPSOID, shape_table
 from lunarsim.sensors.rendering import _cull_kernels as kernels
 from lunarsim.sensors.rendering import _small_rock_kernels as small_rocks
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.programs import ROCK_KINDS, ROCKS, float_texture
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks, RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
@@ -23,21 +23,21 @@ from lunarsim.world.terrain import Terrain
 Array = NDArray[np.float64]
 
 _TEXTURE = 1024
-# To draw a point takes as long as to fill and hand over this many texels.
-_TEXELS_A_POINT = 100
+# Drawing a point takes as long as filling and transferring this many texels.
+_TEXELS_PER_POINT = 100
 
 
-class RockPainter:
+class RockRenderer:
     """Draws the rocks of one terrain.
 
     Parameters
     ----------
     ctx
-        The context.
+        OpenGL context.
     programs
-        The programs of that context.
+        Programs of the context.
     terrain
-        The terrain.
+        Terrain with the rocks.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class RockPainter:
         corner = np.array([g.x0, g.y0])
         last = corner + g.posting * (np.array([g.cols, g.rows]) - 1)
         over = np.maximum(corner - place, place - last).max(axis=1) + 1.5 * reach > 0.0
-        # Where no ground hides it, a rock's side goes down for ever.
+        # Where no relief hides it, a rock's side extends downwards without limit.
         self._bottomless = over | (not np.isfinite(terrain.relief.z).all())
         self.tallest = float(self._rows[:, 5].max(initial=0.0))
         self.lowest = float(feet.min(initial=np.inf))
@@ -78,7 +78,7 @@ class RockPainter:
         self._albedo = np.ones(count)
 
     def set_albedo(self, albedo: Array) -> None:
-        """Set the albedo of every rock (n,) over the ground's, for programs that look at it."""
+        """Set the albedo of every rock (n,) over the terrain's, for programs that use it."""
         if not np.array_equal(albedo, self._albedo):
             self._albedo = albedo
             self._texels[: len(albedo), 9] = albedo
@@ -86,11 +86,11 @@ class RockPainter:
             self._texture = float_texture(self._ctx, self._texels.reshape(lines, 3 * _TEXTURE, 4))
 
     def seen(self, view: View, near: float) -> DrawnRocks:
-        """Return the rocks in a view with least depth `near`, m."""
+        """Return the rocks in a view with minimum depth `near`, m."""
         return self._tiles.seen(view, near)
 
     def heights(self, seen: DrawnRocks) -> tuple[float, float]:
-        """Return the lowest and highest elevation of what a picture shows of rocks, m."""
+        """Return the minimum and maximum elevation of the visible parts of rocks, m."""
         if self._bottomless[seen.number].any():
             return -np.inf, np.inf
         lowest = self._foot[seen.number].min(initial=np.inf)
@@ -105,15 +105,15 @@ class RockPainter:
         Parameters
         ----------
         programs
-            Those that shade.
+            Shading programs.
         view
-            The view.
+            View.
         near
-            Least depth, m.
+            Minimum depth, m.
         seen
-            The rocks in the view.
+            Rocks in the view.
         truth
-            Whether range, normal and identity are drawn too.
+            Whether range, normal and identity are also output.
         """
         towards = np.ascontiguousarray(view.axes.T)
         box, number = seen.box, seen.number
@@ -127,9 +127,9 @@ class RockPainter:
         self._draw_points(programs["small-rocks" + suffix], points[hit])
 
     def draw_shadows(
-        self, view: View, frame: ShadowFrame, reads: MapReads, shadow: ShadowMap
+        self, view: View, frame: ShadowFrame, reads: ShadowMapReads, shadow: ShadowMap
     ) -> None:
-        """Begin a shadow map with all rocks that darken what is read of it."""
+        """Initialize a shadow map with all rocks that shadow the texels to be read."""
         shading = self._tiles.shading(view, frame, reads)
         box, number = shading.box, shading.number
         small, start, rest = small_rocks.split(box)
@@ -138,11 +138,11 @@ class RockPainter:
             view.position, frame.lean, frame.axes, frame.corner, frame.texel, *frame.heights,
         )  # fmt: skip
         shadow.buffer.viewport = (0, 0, *frame.size)
-        if len(points) * _TEXELS_A_POINT > frame.size[0] * frame.size[1]:
-            dark = small_rocks.least(points, hit, frame.size[1], frame.size[0])
+        if len(points) * _TEXELS_PER_POINT > frame.size[0] * frame.size[1]:
+            dark = small_rocks.min_depth(points, hit, frame.size[1], frame.size[0])
             shadow.texture.write(dark, viewport=(0, 0, *frame.size))
         else:
-            # All of it: a driver clears a part far more slowly.
+            # Clear the complete map: drivers clear a part far more slowly.
             shadow.buffer.clear(1.0)
             self._draw_points(self._programs["small-rocks-shadow"], points[hit])
         self._draw_boxes(self._programs, "-shadow", box[rest], number[rest])
@@ -175,7 +175,7 @@ class RockPainter:
         self._vaos[program].render(moderngl.TRIANGLES, vertices=6 * boxes)
 
     def _draw_points(self, program: moderngl.Program, points: NDArray[np.float32]) -> None:
-        """Draw pixels of small rocks (n, 7 or 3): place, depth, normal and number."""
+        """Draw pixels of small rocks (n, 7 or 3): position, depth, normal and index."""
         if len(points) == 0:
             return
         self._texture.use(ROCKS)

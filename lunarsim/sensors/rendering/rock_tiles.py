@@ -1,4 +1,4 @@
-"""`RockTiles`: rocks by place, so that a picture looks only at those about what it shows."""
+"""Spatial index of rocks, so that rendering examines only those near the view."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ from numpy.typing import NDArray
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 
 Array = NDArray[np.float64]
 
-# Rocks in a tile, on average: to look at a tile takes as long as to look at a rock or two.
-_ROCKS_A_TILE = 24
-# Tiles along each side at most.
-_MOST_TILES = 512
+# Mean number of rocks per tile: examining a tile takes as long as examining one or two rocks.
+_ROCKS_PER_TILE = 24
+_MAX_TILES_PER_SIDE = 512
 
 
 @dataclass(frozen=True)
 class DrawnRocks:
-    """Rocks that a picture or a shadow map holds, by rising number.
+    """Rocks in an image or a shadow map, in order of their indices.
 
     Attributes
     ----------
     box
-        Pixels or texels that each covers (m, 4), float32: first column and row and last ones, from
-        edge to edge; the centre of the first is at 0.
+        Pixels or texels covered by each rock (m, 4), float32: minimum column and row, maximum
+        column and row, of the edges; the centre of the first pixel is at 0.
     number
-        Their numbers (m,).
+        Indices of the rocks (m,).
     """
 
     box: NDArray[np.float32]
@@ -40,19 +39,20 @@ class DrawnRocks:
 
 @dataclass(frozen=True)
 class RockTiles:
-    """Rocks sorted into squares of ground, with what holds the rocks of each.
+    """Rocks sorted into square tiles, with the bounds of the rocks in each tile.
 
     Attributes
     ----------
     rocks, reach, foot
-        Rows (n, 9), reach (n,), m, and the elevation to which sides are drawn (n,), m; see
-        `_cull_kernels`.
+        Rows (n, 9), outline radius (n,), m, and the elevation to which sides are drawn (n,), m, as
+        in `_cull_kernels`.
     order, start
-        Tile t has the rocks `order[start[t]:start[t + 1]]`; only tiles with any.
+        Tile t contains the rocks `order[start[t]:start[t + 1]]`; empty tiles are omitted.
     low, high
-        Corners of the box (t, 3) that holds the rocks' places and elevations, m.
+        Corners of the bounding box (t, 3) of the rocks' positions and elevations, m.
     radius, margin
-        Of the greatest ball that holds a rock, and of a rock's box over its place (t,), m.
+        Maximum radius of a sphere around a rock, and maximum lateral extent of a rock from its
+        position (t,), m.
     """
 
     rocks: Array
@@ -67,9 +67,9 @@ class RockTiles:
 
     @classmethod
     def of(cls, rocks: Array, reach: Array, foot: Array) -> RockTiles:
-        """Sort rocks."""
+        """Sort rocks into tiles."""
         count = len(rocks)
-        side = int(np.clip(np.sqrt(count / _ROCKS_A_TILE), 1, _MOST_TILES))
+        side = int(np.clip(np.sqrt(count / _ROCKS_PER_TILE), 1, _MAX_TILES_PER_SIDE))
         place = rocks[:, :2]
         first = place.min(axis=0, initial=np.inf)
         extent = np.maximum(place.max(axis=0, initial=-np.inf) - first, 1e-9)
@@ -81,7 +81,7 @@ class RockTiles:
         return cls(rocks, reach, foot, order, start, *bounds)
 
     def seen(self, view: View, near: float) -> DrawnRocks:
-        """Return the rocks that may cover pixels of a view with least depth `near`, m."""
+        """Return the rocks that may cover pixels of a view with minimum depth `near`, m."""
         towards = np.ascontiguousarray(view.axes.T)
         size = (float(view.width), float(view.height))
         lens = (view.fx, view.fy, view.cx, view.cy, *size, near)
@@ -94,14 +94,14 @@ class RockTiles:
         )
         return DrawnRocks(*cull.gather(box, number, seen))
 
-    def shading(self, view: View, frame: ShadowFrame, reads: MapReads) -> DrawnRocks:
-        """Return the rocks that may darken texels of a view's shadow map which are read."""
+    def shading(self, view: View, frame: ShadowFrame, reads: ShadowMapReads) -> DrawnRocks:
+        """Return the rocks that may shadow the texels that a view reads."""
         size = (float(frame.size[0]), float(frame.size[1]))
         map_ = (frame.lean, frame.axes, frame.corner, frame.texel, *size)
         kept = kernels.tiles_that_shade(self.low, self.high, self.margin, view.position, *map_)
         number = kernels.rocks_of(self.order, self.start, kept)
         box, seen = cull.shading_rocks(
             self.rocks, self.reach, self.foot, number, view.position, *map_,
-            reads.normal, reads.least, reads.most,
+            reads.normal, reads.lower_bound, reads.upper_bound,
         )  # fmt: skip
         return DrawnRocks(*cull.gather(box, number, seen))

@@ -1,4 +1,4 @@
-"""What of a light shaders are compiled for: the law of reflection and what shines besides."""
+"""Light properties that shaders are compiled for."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ from lunarsim.world.light import Light
 
 Array = NDArray[np.float64]
 
-# Strips of the Sun's disc in which its share is sounded, places in each, and those of the search
-# before.
+# Strips of the Sun's disc that are sampled, samples per strip, and samples of the blocker search.
 _STRIPS, _STEPS, _SEARCHES = 5, 5, 16
-# Half the range of the field of mottles, standard deviations.
-MOTTLE_RANGE = 4.0
+# Half the range of the albedo field, standard deviations.
+ALBEDO_FIELD_RANGE = 4.0
 
 
 @dataclass(frozen=True)
 class ShadingModel:
-    """Definitions for the shaders of one kind of light.
+    """Preprocessor definitions of the shaders for one kind of light.
 
     Attributes
     ----------
     defines
-        As the shaders take them; none for a point Sun over ground of one brightness.
+        Lines of definitions; empty for a point Sun over terrain of uniform albedo.
     """
 
     defines: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, light: Light) -> ShadingModel:
-        """Return the definitions for a light; its directions are not in them, but the Earth's."""
+        """Return the definitions for a light, without directions but the Earth's."""
         found = list(_hapke(light))
         if light.diameter > 0.0:
             found.append("SOFT")
@@ -42,13 +41,13 @@ class ShadingModel:
         if light.earthshine > 0.0 and light.earth[2] > 0.0:
             found.append("EARTH " + ", ".join(map(_number, light.earthshine * light.earth)))
         if light.mottle > 0.0:
-            found.append(f"MOTTLE {_number(2.0 * MOTTLE_RANGE * light.mottle)}")
+            found.append(f"MOTTLE {_number(2.0 * ALBEDO_FIELD_RANGE * light.mottle)}")
         if light.boulder_mottle > 0.0 or light.boulder_albedo != 1.0:
             found.append("BOULDERS")
         return cls(tuple(found))
 
     def with_wide_penumbrae(self) -> ShadingModel:
-        """Return the model for pictures in which penumbrae are wider than a texel."""
+        """Return the model for images in which penumbrae are wider than a texel."""
         more = (
             "WIDE", f"SEARCHES {_SEARCHES}", f"STRIPS {_STRIPS}", f"STEPS {_STEPS}",
             "SEARCH_PLACES " + _list(spiral(_SEARCHES)),
@@ -58,12 +57,12 @@ class ShadingModel:
 
     @property
     def fine(self) -> bool:
-        """Whether more shines than a Sun that is a point, on ground of one brightness."""
+        """Whether there is more than a point Sun on terrain of uniform albedo."""
         names = {line.split()[0] for line in self.defines}
         return bool(names & {"SOFT", "GLOW", "EARTH", "MOTTLE", "BOULDERS"})
 
     def sources(self) -> tuple[str, ...]:
-        """Return the files that say how a point is lit, in order."""
+        """Return the shader files that compute the radiance of a point, in order."""
         files = ["light"]
         if any(line.startswith("HAPKE") for line in self.defines):
             files.append("hapke")
@@ -73,22 +72,22 @@ class ShadingModel:
 
 
 def spiral(count: int) -> Array:
-    """Return places (count, 2) spread evenly over the unit disc, along Vogel's spiral."""
+    """Return points (count, 2) uniform over the unit disc, on Vogel's spiral."""
     radius = np.sqrt((np.arange(count) + 0.5) / count)
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     return np.asarray(radius[:, None] * np.column_stack((np.cos(angle), np.sin(angle))))
 
 
 def strips(count: int, steps: int) -> Array:
-    """Return places (count * steps, 2) on the unit disc, in strips of the same area along x.
+    """Return points (count * steps, 2) on the unit disc, in strips along x.
 
-    Each stands for the same area. Neighbouring strips are staggered, so that a straight edge across
-    them passes one place at a time.
+    Each point represents the same area. Neighbouring strips are staggered, so that a straight edge
+    across them passes one point at a time.
     """
     y = np.linspace(-1.0, 1.0, 4001)
     below = 0.5 + (y * np.sqrt(1.0 - y**2) + np.arcsin(y)) / np.pi
     middle = np.interp((np.arange(count) + 0.5) / count, below, y)
-    # The middle strip first: neighbours are then far apart in the order.
+    # Starting with the middle strip, neighbours are far apart in the order.
     order = (2 * np.arange(count)) % count if count % 2 else np.arange(count)
     part = (np.arange(steps) + (order[:, None] + 0.5) / count) / steps
     x = np.sqrt(1.0 - middle[:, None] ** 2) * (2.0 * part - 1.0)
@@ -107,7 +106,7 @@ def _hapke(light: Light) -> Iterable[str]:
 
 
 def _number(value: float) -> str:
-    """Return a number as GLSL takes it."""
+    """Return a number as a GLSL literal."""
     return f"({float(value):.9e})"
 
 

@@ -1,4 +1,4 @@
-"""`ShadowFrame`: what ground a shadow map covers, and how finely."""
+"""Area and resolution of a shadow map."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from lunarsim.sensors.rendering.relief_tiles import TileChoice
 
 Array = NDArray[np.float64]
 
-# A texel of the shadow map is this much finer than a pixel on the ground.
+# Resolution of the shadow map over that of a pixel on the terrain.
 _DETAIL = 1.5
-_SIDE = 4096
-_AREA = 6_000_000
-# Within this share of a texel behind a lee face a point is dark: at the foot of a rock no light
-# may leak in.
-_OVERHANG = 0.6
+_MAX_SIDE_TEXELS = 4096
+_MAX_AREA_TEXELS = 6_000_000
+# A point within this many texels behind a face turned away from the Sun is in shadow, so that no
+# light leaks in at the foot of a rock.
+_OVERHANG_TEXELS = 0.6
 
 
 @dataclass(frozen=True)
 class ShadowFrame:
-    """Where the texels of a shadow map are.
+    """Geometry of a shadow map.
 
-    A sunray is known by its place: where it meets the level of the camera, in horizontal axes
-    along the Sun's azimuth and across it.
+    A ray from the Sun is identified by its intersection with the horizontal plane of the camera, in
+    axes along and across the Sun's azimuth.
 
     Attributes
     ----------
     lean
-        Horizontal run of a sunray for each metre of rise (2,), ENU.
+        Horizontal displacement of a ray per metre of height (2,), ENU.
     axes
-        Axes of the map (2, 2), ENU to along and across.
+        Transform from ENU to the map's axes, along and across (2, 2).
     corner
-        Place of the map's corner in its axes about the camera (2,), m.
+        Corner of the map in its axes, relative to the camera (2,), m.
     texel
         Side of a texel, m.
     size
         Texels along and across.
     heights
-        Highest and lowest elevation in the map, m above the camera.
+        Maximum and minimum elevation in the map, relative to the camera, m.
     slack
-        Elevation of an occluder over a point from which on it shades it, m.
+        Minimum height of an occluder above a point that it shadows, m.
     """
 
     lean: Array
@@ -58,18 +58,18 @@ class ShadowFrame:
     def of(
         cls, view: View, sun: Array, choice: TileChoice, top: float, lowest: float, rock: float
     ) -> ShadowFrame:
-        """Return the frame that holds all that a view shows.
+        """Return the frame that contains everything a view shows.
 
         Parameters
         ----------
         view
-            The view.
+            View.
         sun
-            Unit vector towards the Sun (3,), ENU, above the horizon.
+            Unit vector to the Sun (3,), ENU, above the horizon.
         choice
-            The tiles of the relief in the view.
+            Tiles of the relief in the view.
         top, lowest
-            Highest and lowest elevation of anything that is drawn, m.
+            Maximum and minimum elevation of everything drawn, m.
         rock
             Height of the tallest rock, m.
         """
@@ -80,33 +80,37 @@ class ShadowFrame:
         corner, extent = _extent(view, choice, lean, axes, rock)
         distance = max(choice.nearest, 1e-3)
         texel = distance / max(view.fx, view.fy) / _DETAIL
-        texel = float(max(texel, extent.max() / _SIDE, np.sqrt(np.prod(extent) / _AREA)))
-        wide, high = np.minimum(np.ceil(extent / texel).astype(int).clip(1), _SIDE)
-        slack = -_OVERHANG * texel * min(sun[2] / max(horizontal, 1e-9), 2.0)
+        texel = float(
+            max(texel, extent.max() / _MAX_SIDE_TEXELS, np.sqrt(np.prod(extent) / _MAX_AREA_TEXELS))
+        )
+        wide, high = np.minimum(np.ceil(extent / texel).astype(int).clip(1), _MAX_SIDE_TEXELS)
+        slack = -_OVERHANG_TEXELS * texel * min(sun[2] / max(horizontal, 1e-9), 2.0)
         return cls(
             lean, axes, corner, texel, (int(wide), int(high)),
             (top - view.position[2] + 1.0, lowest - view.position[2] - 1.0), slack,
         )  # fmt: skip
 
     def shades(self, corners: Array, eye: Array) -> NDArray[np.bool_]:
-        """Return which boxes (n, 8, 3) may throw a shadow on the ground that the map covers."""
+        """Return which boxes (n, 8, 3) may cast a shadow onto the area of the map."""
         place = corners - eye
         place = (place[..., :2] - place[..., 2:] * self.lean) @ self.axes.T
-        most = self.corner + self.texel * np.array(self.size)
-        return np.asarray((place.max(1) >= self.corner).all(1) & (place.min(1) <= most).all(1))
+        high_corner = self.corner + self.texel * np.array(self.size)
+        return np.asarray(
+            (place.max(1) >= self.corner).all(1) & (place.min(1) <= high_corner).all(1)
+        )
 
     def texels_of(self, points: Array) -> Array:
-        """Return the places (..., 2), texels, of points (..., 3) in metres about the camera."""
+        """Return the map positions (..., 2), texels, of points relative to the camera."""
         place = (points[..., :2] - points[..., 2:] * self.lean) @ self.axes.T
         return np.asarray((place - self.corner) / self.texel)
 
     def to_texels(self) -> Array:
-        """Return the map (2, 4) from metres about the camera, and 1, to texels."""
+        """Return the affine transform (2, 4) from metres relative to the camera to texels."""
         turn = self.axes / self.texel
         return np.column_stack((turn, -turn @ self.lean, -self.corner / self.texel))
 
     def matrix(self) -> Array:
-        """Return the map (4, 4) from metres about the camera to clip coordinates."""
+        """Return the matrix (4, 4) from metres relative to the camera to clip coordinates."""
         out = np.zeros((4, 4))
         out[:2] = 2.0 * self.to_texels() / np.array(self.size)[:, None]
         out[:2, 3] -= 1.0
@@ -120,16 +124,16 @@ class ShadowFrame:
 def _extent(
     view: View, choice: TileChoice, lean: Array, axes: Array, rock: float
 ) -> tuple[Array, Array]:
-    """Return corner (2,) and extent (2,) of the shadow map, m, in its axes about the camera.
+    """Return corner (2,) and extent (2,) of the shadow map, m, in its axes.
 
-    It must hold the places of all that is seen: the part of the view's pyramid between the
-    lowest and the highest elevation in it, and inside the tiles in it.
+    The map contains everything visible: the part of the view's pyramid between the minimum and
+    maximum elevation of the tiles in view, and within these tiles.
     """
     low, high = choice.low, choice.high + np.array([0.0, 0.0, rock])
     u, v = view.border[:2], view.border[2:]
     border = np.array([[a, b, 1.0] for a in u for b in v]) @ view.axes.T
-    # Rays that come down beyond the tiles, or not at all, end well beyond the tiles, on the level
-    # all the same: cut off in mid-air they would leave out the ground below.
+    # Rays that descend beyond the tiles, or not at all, end far beyond the tiles but at the same
+    # elevation: shorter rays would exclude terrain below them.
     reach = 3.0 * np.linalg.norm(np.maximum(high - view.position, view.position - low)[:2])
     seen = []
     for ray in border:
@@ -144,7 +148,7 @@ def _extent(
     in_view, in_box = (
         (points[:, :2] - points[:, 2:] * lean) @ axes.T for points in (np.array(seen), box)
     )
-    least = np.maximum(in_view.min(0), in_box.min(0))
-    most = np.minimum(in_view.max(0), in_box.max(0))
-    margin = 0.01 * np.maximum(most - least, 0.0) + 1e-3
-    return least - margin, np.maximum(most - least, 0.0) + 2.0 * margin
+    low_corner = np.maximum(in_view.min(0), in_box.min(0))
+    high_corner = np.minimum(in_view.max(0), in_box.max(0))
+    margin = 0.01 * np.maximum(high_corner - low_corner, 0.0) + 1e-3
+    return low_corner - margin, np.maximum(high_corner - low_corner, 0.0) + 2.0 * margin

@@ -1,4 +1,4 @@
-"""Textures of what varies over the ground: its albedo, and the light that it throws on itself."""
+"""Textures of the terrain's albedo variation and of its scattered light."""
 
 from __future__ import annotations
 
@@ -8,63 +8,63 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.sensors.rendering.glow import GlowMap, glow_map
-from lunarsim.sensors.rendering.mottles import mottle_field, mottles_from_camera
+from lunarsim.sensors.rendering.glow import ScatteredLightMap, scattered_light_map
+from lunarsim.sensors.rendering.mottles import albedo_field, albedo_from_camera
 from lunarsim.sensors.rendering.programs import GLOW, MOTTLES
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
 
 Array = NDArray[np.float64]
 
-# Lights whose maps are kept.
-_KEPT = 4
+# Number of lights whose maps are cached.
+_MAX_CACHED_LIGHTS = 4
 
 
 class SurfaceTextures:
-    """Makes them when a light first asks, and keeps those of the last few.
+    """Creates the textures when a light first needs them, and caches the last few.
 
     Parameters
     ----------
     ctx
-        The context.
+        OpenGL context.
     relief
-        The relief.
+        Relief of the terrain.
     """
 
     def __init__(self, ctx: moderngl.Context, relief: Heightfield) -> None:
         self._ctx = ctx
         self._relief = relief
-        self._glow: dict[Light, tuple[GlowMap, moderngl.Texture]] = {}
+        self._glow: dict[Light, tuple[ScatteredLightMap, moderngl.Texture]] = {}
         self._mottles: tuple[int, moderngl.Texture] | None = None
 
     def use(self, light: Light, eye: Array, block: NDArray[np.void]) -> None:
-        """Bind what a light needs, and write into the block of a picture how to find it.
+        """Bind the textures that a light needs, and write their coordinates.
 
         Parameters
         ----------
         light
-            The light.
+            Light.
         eye
-            Camera (3,), ENU, m.
+            Position of the camera (3,), ENU, m.
         block
-            The block of uniforms.
+            Uniform block of the image.
         """
         if light.scattered:
             found, texture = self._glow_of(light)
             block["glow_from"] = found.from_camera(eye)
             texture.use(GLOW)
         if light.mottle > 0.0:
-            block["mottle_from"] = mottles_from_camera(light, eye)
+            block["mottle_from"] = albedo_from_camera(light, eye)
             self._mottles_of(light.mottle_seed).use(MOTTLES)
 
-    def _glow_of(self, light: Light) -> tuple[GlowMap, moderngl.Texture]:
-        # What does not change the light thrown about.
+    def _glow_of(self, light: Light) -> tuple[ScatteredLightMap, moderngl.Texture]:
+        # The scattered light does not depend on these fields.
         key = replace(light, diameter=0.0, earthshine=0.0, mottle=0.0, boulder_albedo=1.0,
                       boulder_mottle=0.0, mottle_seed=0, ambient=0.0)  # fmt: skip
         if key not in self._glow:
-            if len(self._glow) >= _KEPT:
+            if len(self._glow) >= _MAX_CACHED_LIGHTS:
                 del self._glow[next(iter(self._glow))]
-            found = glow_map(self._relief, light)
+            found = scattered_light_map(self._relief, light)
             rows, cols = found.values.shape[:2]
             texture = self._ctx.texture((cols, rows), 2, found.values.tobytes(), dtype="f4")
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -74,7 +74,7 @@ class SurfaceTextures:
 
     def _mottles_of(self, seed: int) -> moderngl.Texture:
         if self._mottles is None or self._mottles[0] != seed:
-            field = mottle_field(seed)
+            field = albedo_field(seed)
             texture = self._ctx.texture(field.shape[::-1], 1, field.tobytes())
             texture.build_mipmaps()
             texture.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)

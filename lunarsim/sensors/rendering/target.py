@@ -1,4 +1,4 @@
-"""What a picture is drawn into, and how it is read back."""
+"""Framebuffers of images and shadow maps, and reading of rendered images."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendered_image import RenderedImage
-from lunarsim.sensors.rendering.programs import plain
+from lunarsim.sensors.rendering.programs import disable_filtering
 
-# Sizes change a little from picture to picture; a map has this much room for it on each side.
-_SPARE = 1.15
+# Factor on each side of a shadow map, so that it fits images of slightly different sizes.
+_SIZE_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a picture of one size is drawn into.
+    """Framebuffers of images of one size.
 
-    Depth of the relief first, then its picture. The rocks come on top, before that depth or, where
-    the relief was drawn coarsely, before the mended one.
+    The depth of the relief is drawn first, then its image. Rocks follow, tested against that depth
+    or, where the relief was drawn coarsely, against the corrected one.
     """
 
     depth: moderngl.Texture
@@ -33,11 +33,11 @@ class Target:
 
     @classmethod
     def of(cls, ctx: moderngl.Context, width: int, height: int, parts: tuple[int, ...]) -> Target:
-        """Make the textures of a picture; `parts` are the channels of its colour outputs."""
+        """Create the textures of an image; `parts` are the channels of its colour outputs."""
         size = (width, height)
         depth, mended = ctx.depth_texture(size), ctx.depth_texture(size)
         depth.compare_func = ""
-        plain(depth)
+        disable_filtering(depth)
         colours = tuple(ctx.texture(size, n, dtype="f4") for n in parts)
         return cls(
             depth,
@@ -52,29 +52,29 @@ class Target:
 
 @dataclass(frozen=True)
 class ShadowMap:
-    """What a shadow map is drawn into: the least depth of all that shades."""
+    """Framebuffer of a shadow map: the minimum depth of everything that casts shadows."""
 
     texture: moderngl.Texture
     buffer: moderngl.Framebuffer
 
     @classmethod
     def of(cls, ctx: moderngl.Context, size: tuple[int, int]) -> ShadowMap:
-        """Make a map that holds `size` texels and a little more."""
-        # Rows that are a power of two apart would fall on the same places of a processor's cache.
-        width, height = (64 * -(-int(_SPARE * n) // 64) for n in size)
+        """Create a map that holds at least `size` texels."""
+        # The extra columns prevent cache conflicts between rows a power of two apart.
+        width, height = (64 * -(-int(_SIZE_MARGIN * n) // 64) for n in size)
         texture = ctx.texture((width + 16, height), 1, dtype="f4")
-        plain(texture)
+        disable_filtering(texture)
         return cls(texture, ctx.framebuffer([texture]))
 
     def suits(self, size: tuple[int, int]) -> bool:
-        """Return whether `size` texels fit, and do not leave most of the map idle."""
+        """Return whether `size` texels fit without leaving most of the map unused."""
         width, height = self.texture.width, self.texture.height
         fits = size[0] <= width and size[1] <= height
-        return fits and width * height < int(_SPARE**3 * (size[0] + 80) * (size[1] + 64))
+        return fits and width * height < int(_SIZE_MARGIN**3 * (size[0] + 80) * (size[1] + 64))
 
 
 def read_image(target: Target, view: View, truth: bool) -> RenderedImage:
-    """Return the picture that has been drawn."""
+    """Return the rendered image."""
     shape = (view.height, view.width)
     first = np.frombuffer(target.colours[0].read(), np.float32)
     if not truth:

@@ -1,1 +1,1 @@
-"""Grounds that scenarios choose from, each a part: settings and building in one file."""
+"""Terrain models that scenarios choose from, each with its settings."""

@@ -1,4 +1,4 @@
-"""The contract of grounds, and how rocks are drawn onto one."""
+"""Interface of terrain models, and placement of rocks on their relief."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from lunarsim.rocks.laws import sample_diameters
 from lunarsim.rocks.population import RockPopulation
 from lunarsim.world.terrain import (
     AgedCraters,
-    Clusters,
+    CraterClusters,
     Heightfield,
     Terrain,
     add_fillets,
     place_rocks,
 )
-from lunarsim.world.terrain.placement import NOWHERE
+from lunarsim.world.terrain.placement import NO_CLUSTERS
 
-MOST_POSTS = 20_000
-LEAST_POSTS = 2
+MAX_POSTS_PER_SIDE = 20_000
+MIN_POSTS_PER_SIDE = 2
 
 
 class Ground(Protocol):
-    """Anything that makes the true terrain of a flight."""
+    """Interface of terrain models, which generate the true terrain of a flight."""
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
-        """Return relief and rocks; what is drawn comes from the flight's streams."""
+        """Return relief with rocks; random parts use the flight's streams."""
         ...
 
 
@@ -44,18 +44,19 @@ def strewn(
     Parameters
     ----------
     relief
-        The ground.
+        Relief without rocks.
     rocks
-        What is drawn.
+        Population of rocks to draw from.
     streams
-        Source of what is drawn.
+        Random streams of the flight.
     craters
-        Returns the craters of the relief; asked where rocks lie about them. Left out: it has none.
+        Function that returns the craters of the relief; called only if rocks cluster around
+        craters. Omitted: the relief has no known craters.
 
     Raises
     ------
     InputError
-        If the rocks do not fit.
+        If the rocks do not fit, or cluster around craters that are not known.
     """
     west, east, south, north = relief.bounds
     field = RockField.empty()
@@ -63,37 +64,37 @@ def strewn(
         rng = streams.get("rocks")
         area = rocks.share * (east - west) * (north - south)
         diameters = sample_diameters(area, rocks.cover, rocks.min_diameter, rocks.max_diameter, rng)
-        clusters = NOWHERE
+        clusters = NO_CLUSTERS
         if rocks.clustered > 0.0:
             if craters is None:
                 raise InputError(
                     "rocks.clustered",
                     rocks.clustered,
-                    "0: where this ground has craters is not known",
+                    "must be 0 for terrain whose craters are not known",
                 )
             found = craters()
             old = found.diameter >= rocks.block_crater
             middles = found.x[old], found.y[old]
-            clusters = Clusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
+            clusters = CraterClusters(*middles, 0.5 * found.diameter[old], rocks.clustered)
         field = place_rocks(relief, diameters, rng, model=rocks.model(), clusters=clusters)
     return Terrain(add_fillets(relief, field, rocks.fillet), field)
 
 
 def check_posts(size: float, posting: float) -> None:
-    """Raise `InputError` for relief of less than 2 posts a side, or more than 20,000: 1.6 GB."""
-    check_side("size", size, posting, MOST_POSTS, "posts")
-    if round(size / posting) < LEAST_POSTS:
+    """Refuse relief with less than 2 or more than 20,000 posts (1.6 GB) along a side."""
+    check_side("size", size, posting, MAX_POSTS_PER_SIDE, "posts")
+    if round(size / posting) < MIN_POSTS_PER_SIDE:
         raise InputError(
-            "posting", posting, f"at most {size / LEAST_POSTS:g}: half of size_m, {size:g}"
+            "posting", posting, f"must be at most half of size_m: {size / MIN_POSTS_PER_SIDE:g}"
         )
 
 
 def check_room(terrain: Terrain, footprint: float) -> None:
-    """Raise `InputError` if the terrain is less than twice a footprint (m) across."""
+    """Refuse terrain that is less than twice a footprint (m) across."""
     west, east, south, north = terrain.bounds
     if min(east - west, north - south) < 2.0 * footprint:
         raise InputError(
             "terrain",
             f"{east - west:.1f} x {north - south:.1f} m",
-            f"at least twice the footprint of {footprint:.1f} m",
+            f"must be at least twice as wide as the footprint of {footprint:.1f} m",
         )

@@ -1,4 +1,4 @@
-"""Procedural ground: fractal relief, craters, rocks."""
+"""Procedural terrain: fractal relief, craters and rocks."""
 
 from __future__ import annotations
 
@@ -14,54 +14,53 @@ from lunarsim.world.grounds.contract import check_posts, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain
 
-# Posts of detail that nobody asked for: no nearer than so, m, and so many along a side.
-_FINEST, _MOST_ALONG = 0.05, 4000
-# Between posts farther apart there are waves too long for the roughness that comes back, m.
-_FARTHEST = 24.0
+# Automatic detail: minimum posting (m) and maximum number of posts along a side.
+_MIN_DETAIL_POSTING_M, _MAX_DETAIL_POSTS = 0.05, 4000
+# Above this posting (m), added detail would contain wavelengths for which the roughness is invalid.
+_MAX_DETAILED_POSTING_M = 24.0
 
 
 @dataclass(frozen=True)
 class FractalGround(Roughness):
-    """Fractal relief with craters, the same for all flights; rocks are drawn for each.
+    """Fractal relief with craters, constant over flights; rocks are drawn.
 
     Attributes
     ----------
-    size, posting
-        Side of the square and distance of the posts, m.
     detail
-        Posting of the same ground with roughness and small craters below `posting`, m, for sensors
-        that come so near that they would see its facets; 0: none are added. Left out: see
-        `detail_posting`.
+        Posting of the same relief with roughness and small craters below `posting`, m, for sensors
+        that come close enough to resolve its facets; 0: none. Omitted: `detail_posting` chooses.
     """
 
     size: float = quantity(160.0, "m", gt=0, help="side of the square")
-    posting: float = quantity(0.25, "m", gt=0, help="of the relief")
+    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the relief")
     detail: float | None = quantity(
         None, "m", ge=0,
-        help="finer posting, with roughness and craters below the other; 0: none; left out: "
-        "0.05 m, or what up to 200 m across allow, where there is a preset",
+        help="finer posting with added roughness and craters; 0: none; omitted: with a preset, "
+        "0.05 m, or size_m / 4000 if that is larger",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_posts(self.size, self.posting)
         if self.detail:
             if not self.detail < self.posting:
-                raise InputError("detail", self.detail, f"less than posting_m, {self.posting:g}")
+                raise InputError(
+                    "detail", self.detail, f"must be less than posting_m ({self.posting:g})"
+                )
             check_posts(self.size, self.detail)
 
     @property
     def detail_posting(self) -> float | None:
-        """Return the posting of the detail that the ground has, m; None: it has none.
+        """Return the posting of the added detail, m; None: no detail is added.
 
-        Where it is left out, ground of a kind that there is, a preset, has posts 0.05 m apart or
-        some more, so that they are 16 million at most; other ground has what is asked for.
+        If `detail` is omitted, terrain with a preset gets posts 0.05 m apart, or more widely
+        spaced ones where that gives more than 4,000 along a side; other terrain gets none.
         """
         if self.detail is not None:
             return self.detail or None
-        if self.preset == "none" or self.posting > _FARTHEST:
+        if self.preset == "none" or self.posting > _MAX_DETAILED_POSTING_M:
             return None
-        finest = max(_FINEST, self.size / _MOST_ALONG)
-        # Whole steps of the new posts make one of the old.
+        finest = max(_MIN_DETAIL_POSTING_M, self.size / _MAX_DETAIL_POSTS)
+        # The new posting must divide the old one.
         steps = int(self.posting / finest * (1.0 + 1e-9))
         return self.posting / steps if steps > 1 else None
 
@@ -72,10 +71,10 @@ class FractalGround(Roughness):
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
-        return _relief(self)
+        return _cached_relief(self)
 
 
 @lru_cache(maxsize=4)
-def _relief(ground: FractalGround) -> Heightfield:
+def _cached_relief(ground: FractalGround) -> Heightfield:
     grid = Grid.centred((0.0, 0.0), ground.size, ground.posting)
     return ground.procedural(grid, detail=ground.detail_posting)

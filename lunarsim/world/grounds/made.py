@@ -1,4 +1,4 @@
-"""A made hazard field on level grass."""
+"""An artificial hazard field on flat grassland."""
 
 from __future__ import annotations
 
@@ -14,31 +14,22 @@ from lunarsim.world.terrain import Terrain, hazard_field
 
 @dataclass(frozen=True)
 class HazardFieldGround:
-    """Boulders and craters on level grass, drawn anew for every flight (quadtree paper).
+    """Boulders and craters on flat grassland, drawn for every flight (quadtree paper).
 
-    The scenario's rocks play no part: its boulders are its own.
-
-    Attributes
-    ----------
-    size, posting
-        Side of the grassland and distance of the posts, m.
-    field, field_turn
-        Side of the field in it, m, and its turn in the frame, rad.
-    boulders, craters
-        How many.
+    The rock settings of the scenario are not used.
     """
 
-    size: float = quantity(160.0, "m", gt=0, help="side of the square")
-    posting: float = quantity(0.25, "m", gt=0, help="of the relief")
-    field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in it")
-    field_turn: float = quantity(20.0, "deg", help="of the field in the frame")
-    boulders: int = quantity(300, ge=0, help="0.4 to 1 m across")
-    craters: int = quantity(24, ge=0, help="2 to 5 m across")
+    size: float = quantity(160.0, "m", gt=0, help="side of the square of grassland")
+    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the relief")
+    field: float = quantity(100.0, "m", gt=0, help="side of the hazard field in the grassland")
+    field_turn: float = quantity(20.0, "deg", help="rotation of the hazard field")
+    boulders: int = quantity(300, ge=0, help="number of boulders, 0.4 to 1 m across")
+    craters: int = quantity(24, ge=0, help="number of craters, 2 to 5 m across")
 
     def __post_init__(self) -> None:
         check_posts(self.size, self.posting)
         if self.field > self.size:
-            raise InputError("field", self.field, f"at most size_m, {self.size}")
+            raise InputError("field", self.field, f"must be at most size_m ({self.size})")
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
         """Return the terrain of one flight."""

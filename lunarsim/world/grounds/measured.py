@@ -1,4 +1,4 @@
-"""Measured ground: a digital terrain model, refined, with rocks."""
+"""Measured terrain: a digital terrain model, refined, with rocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 from lunarsim.rng import Streams
 from lunarsim.rocks.population import RockPopulation
-from lunarsim.world.grounds.contract import MOST_POSTS, strewn
+from lunarsim.world.grounds.contract import MAX_POSTS_PER_SIDE, strewn
 from lunarsim.world.grounds.roughness import Roughness
 from lunarsim.world.terrain import Heightfield, Terrain, add_detail
 
@@ -20,37 +20,31 @@ Numbers = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class MeasuredGround(Roughness):
-    """A digital terrain model, with roughness between its posts; rocks are drawn.
+    """A digital terrain model with added roughness between its posts; rocks are drawn.
 
     Attributes
     ----------
     path
         GeoTIFF, PDS image or another raster.
     dtm_posting
-        Distance between posts of a raster without a coordinate reference, or wanted posting of one
-        that is resampled, m.
-    dtm_window
-        First and last row and column that are used.
+        Distance between posts of a raster without georeferencing, or posting to resample a
+        georeferenced raster to, m.
     dtm_unit, dtm_nodata
-        Unit of the heights, in place of the file's; numbers that mark posts without a height,
-        besides those that the file declares.
+        Unit of the heights, overriding the file's; values that mark posts without a height, in
+        addition to those declared by the file.
     height_step
-        Step between elevations of a coarsely rounded raster, m.
-    relief_scale
-        c of Eq. 20 of the Gaussian DEM paper.
+        Quantization step of the elevations, m.
     mirrored_to
-        Side of the square to which the raster is carried on, mirrored at its edges: for sensors
-        that see farther than it reaches, m.
-    posting
-        Of the refined relief, m.
+        Side of the square to which the raster is extended by mirroring it at its edges, for
+        sensors that see beyond it, m.
     detail
-        Whether roughness and craters are added between the posts: a spline through them alone is
-        smoother than any ground.
+        Whether roughness and craters are added between the posts. Without them the spline
+        through the posts is smoother than real terrain.
     """
 
-    path: Path | None = quantity(None, help="raster, relative to the scenario file")
+    path: Path | None = quantity(None, help="raster file, relative to the scenario file")
     dtm_posting: float | None = quantity(
-        None, "m", gt=0, help="distance between posts, for a raster without a frame"
+        None, "m", gt=0, help="distance between posts, for a raster without georeferencing"
     )
     dtm_window: tuple[int, int, int, int] | None = quantity(
         None, help="first and last row, first and last column, in the order of the file"
@@ -59,34 +53,36 @@ class MeasuredGround(Roughness):
         None, help="unit of the heights, overrides the file's: m, km, ft, us-ft"
     )
     dtm_nodata: Numbers | None = quantity(
-        None, help="numbers that mark posts without a height; [] for none"
+        None, help="values that mark posts without a height; [] for none"
     )
     height_step: float | None = quantity(
-        None, "m", gt=0, help="for a raster whose elevations come in steps: smooth within them"
+        None, "m", gt=0, help="quantization step of the elevations, to be smoothed; omitted: none"
     )
-    relief_scale: float = quantity(1.0, ge=0, help="c of Eq. 20 of the Gaussian DEM paper")
+    relief_scale: float = quantity(
+        1.0, ge=0, help="factor on heights, c of Eq. 20 of the Gaussian DEM paper"
+    )
     mirrored_to: float | None = quantity(
-        None, "m", gt=0, help="carry it on, mirrored at its edges, to a square of this side"
+        None, "m", gt=0, help="side of the square to extend the raster to, by mirroring"
     )
-    posting: float = quantity(0.25, "m", gt=0, help="of the refined relief")
-    detail: bool = quantity(True, help="add roughness and craters between the posts")
+    posting: float = quantity(0.25, "m", gt=0, help="distance between posts of the refined relief")
+    detail: bool = quantity(True, help="whether roughness and craters are added between the posts")
 
     def __post_init__(self) -> None:
         if self.path is None:
-            raise InputError("path", None, "the raster to load")
+            raise InputError("path", None, "must name a raster file")
 
     def check_files(self) -> None:
-        """Refuse a raster that cannot be read, or that these settings do not fit."""
-        _measured(self)
+        """Refuse a raster that cannot be read or does not suit these settings."""
+        _load_measured(self)
 
     def posts(self) -> tuple[int, float]:
-        """Return the numbers of posts that are read and of the relief, from the file's header."""
+        """Return the numbers of posts to read and of the relief, from the file's header."""
         from lunarsim.world.terrain.dtm import read_size  # noqa: PLC0415  (rasterio loads slowly)
 
         assert self.path is not None
         size = read_size(self.path, posting=self.dtm_posting, window=self.dtm_window)
-        least = self.mirrored_to or 0.0
-        cols, rows = (max(side, least) / self.posting for side in size[1:])
+        min_side = self.mirrored_to or 0.0
+        cols, rows = (max(side, min_side) / self.posting for side in size[1:])
         return size.posts, cols * rows
 
     def build(self, rocks: RockPopulation, streams: Streams) -> Terrain:
@@ -95,11 +91,11 @@ class MeasuredGround(Roughness):
 
     def relief(self) -> Heightfield:
         """Return the relief without rocks."""
-        return _relief(self)
+        return _cached_relief(self)
 
 
-def _measured(ground: MeasuredGround) -> Heightfield:
-    """Return what the raster holds, scaled."""
+def _load_measured(ground: MeasuredGround) -> Heightfield:
+    """Return the raster's elevations, dequantized, scaled and mirrored."""
     from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert ground.path is not None
@@ -119,20 +115,21 @@ def _measured(ground: MeasuredGround) -> Heightfield:
 
 
 def _check_posts(ground: MeasuredGround, side: float) -> None:
-    """Refuse a posting too fine for a square of some side, m."""
-    if side / ground.posting > MOST_POSTS:
+    """Refuse a posting too fine for a square of the given side, m."""
+    if side / ground.posting > MAX_POSTS_PER_SIDE:
         raise InputError(
-            "terrain.posting_m", ground.posting, f"at least {side / MOST_POSTS:.3g} m: at most "
-            f"{MOST_POSTS} posts along the {side:.0f} m of the raster",
+            "terrain.posting_m", ground.posting,
+            f"must be at least {side / MAX_POSTS_PER_SIDE:.3g} m",
+            f"At most {MAX_POSTS_PER_SIDE} posts are allowed along the {side:.0f} m of the raster.",
         )  # fmt: skip
 
 
 @lru_cache(maxsize=4)
-def _relief(ground: MeasuredGround) -> Heightfield:
-    measured = _measured(ground)
+def _cached_relief(ground: MeasuredGround) -> Heightfield:
+    measured = _load_measured(ground)
     fine = measured.refined(ground.posting)
     if not ground.detail:
         return fine
-    # Craters that the posts could show are in the measurement already.
+    # The measurement already contains the craters that its posts resolve.
     largest = 2.0 * measured.grid.posting
     return add_detail(measured, ground.procedural(fine.grid, largest))

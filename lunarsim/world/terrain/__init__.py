@@ -1,4 +1,4 @@
-"""The ground: measured or procedural relief with rocks on it, and every question asked of it."""
+"""True terrain: measured or procedural relief with rocks, and its queries."""
 
 from lunarsim.world.terrain.crater_ages import AgedCraters
 from lunarsim.world.terrain.craters import CraterLaw, add_craters, crater_profile
@@ -6,13 +6,13 @@ from lunarsim.world.terrain.fillets import add_fillets
 from lunarsim.world.terrain.fine_relief import add_fine_roughness
 from lunarsim.world.terrain.hazard_field import hazard_field
 from lunarsim.world.terrain.heightfield import Heightfield
-from lunarsim.world.terrain.placement import Clusters, place_rocks
+from lunarsim.world.terrain.placement import CraterClusters, place_rocks
 from lunarsim.world.terrain.relief import add_detail, fractal_relief
 from lunarsim.world.terrain.terrain import RayHits, Terrain
 
 __all__ = [
     "AgedCraters",
-    "Clusters",
+    "CraterClusters",
     "CraterLaw",
     "Heightfield",
     "RayHits",

@@ -1,4 +1,4 @@
-"""Compiled stamping of craters into a grid of posts."""
+"""Compiled addition of crater profiles to a grid of elevations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim._jit import kernel, prange
 
 @kernel(parallel=True)
 def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
-    """Add the profile of every crater to `z`, row by row; see `craters.crater_profile`."""
+    """Add the profile of every crater to `z`, row by row, as `craters.crater_profile`."""
     rows, cols = z.shape
     for i in prange(rows):
         py = y0 + i * p
@@ -37,16 +37,10 @@ def stamp(z, x0, y0, p, x, y, diameter, freshness, depth, rim_height, reach):
 
 @kernel(parallel=True)
 def stamp_profiles(z, x0, y0, p, x, y, radius, depth, root, profiles, reach):
-    """Add a profile of a table to `z` for every crater, row by row; see `crater_ages`.
+    """Add a tabulated profile to `z` for every crater, row by row.
 
-    Parameters
-    ----------
-    root
-        Root of the age over the greatest, in [0, 1] (n,).
-    profiles
-        Elevations over the depth (ages, radii), at even steps of the root and of the distance.
-    reach
-        Where profiles end, crater radii.
+    `root` (n,) is the square root of the relative age, in [0, 1]. `profiles` (ages, radii) is the
+    table of `crater_ages`, at uniform steps of that root and of the distance up to `reach` radii.
     """
     rows, cols = z.shape
     ages, radii = profiles.shape

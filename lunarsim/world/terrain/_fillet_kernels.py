@@ -1,4 +1,4 @@
-"""Compiled banking of soil against rocks."""
+"""Compiled computation of the soil banked against rocks."""
 
 from __future__ import annotations
 
@@ -8,21 +8,12 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def bank(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
-    """Raise the soil on posts (rows, cols) to what lies about every rock (n,).
+def raise_fillets(soil, x0, y0, p, x, y, a, b, cos, sin, height, reach):
+    """Raise the soil on posts (rows, cols), m, to the fillets of all rocks.
 
-    Parameters
-    ----------
-    soil
-        Raised in place, m.
-    x0, y0, p
-        Place of the first post and distance of the posts, m.
-    x, y, a, b, cos, sin
-        Middles and half axes of the rocks, m, and the direction of the first (n,).
-    height
-        Of the soil at each rock's outline (n,), m.
-    reach
-        How far out it lies, in radii.
+    The posts start at (x0, y0) and are `p` apart, m. Rocks have centres x, y and half axes a, b, m;
+    `cos` and `sin` give the direction of axis a. `height` is the soil at each outline, m, and
+    `reach` the width of the fillets in rock radii.
     """
     rows, cols = soil.shape
     for n in range(x.size):

@@ -10,17 +10,17 @@ from lunarsim.world.terrain._surface_kernels import relief_at
 
 @kernel()
 def _size_classes(radius, area):
-    """Return the class (n,) of each falling radius and the bucket side of each class.
+    """Return the size class (n,) of each radius and each class's bucket side.
 
-    Radii halve from class to class. No bucket is smaller than the space that a rock has on
-    average: the last class takes all rocks that would need smaller buckets.
+    Radii halve from class to class. Buckets are at least as large as the mean area per rock: the
+    last class contains all rocks that would need smaller buckets.
     """
     count = radius.size
-    least = np.sqrt(area / count)
-    sides = [max(2.0 * radius[0], least)]
+    min_side = np.sqrt(area / count)
+    sides = [max(2.0 * radius[0], min_side)]
     of = np.zeros(count, np.int64)
     for n in range(count):
-        while 4.0 * radius[n] <= sides[-1] and 0.5 * sides[-1] >= least:
+        while 4.0 * radius[n] <= sides[-1] and 0.5 * sides[-1] >= min_side:
             sides.append(0.5 * sides[-1])
         of[n] = len(sides) - 1
     return of, np.array(sides)
@@ -28,7 +28,7 @@ def _size_classes(radius, area):
 
 @kernel()
 def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offset, head, follow):
-    """Tell whether a disc touches none of those that lie already."""
+    """Return whether a disc overlaps none of those already placed."""
     for c in range(sides.size):
         j = int((px - west) / sides[c])
         i = int((py - south) / sides[c])
@@ -44,10 +44,10 @@ def _is_free(px, py, r, x, y, radius, west, south, sides, widths, heights, offse
 
 
 @kernel()
-def _about(craters, farthest):
-    """Return a place about one of the craters: their density falls as the cube of the distance."""
+def _draw_near_crater(craters, farthest):
+    """Return a random point near a crater, at a density of distance^-3."""
     k = min(np.searchsorted(craters[3], np.random.random()), craters.shape[1] - 1)  # noqa: NPY002
-    # A ring of width dr has an area of r dr: how many lie within r goes as 1 - R / r.
+    # A ring of width dr has an area proportional to r dr: the number within r goes as 1 - R / r.
     u = np.random.random()  # noqa: NPY002
     r = craters[2, k] / (1.0 - u * (1.0 - 1.0 / farthest))
     turn = 2.0 * np.pi * np.random.random()  # noqa: NPY002
@@ -56,7 +56,7 @@ def _about(craters, farthest):
 
 @kernel()
 def _buckets(sides, wide, high):
-    """Return columns, rows and first bucket of each class, and an empty list for each bucket."""
+    """Return columns, rows and first bucket of each class, and empty lists."""
     widths = np.empty(sides.size, np.int64)
     heights = np.empty(sides.size, np.int64)
     offset = np.empty(sides.size, np.int64)
@@ -73,17 +73,17 @@ def _buckets(sides, wide, high):
 def drop_rocks(
     radius, west, east, south, north, z, x0, y0, p, seed, tries, share, craters, farthest
 ):
-    """Drop discs at random without overlap; radii must fall.
+    """Place discs at random without overlap; radii must decrease.
 
-    A share of them lies about craters (rows: middles x, y, radii, shares summed up).
+    A fraction `share` of them lies around craters (rows: x, y, radius, cumulative fractions).
 
-    Discs of about one size share a grid of buckets as wide as the largest of them, one chained
-    list a bucket. A smaller disc can only touch those in the nine buckets around it.
+    Discs of similar size share a grid of buckets as wide as the largest of them, with one linked
+    list per bucket. A smaller disc can only overlap discs in the nine buckets around it.
 
     Returns
     -------
     x, y, base, placed
-        Centres, the relief's elevation under them, and how many found room.
+        Centres, the relief's elevation below them, and the number of placed discs.
     """
     np.random.seed(seed)  # noqa: NPY002  (Numba's own state, private to compiled code)
     x, y, base = np.empty(radius.size), np.empty(radius.size), np.empty(radius.size)
@@ -96,7 +96,7 @@ def drop_rocks(
         near = share > 0.0 and np.random.random() < share  # noqa: NPY002
         for _ in range(tries):
             if near:
-                px, py = _about(craters, farthest)
+                px, py = _draw_near_crater(craters, farthest)
             else:
                 px = west + (east - west) * np.random.random()  # noqa: NPY002
                 py = south + (north - south) * np.random.random()  # noqa: NPY002

@@ -1,10 +1,10 @@
 """Compiled ray casting over relief and rocks.
 
-The relief carries a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest
-post of each cell, level l that of 2^l x 2^l cells. All levels lie in one flat array `peak`; level l
-starts at `offset[l]` and is `high[l]` x `wide[l]`. From the level of the buckets (`base`) upward
-the maxima include the rocks; `ground` holds those of the buckets without them. Buckets list their
-rocks (`start`, `index`, in compressed rows).
+The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest post of
+each cell, level l that of 2^l x 2^l cells. All levels lie in one flat array `peak`; level l starts
+at `offset[l]` and has `high[l]` x `wide[l]` nodes. From the level of the buckets (`base`) upward
+the maxima include the rocks; `ground` holds the maxima of the buckets without them. Each bucket
+lists its rocks (`start`, `index`, in compressed rows).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lunarsim.world.terrain._surface_kernels import relief_normal
 
 
 class Pyramid(NamedTuple):
-    """Maxima of the surface over squares of cells; see above."""
+    """Maxima of the surface over squares of cells, as described in the module."""
 
     base: Any  # level of the buckets
     peak: Any
@@ -30,7 +30,7 @@ class Pyramid(NamedTuple):
 
 
 class Rocks(NamedTuple):
-    """The rocks, their shapes, and which of them each bucket holds."""
+    """Rocks, their shapes, and the list of rocks in each bucket."""
 
     rows: Any  # (n, 9)
     planes: Any
@@ -40,11 +40,10 @@ class Rocks(NamedTuple):
 
 
 class _Ray(NamedTuple):
-    """A ray in metres, ENU, and over the relief's posts.
+    """A ray in metres, ENU, and in units of posts.
 
-    In posts the pyramid's nodes are at whole numbers: the ray starts at (u, v) and moves by
-    (du, dv) a metre. The inverses (nu, nv, nz) of du, dv and dz turn posts and heights into
-    distances.
+    In posts the pyramid's nodes are at integers: the ray starts at (u, v) and moves by (du, dv) per
+    metre. The inverses (nu, nv, nz) of du, dv and dz convert posts and heights to distances.
     """
 
     ox: Any
@@ -91,13 +90,13 @@ def list_rocks(rocks, reach, x0, y0, side, high, wide):
 
 @kernel()
 def build_pyramid(z, rocks, start, index, base, offset, high, wide):
-    """Return the pyramid of maxima `peak` and the buckets' maxima without rocks, `ground`."""
+    """Return the pyramid of maxima, and the buckets' maxima without rocks."""
     peak = np.empty(offset[-1] + high[-1] * wide[-1], np.float32)
-    least = np.float32(-np.inf)
+    lowest = np.float32(-np.inf)
     for i in range(high[0]):
         for j in range(wide[0]):
-            best = least
-            # A comparison with NaN is false, so no-data never wins.
+            best = lowest
+            # A comparison with NaN is false, so that no-data is ignored.
             for r in range(2):
                 for c in range(2):
                     best = max(best, z[i + r, j + c])
@@ -108,7 +107,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
             below = level - 1
             for i in range(high[level]):
                 for j in range(wide[level]):
-                    best = least
+                    best = lowest
                     for r in range(2 * i, min(2 * i + 2, high[below])):
                         for c in range(2 * j, min(2 * j + 2, wide[below])):
                             best = max(best, peak[offset[below] + r * wide[below] + c])
@@ -119,7 +118,7 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
             for bucket in range(high[level] * wide[level]):
                 for m in range(start[bucket], start[bucket + 1]):
                     n = index[m]
-                    # Rounded up: the bucket's top must never be below the rock's.
+                    # Rounded up: the bucket's maximum must never be below the rock's top.
                     top = np.float32(rocks[n, 2] + rocks[n, 5])
                     top = np.nextafter(top, np.float32(np.inf))
                     peak[here + bucket] = max(peak[here + bucket], top)
@@ -128,13 +127,11 @@ def build_pyramid(z, rocks, start, index, base, offset, high, wide):
 
 @kernel(inline=True)
 def _cell_hit(ray, z, i, j, t0, t1):
-    """Return the distance at which a ray meets the two triangles of cell (i, j).
+    """Return the distance at which a ray hits the two triangles of cell (i, j).
 
-    The answer is inf for none and -1 for a ray that enters the cell underground. The ray is in the
-    cell from t0 to t1.
-
-    Within a triangle the surface is a plane, so the height of the ray above it is linear in
-    the distance. The ray's stay in the cell is cut at the diagonal.
+    The ray is in the cell from t0 to t1. The result is inf for no hit and -1 for a ray that enters
+    the cell below the surface. Each triangle is a plane, so that the height of the ray above it is
+    linear in the distance; the path in the cell is split at the diagonal.
     """
     z00 = np.float64(z[i, j])
     z10 = np.float64(z[i, j + 1])
@@ -154,7 +151,7 @@ def _cell_hit(ray, z, i, j, t0, t1):
         above1 = h + t1 * dz - (z00 + u1 * (z10 - z00) + v1 * (z11 - z10))
     else:
         above1 = h + t1 * dz - (z00 + v1 * (z01 - z00) + u1 * (z11 - z01))
-    if above0 < -1e-6:  # came in from below, past no-data or the edge of the map
+    if above0 < -1e-6:  # entered from below, through no-data or the edge of the map
         return -1.0
     if (u0 >= v0) != (u1 >= v1):
         s0 = u0 - v0
@@ -170,7 +167,7 @@ def _cell_hit(ray, z, i, j, t0, t1):
             t1 = tm
     if above1 > 0.0 or np.isnan(above1) or np.isnan(above0):
         return np.inf
-    # Rounding may put a point on the ground a hair below it: still a hit.
+    # Rounding may put a point on the surface slightly below it: still a hit.
     if above0 > above1:
         return t0 + (t1 - t0) * max(above0, 0.0) / (above0 - above1)
     return t0
@@ -178,13 +175,13 @@ def _cell_hit(ray, z, i, j, t0, t1):
 
 @kernel(inline=True)
 def _try_rocks(ray, t, bucket, best, which, rocks):
-    """Return the nearest hit at or after t of the bucket's rocks, and the rock."""
+    """Return the nearest hit at or after t on a bucket's rocks, and the rock."""
     for m in range(rocks.start[bucket], rocks.start[bucket + 1]):
         n = rocks.index[m]
         hit = rock_hit(
             ray.ox, ray.oy, ray.oz, ray.dx, ray.dy, ray.dz, rocks.rows, n, rocks.planes, rocks.count
         )
-        # A hit beyond this bucket is a hit all the same.
+        # A hit beyond this bucket is also valid.
         if hit >= t - 1e-9 and hit < best:
             best = hit
             which = n
@@ -192,8 +189,8 @@ def _try_rocks(ray, t, bucket, best, which, rocks):
 
 
 @kernel(inline=True)
-def _walls(ray, i, j, level):
-    """Return the distances at which a ray leaves node (i, j) eastward or westward, and else."""
+def _exit_distances(ray, i, j, level):
+    """Return the distances to a node's east or west, and north or south side."""
     wu = 1 if ray.dx > 0.0 else 0
     wv = 1 if ray.dy > 0.0 else 0
     tu = (((j + wu) << level) - ray.u) * ray.nu if ray.du != 0.0 else np.inf
@@ -202,10 +199,10 @@ def _walls(ray, i, j, level):
 
 
 @kernel(inline=True)
-def _come_down(ray, level, t, t1, i, j, rows, cols):
-    """Follow a ray down to elevation `level`; return distance and cell, (-1, -1) beyond t1.
+def _descend_to(ray, level, t, t1, i, j, rows, cols):
+    """Advance a ray down to elevation `level`; return distance and cell.
 
-    A ray that is there already stays where it is.
+    A ray that is already below it does not move.
     """
     below = (np.float64(level) - ray.oz) * ray.nz
     if below > t:
@@ -217,14 +214,15 @@ def _come_down(ray, level, t, t1, i, j, rows, cols):
 
 @kernel(inline=True)
 def _walk_cells(ray, z, base, t, t1, i, j):
-    """Go from cell (i, j) to cell until the ray meets the ground or leaves the bucket.
+    """Walk from cell to cell until the ray hits the relief or leaves the bucket.
 
     Returns
     -------
     hit
-        As `_cell_hit`.
+        Result of the last `_cell_hit`.
     t, i, j
-        Where the ray then is; t1 or more at the end of the ray, inf beyond the map.
+        Distance and cell where the walk ends; t is t1 or more at the end of the ray, inf off the
+        map.
     """
     rows, cols = z.shape
     su = 1 if ray.dx > 0.0 else -1
@@ -232,7 +230,7 @@ def _walk_cells(ray, z, base, t, t1, i, j):
     bucket_i = i >> base
     bucket_j = j >> base
     while True:
-        tu, tv = _walls(ray, i, j, 0)
+        tu, tv = _exit_distances(ray, i, j, 0)
         out = max(min(min(tu, tv), t1), t)
         hit = _cell_hit(ray, z, i, j, t, out)
         if hit < np.inf:
@@ -251,10 +249,10 @@ def _walk_cells(ray, z, base, t, t1, i, j):
 
 
 @kernel(inline=True)
-def _nearer(hit, t, best, which):
-    """Return the first of a hit on the ground, as `_cell_hit` has it, and one on a rock.
+def _nearest_hit(hit, t, best, which):
+    """Return the nearer of a relief hit, as returned by `_cell_hit`, and a rock hit.
 
-    Of a ray that is underground at t, what it met before is all.
+    If the ray is below the surface at t, only a rock hit before t counts.
     """
     if hit < 0.0:
         return (best, which) if best <= t else (np.inf, -2)
@@ -263,10 +261,10 @@ def _nearer(hit, t, best, which):
 
 @kernel(inline=True)
 def _steep_hit(ray, t, t1, z, pyramid, rocks):
-    """Return what `_first_hit` does for a ray that comes down steeply.
+    """Compute `_first_hit` for a steeply descending ray.
 
-    It meets the ground within a few cells of the place where it gets below the highest point of
-    a bucket, so this goes from there from cell to cell.
+    The hit lies within a few cells of the point where the ray descends below a bucket's maximum;
+    the search walks from there from cell to cell.
     """
     rows, cols = z.shape
     base = pyramid.base
@@ -281,27 +279,27 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
     i = ci >> base
     while True:
         bucket = i * width + j
-        t, ci, cj = _come_down(
+        t, ci, cj = _descend_to(
             ray, pyramid.peak[start_of_peaks + bucket], t, t1, ci, cj, rows, cols
         )
-        # The ray gets below the bucket's highest point before it leaves the bucket.
+        # Whether the ray descends below the bucket's maximum before it leaves the bucket.
         inside = (cj >> base) == j and (ci >> base) == i
         if inside and rocks.start[bucket] < rocks.start[bucket + 1]:
             best, which = _try_rocks(ray, t, bucket, best, which, rocks)
             t1 = min(t1, best)
-            t, ci, cj = _come_down(ray, pyramid.ground[bucket], t, t1, ci, cj, rows, cols)
+            t, ci, cj = _descend_to(ray, pyramid.ground[bucket], t, t1, ci, cj, rows, cols)
             inside = (cj >> base) == j and (ci >> base) == i
         if inside:
             hit, t, ci, cj = _walk_cells(ray, z, base, t, t1, ci, cj)
             if hit < np.inf:
-                return _nearer(hit, t, best, which)
+                return _nearest_hit(hit, t, best, which)
             if t >= t1:
                 return best, which
             j = cj >> base
             i = ci >> base
             continue
-        # Over the bucket: leave it through its nearer wall.
-        tu, tv = _walls(ray, i, j, base)
+        # The ray passes above the bucket: leave it through its nearer side.
+        tu, tv = _exit_distances(ray, i, j, base)
         t = min(tu, tv)
         if t >= t1:
             return best, which
@@ -316,9 +314,9 @@ def _steep_hit(ray, t, t1, z, pyramid, rocks):
 
 
 @kernel(inline=True)
-def _rise(here, there, level, base, last):
-    """Return by how many levels to go up after a step from one row or column to the next."""
-    # A step out of a bucket must enter the next one through its list of rocks.
+def _levels_up(here, there, level, base, last):
+    """Return the number of levels to ascend after a step to the next row or column."""
+    # A step out of a bucket must enter the next one at the level of its list of rocks.
     shift = max(base - level, 1)
     if (here >> shift) != (there >> shift):
         return min(shift, last - level)
@@ -327,11 +325,11 @@ def _rise(here, there, level, base, last):
 
 @kernel(inline=True)
 def _grazing_hit(ray, t, t1, z, pyramid, rocks):
-    """Return what `_first_hit` does for a ray that grazes the ground or goes up.
+    """Compute `_first_hit` for a ray that descends at a small angle or ascends.
 
-    The ray walks over the pyramid: it steps over nodes that it passes above, and looks into the
-    others one level down. At the level of the buckets it tries the rocks, at level 0 the two
-    triangles of the cell.
+    The ray traverses the pyramid: it skips nodes that it passes above, and descends one level in
+    the others. At the level of the buckets it tests the rocks, at level 0 the two triangles of the
+    cell.
     """
     rows, cols = z.shape
     base, _, _, _, high, wide = pyramid
@@ -343,7 +341,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
     best = np.inf
     which = -2
     while True:
-        tu, tv = _walls(ray, i, j, level)
+        tu, tv = _exit_distances(ray, i, j, level)
         leave = max(min(min(tu, tv), t1), t)
         bucket = i * wide[level] + j
         top = np.float64(pyramid.peak[pyramid.offset[level] + bucket])
@@ -366,7 +364,7 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
         if inside:
             hit = _cell_hit(ray, z, i, j, t, leave)
             if hit < np.inf:
-                return _nearer(hit, t, best, which)
+                return _nearest_hit(hit, t, best, which)
         t = leave
         if t >= t1:
             return best, which
@@ -380,19 +378,19 @@ def _grazing_hit(ray, t, t1, z, pyramid, rocks):
             there = i
         if there < 0 or there >= (wide[level] if tu <= tv else high[level]):
             return best, which
-        rise = _rise(here, there, level, base, last)
+        rise = _levels_up(here, there, level, base, last)
         level += rise
         j >>= rise
         i >>= rise
 
 
 @kernel(inline=True)
-def _over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
-    """Return a ray over a relief whose first post is at (x0, y0)."""
+def _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
+    """Return a ray over a relief with first post (x0, y0) and posting p."""
     q = 1.0 / p
     du = dx * q
     dv = dy * q
-    # An infinite inverse would turn 0 * inf into NaN; this is as good as infinite.
+    # Finite, because an infinite inverse would turn 0 * inf into NaN.
     nu = 1.0 / du if abs(du) > 1e-200 else 1e200
     nv = 1.0 / dv if abs(dv) > 1e-200 else 1e200
     nz = 1.0 / dz if abs(dz) > 1e-200 else 1e200
@@ -401,9 +399,9 @@ def _over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p):
 
 @kernel(inline=True)
 def _first_hit(ray, max_range, z, pyramid, rocks):
-    """Return the distance of the first hit of one ray and the rock it met (-1 relief, -2 none).
+    """Return the distance of a ray's first hit, and its rock (-1 relief, -2 none).
 
-    A ray that comes in underground meets nothing.
+    A ray that starts below the surface hits nothing.
     """
     rows, cols = z.shape
     ta = -ray.u * ray.nu
@@ -429,10 +427,10 @@ def cast(
     share, origin, direction, max_range, normals, z, frame,
     base, peak, ground, offset, high, wide, rows, planes, count, start, index, hits,
 ):  # fmt: skip
-    """Cast rays; write distance (n,), normal (n, 3) and rock number (n,) of the first `hits`.
+    """Cast rays; write distance (n,), normal (n, 3) and rock index (n,) into `hits`.
 
-    Without `normals` the second is empty. The fields of `Pyramid` and `Rocks` come one by one:
-    taking a tuple apart at every call would cost a single ray a quarter more.
+    Without `normals` the second array is empty. The fields of `Pyramid` and `Rocks` are passed one
+    by one: unpacking a tuple at every call would make single rays 25 % slower.
     """
     rays = direction.shape[0]
     x0, y0, p = frame
@@ -447,7 +445,7 @@ def cast(
         dx = direction[n, 0]
         dy = direction[n, 1]
         dz = direction[n, 2]
-        ray = _over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p)
+        ray = _ray_over_posts(ox, oy, oz, dx, dy, dz, x0, y0, p)
         best, which = _first_hit(ray, max_range, z, pyramid, rocks)
         rock[n] = which
         distance[n] = np.nan if which == -2 else best

@@ -2,7 +2,7 @@
 
 The relief is a grid of posts `z` (rows, cols) whose post (0, 0) lies at (x0, y0). Squares of
 `leaf` x `leaf` cells are buckets: each lists the rocks whose outline touches it (`start`,
-`index`, in compressed rows). Rocks are rows as `lunarsim.rocks._kernels` says.
+`index`, in compressed rows). Rows of rock parameters are those of `lunarsim.rocks._kernels`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lunarsim.rocks._kernels import rock_height, rock_normal
 
 @kernel()
 def relief_at(x, y, z, x0, y0, p):
-    """Return the elevation of the triangulated relief, NaN outside."""
+    """Return the elevation of the triangulated relief; NaN outside."""
     u = (x - x0) / p
     v = (y - y0) / p
     rows, cols = z.shape
@@ -39,7 +39,7 @@ def relief_at(x, y, z, x0, y0, p):
 
 @kernel()
 def _top_rock(x, y, x0, y0, p, leaf, rocks, planes, count, start, index, cols):
-    """Return the elevation and number of the highest rock over (x, y), or (-inf, -1)."""
+    """Return the elevation and index of the highest rock at (x, y), or (-inf, -1)."""
     best = -np.inf
     which = -1
     width = (cols - 2) // leaf + 1
@@ -139,7 +139,7 @@ def normal_at(xy, z, x0, y0, p, leaf, rocks, planes, count, start, index):
 
 @kernel(shared=True, allocates=False)
 def rock_raster(share, gx, gy, gp, z, x0, y0, p, leaf, rocks, planes, count, start, index, out):
-    """Write the rock on top at the cell centres of a grid (rows, cols) where there is one."""
+    """Write the index of the rock on top at the cell centres of a grid that have one."""
     rows, cols = out.shape
     for i in range(share[0], rows, share[1]):
         y = gy + gp * i

@@ -1,10 +1,10 @@
-"""Craters: how many, how large, how deep.
+"""Size-frequency distribution and profile of craters.
 
-Small craters on old ground are in equilibrium: new ones wipe out as many as they make, and
-``N(D) = 0.079 D**-2`` craters of diameter D (m) or more lie on a square metre (Trask 1966; Xiao and
-Werner 2015). Larger ones, younger than the surface, follow the production law, steeper by a power
-of D. A fresh simple crater is 0.2 D deep from rim to floor with a rim of 0.036 D (Pike 1977) and an
-ejecta apron that thins as the cube of the distance (McGetchin, Settle and Head 1973).
+Small craters on old terrain are in equilibrium: new craters erase as many as they add, and
+``N(D) = 0.079 D**-2`` craters of diameter D (m) or more exist per square metre (Trask 1966; Xiao
+and Werner 2015). Larger craters follow the production function, which is steeper by one power of
+D. A fresh simple crater is 0.2 D deep from rim to floor, with a rim 0.036 D high (Pike 1977) and an
+ejecta apron that thins with the cube of the distance (McGetchin, Settle and Head 1973).
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from lunarsim.world.terrain.heightfield import Heightfield
 
 Array = NDArray[np.float64]
 
-DEPTH = 0.2
-RIM = 0.036
-# The apron ends here, in crater radii.
-APRON = 3.0
+# Depth from rim to floor and rim height of a fresh crater, over its diameter.
+DEPTH_RATIO = 0.2
+RIM_HEIGHT_RATIO = 0.036
+# Outer radius of the ejecta apron, in crater radii.
+APRON_RADII = 3.0
 
 
 @dataclass(frozen=True)
 class CraterLaw:
-    """Size-frequency law.
+    """Cumulative size-frequency distribution of craters.
 
     Attributes
     ----------
     density
-        Craters of 1 m or more on a square metre in equilibrium.
+        Craters of 1 m or more per square metre in equilibrium.
     saturation
         Diameter below which the surface is in equilibrium, m: about 200 m on a mare of 3.5 Gyr.
     """
@@ -43,12 +44,12 @@ class CraterLaw:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.density <= 0.3:
-            raise InputError("craters.density", self.density, "above 0, at most 0.3")
+            raise InputError("craters.density", self.density, "must be above 0 and at most 0.3")
         if not self.saturation > 0.0:
-            raise InputError("craters.saturation", self.saturation, "a positive diameter in metres")
+            raise InputError("craters.saturation", self.saturation, "must be positive (metres)")
 
     def number(self, diameter: ArrayLike) -> Array:
-        """Return how many craters of `diameter` (m) or more lie on a square metre."""
+        """Return the number of craters of `diameter` (m) or more per square metre."""
         d = np.asarray(diameter, dtype=np.float64)
         return np.asarray(self.density * d**-2.0 * np.minimum(1.0, self.saturation / d))
 
@@ -58,11 +59,11 @@ class CraterLaw:
         """Draw the diameters (m) of the craters on `area` (m^2), largest first."""
         if not 0.0 < minimum < maximum:
             raise InputError(
-                "craters.min_diameter_m", minimum, f"more than 0 and less than {maximum}"
+                "craters.min_diameter_m", minimum, f"must be more than 0 and less than {maximum}"
             )
-        most, least = float(self.number(minimum)), float(self.number(maximum))
-        count = int(rng.poisson(area * (most - least)))
-        n = least + rng.random(count) * (most - least)
+        max_number, min_number = float(self.number(minimum)), float(self.number(maximum))
+        count = int(rng.poisson(area * (max_number - min_number)))
+        n = min_number + rng.random(count) * (max_number - min_number)
         equilibrium = np.sqrt(self.density / n)
         production = np.cbrt(self.density * self.saturation / n)
         diameter = np.where(equilibrium < self.saturation, equilibrium, production)
@@ -70,17 +71,17 @@ class CraterLaw:
 
 
 def crater_profile(r: ArrayLike, diameter: float, freshness: float) -> Array:
-    """Return what a crater adds to the ground at distance `r` (m) from its middle, m.
+    """Return the height that a crater adds at distance `r` (m) from its centre, m.
 
-    A paraboloid inside the rim; outside an apron that falls as the cube of the distance and ends
-    smoothly three radii out. `freshness` runs from 0 (gone) to 1 (new): depth shrinks with it, the
-    rim, which erodes faster, with its square.
+    The profile is a paraboloid inside the rim; outside, an apron falls with the cube of the
+    distance and ends smoothly at three radii. `freshness` runs from 0 (erased) to 1 (new): the
+    depth is proportional to it, the height of the rim, which erodes faster, to its square.
     """
     x = np.asarray(r, dtype=np.float64) / (0.5 * diameter)
-    rim = RIM * diameter * freshness**2
-    bowl = rim + DEPTH * diameter * freshness * (x**2 - 1.0)
+    rim = RIM_HEIGHT_RATIO * diameter * freshness**2
+    bowl = rim + DEPTH_RATIO * diameter * freshness * (x**2 - 1.0)
     safe = np.maximum(x, 1.0)
-    fade = np.clip((APRON - safe) / (APRON - 1.0), 0.0, 1.0)
+    fade = np.clip((APRON_RADII - safe) / (APRON_RADII - 1.0), 0.0, 1.0)
     apron = rim * safe**-3.0 * fade * fade * (3.0 - 2.0 * fade)
     return np.asarray(np.where(x < 1.0, bowl, apron))
 
@@ -93,28 +94,40 @@ def add_craters(
     maximum: float | None = None,
     law: CraterLaw | None = None,
 ) -> Heightfield:
-    """Return the relief with craters drawn by the law, of every freshness alike.
+    """Return the relief with random craters whose freshness is uniform from 0 to 1.
 
     Parameters
     ----------
     relief
-        The ground before.
+        Relief without the craters.
     rng
-        Source of sizes, places and freshness.
+        Source of sizes, positions and freshness.
     minimum, maximum
-        Diameters, m; the largest is by default a quarter of the shorter side.
+        Limits of the diameters, m; the default maximum is a quarter of the shorter side.
     law
-        Size-frequency law; left out: mare in equilibrium below 200 m.
+        Size-frequency distribution; omitted: mare in equilibrium below 200 m.
     """
-    diameter, x, y = sizes_and_places(relief, rng, APRON, minimum, maximum, law)
+    diameter, x, y = draw_sizes_and_positions(relief, rng, APRON_RADII, minimum, maximum, law)
     freshness = rng.random(diameter.size)
     z = relief.z.astype(np.float64)
     g = relief.grid
-    stamp(z, g.x0, g.y0, g.posting, x, y, diameter, freshness, DEPTH, RIM, APRON)
+    stamp(
+        z,
+        g.x0,
+        g.y0,
+        g.posting,
+        x,
+        y,
+        diameter,
+        freshness,
+        DEPTH_RATIO,
+        RIM_HEIGHT_RATIO,
+        APRON_RADII,
+    )
     return Heightfield(g, (z - np.nanmean(z)).astype(np.float32))
 
 
-def sizes_and_places(
+def draw_sizes_and_positions(
     relief: Heightfield,
     rng: np.random.Generator,
     reach: float,
@@ -122,16 +135,16 @@ def sizes_and_places(
     maximum: float | None,
     law: CraterLaw | None,
 ) -> tuple[Array, Array, Array]:
-    """Draw diameters (n,), largest first, and middles x, y (n,) of the craters that touch a map, m.
+    """Draw diameters (n,), largest first, and centres x, y (n,) of craters, m.
 
     Parameters
     ----------
     relief
-        The ground.
+        Relief of the map.
     rng
-        Source of sizes and places.
+        Source of sizes and positions.
     reach
-        How far out a crater changes the ground, radii: so far off the map may middles lie.
+        Outer radius of a crater's profile, crater radii; centres lie up to this far off the map.
     minimum, maximum, law
         As for `add_craters`.
     """

@@ -1,4 +1,7 @@
-"""Measured digital terrain models in a local east, north, up frame; see docs/terrain-files.md."""
+"""Load digital terrain models into a local east, north, up frame.
+
+The formats and rules are described in docs/terrain-files.md.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,21 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.raster_file import open_raster
-from lunarsim.world.terrain.raster_frame import Frame, frame_of, is_placed
-from lunarsim.world.terrain.raster_heights import Extremes, Heights, HeightScale, check_count
+from lunarsim.world.terrain.raster_frame import Frame, frame_of_window, is_placed
+from lunarsim.world.terrain.raster_heights import (
+    HeightScale,
+    HeightStatistics,
+    RasterHeights,
+    check_count,
+)
 from lunarsim.world.terrain.spline import GappySpline
 
-# Rows of a resampled terrain that are computed at once.
+# Rows of a resampled terrain that are computed at a time.
 _ROWS_PER_BLOCK = 256
-# Posts by which a raster is carried on before a spline is laid through it. The spline assumes
-# slopes of zero at its edges; the error falls to a quarter from post to post.
+# Posts by which a raster is extended before spline interpolation. The spline assumes zero slope at
+# its edges; the resulting error falls to a quarter from post to post.
 _SPLINE_MARGIN = 12
-# Heights of rasters with more posts are not read to describe them.
+# Larger rasters are described without reading their heights.
 _MAX_POSTS_DESCRIBED = 20_000_000
 
 
@@ -36,20 +44,20 @@ class DtmInfo:
     Attributes
     ----------
     path, driver, rows, cols
-        The file, GDAL's name of its format, and the size of the raster or window.
+        The file, GDAL's name of its format, and the numbers of rows and columns.
     posting
-        Distance between posts of the terrain that is loaded, m; None without a georeference.
+        Distance between posts of the loaded terrain, m; None without georeferencing.
     frame
-        Coordinate reference in words.
+        Coordinate reference system in words.
     orientation
         Order of rows and columns in words.
     spacing
-        True distances between posts along a row and along a column, m; None without a georeference.
+        True distances between posts along a row and along a column, m; None without georeferencing.
     map_scale
-        Metres of the map per true metre, along a row and along a column; None in degrees and
-        without a georeference.
+        Map distance over true distance, along a row and along a column; None in degrees and
+        without georeferencing.
     resampled
-        Whether the posts are interpolated; otherwise they are used as they are.
+        Whether the posts are interpolated; otherwise they are used unchanged.
     height_scale
         Scale, offset and unit of the heights.
     statistics
@@ -67,17 +75,17 @@ class DtmInfo:
     map_scale: tuple[float, float] | None
     resampled: bool
     height_scale: HeightScale
-    statistics: Extremes | None
+    statistics: HeightStatistics | None
 
     @property
     def no_data_share(self) -> float:
-        """Share of posts without an elevation; NaN if the heights were not read."""
+        """Fraction of posts without an elevation; NaN if the heights were not read."""
         found = self.statistics
         return 1.0 - found.known / found.posts if found else np.nan
 
     @property
     def z_range(self) -> tuple[float, float]:
-        """Lowest and highest elevation, m; NaN if the heights were not read."""
+        """Minimum and maximum elevation, m; NaN if the heights were not read."""
         return self.statistics.z_range if self.statistics else (np.nan, np.nan)
 
 
@@ -91,19 +99,19 @@ def read_info(
     """Describe a raster, or a window of it, without loading it into memory.
 
     Heights are read for statistics only if a window is given or the raster has at most 20 million
-    posts. For the parameters see `load_dtm`.
+    posts. The parameters are those of `load_dtm`.
 
     Raises
     ------
     InputError
-        If the file is missing, is refused, or holds what no terrain has.
+        If the file is missing, is refused, or does not contain plausible heights.
     """
     path = Path(path)
     with open_raster(path) as source:
         part = _window(window, source)
-        heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
+        heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
         placed = is_placed(source)
-        frame = frame_of(source, part, None if placed else 1.0)
+        frame = frame_of_window(source, part, None if placed else 1.0)
         square, steps = frame.square_posting(), np.hypot(*frame.steps)
         spacing = (float(steps[0]), float(steps[1]))
         map_scale = None
@@ -129,7 +137,7 @@ def read_info(
 
 
 class DtmSize(NamedTuple):
-    """Number of posts that are read from a raster, and sides of the terrain, m."""
+    """Number of posts to read from a raster, and sides of the terrain, m."""
 
     posts: int
     width: float
@@ -144,7 +152,7 @@ def read_size(
 ) -> DtmSize:
     """Return the size of a terrain from the header of its file.
 
-    For the parameters see `load_dtm`.
+    The parameters are those of `load_dtm`.
 
     Raises
     ------
@@ -153,7 +161,7 @@ def read_size(
     """
     with open_raster(Path(path)) as source:
         part = _window(window, source)
-        width, height = frame_of(source, part, posting).extent()
+        width, height = frame_of_window(source, part, posting).extent()
         return DtmSize(int(part.width) * int(part.height), width, height)
 
 
@@ -167,38 +175,38 @@ def load_dtm(
 ) -> Heightfield:
     """Load a measured terrain into a local east, north, up frame in true metres.
 
-    The origin is the centre of the raster, or of the window, at its mean elevation. Posts that
-    are a square grid along east and north keep their values, whatever the order of rows and
-    columns. All others (degrees, turned or sheared rasters, projections with another scale or
-    another north) are interpolated by cubic spline in an azimuthal equidistant frame.
+    The origin is the centre of the raster, or of the window, at its mean elevation. Posts on a
+    square grid along east and north keep their values, in any order of rows and columns. All
+    others (degrees, rotated or sheared rasters, projections with another scale or another north)
+    are interpolated by cubic spline in an azimuthal equidistant frame.
 
     Parameters
     ----------
     path
-        A raster of one band in a format of `raster_file.DRIVERS`, or its label.
+        Raster with one band in a format of `raster_file.DRIVERS`, or its label.
     posting
-        Distance between posts, m. Needed for a file without a coordinate reference; otherwise
-        the posting of a raster that is interpolated (omitted: the mean of the file's).
+        Distance between posts, m. Required for a file without a coordinate reference system;
+        otherwise the posting of an interpolated raster (omitted: the mean of the file's).
     window
         First and last row (in the order of the file) and first and last column, the last not
-        included; omitted: everything.
+        included; omitted: the complete raster.
     unit
         Unit of the heights, which replaces the file's: "m", "km", "ft", "us-ft".
     nodata
-        Number or numbers that mark posts without a height, besides those that the file declares;
-        omitted: a number that looks like such a mark is refused.
+        Value or values that mark posts without a height, in addition to those that the file
+        declares; omitted: a value that resembles such a marker is refused.
 
     Raises
     ------
     InputError
-        If the file is missing, is refused, holds no terrain, or has no coordinate reference and no
-        `posting` is given, or if the window lies outside.
+        If the file is missing, is refused or has no heights, if it has no coordinate reference
+        system and no `posting` is given, or if the window lies outside.
     """
     with open_raster(Path(path)) as source:
         z, step = _heights(source, posting, window, unit, nodata)
     rows, cols = z.shape
     grid = Grid(-0.5 * (cols - 1) * step, -0.5 * (rows - 1) * step, step, rows, cols)
-    # Heights may be counted from the centre of the body: centred first, rounded then.
+    # Heights may be radii of the body: subtract the mean before rounding to single precision.
     mean = float(np.float32(np.nanmean(z)))
     return Heightfield(grid, (z - mean).astype(np.float32))
 
@@ -214,21 +222,23 @@ def _heights(
     part = _window(window, source)
     if min(part.width, part.height) < 2:
         shape = (int(part.height), int(part.width))
-        raise InputError("terrain.path", source.name, f"at least 2 x 2 posts, not {shape}")
-    frame = frame_of(source, part, posting)
+        raise InputError(
+            "terrain.path", source.name, f"must have at least 2 x 2 posts, but has {shape}"
+        )
+    frame = frame_of_window(source, part, posting)
     square = frame.square_posting()
-    heights = Heights(source, HeightScale.of(source, unit), _values(nodata))
+    heights = RasterHeights(source, HeightScale.of(source, unit), _values(nodata))
     if square is not None and _fits(posting, square):
         z, step = frame.orientation().apply(heights.read(part)), square
     elif square is not None and square == frame.nominal_posting:
         raise InputError(
-            "terrain.dtm_posting_m", posting, f"left out: the file says {square:.4g} m"
+            "terrain.dtm_posting_m", posting, f"must be omitted: the file states {square:.4g} m"
         )
     else:
         step = posting or frame.mean_posting
         z = _resampled(frame, heights.read(part), step, posting)
     if not np.isfinite(z).any():
-        raise InputError("terrain.path", source.name, "no post has an elevation")
+        raise InputError("terrain.path", source.name, "has no elevations")
     return z, step
 
 
@@ -250,7 +260,7 @@ def _window(window: tuple[int, int, int, int] | None, source: DatasetReader) -> 
     if not (0 <= top < bottom <= rows and 0 <= left < right <= cols):
         raise InputError(
             "terrain.dtm_window", tuple(window),
-            f"rising rows within 0 to {rows} and rising columns within 0 to {cols}",
+            f"must have increasing rows from 0 to {rows} and increasing columns from 0 to {cols}",
         )  # fmt: skip
     return Window(left, top, right - left, bottom - top)
 
@@ -258,14 +268,16 @@ def _window(window: tuple[int, int, int, int] | None, source: DatasetReader) -> 
 def _resampled(
     frame: Frame, z: NDArray[np.float64], step: float, posting: float | None
 ) -> NDArray[np.float64]:
-    """Return heights interpolated to a square grid about the centre, row 0 in the south."""
+    """Return heights interpolated to a centred square grid, row 0 in the south."""
     wide, high = frame.extent()
     cols, rows = (int(length / step + 1e-6) + 1 for length in (wide, high))
-    check_count("terrain.dtm_posting_m", posting, rows, cols, "a coarser posting takes less")
+    check_count("terrain.dtm_posting_m", posting, rows, cols, "Use a coarser posting.")
     if min(rows, cols) < 2:
-        raise InputError("terrain.dtm_posting_m", posting, "at least 2 x 2 posts: too coarse")
+        raise InputError(
+            "terrain.dtm_posting_m", posting, "must be fine enough for at least 2 x 2 posts"
+        )
     last_row, last_col = z.shape[0] - 1.0, z.shape[1] - 1.0
-    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), carry_slopes=True)
+    spline = GappySpline(np.pad(z, _SPLINE_MARGIN, constant_values=np.nan), extrapolate_slopes=True)
     out = np.empty((rows, cols))
     east = (np.arange(cols) - 0.5 * (cols - 1)) * step
     north = (np.arange(rows) - 0.5 * (rows - 1)) * step
@@ -273,7 +285,7 @@ def _resampled(
         at = np.meshgrid(east, north[top : top + _ROWS_PER_BLOCK])
         col, row = frame.pixels(*at)
         col, row = col - 0.5, row - 0.5
-        # Outermost posts may be missed by rounding.
+        # Tolerance, so that rounding does not exclude the outermost posts.
         inside = np.abs(2.0 * col - last_col) <= last_col + 1e-6
         inside &= np.abs(2.0 * row - last_row) <= last_row + 1e-6
         col = np.where(inside, np.clip(col, 0.0, last_col), 0.0) + _SPLINE_MARGIN

@@ -1,7 +1,7 @@
-"""A made hazard field on level grass, as at Kennedy Space Center (quadtree paper, section 5).
+"""Artificial hazard field on flat grassland, as at Kennedy Space Center.
 
-100 x 100 m of boulders and craters that lie turned in the frame, after the field that Morpheus flew
-over: half spheres up to a metre across, craters up to five metres wide and half a metre deep.
+A rotated field of 100 x 100 m with boulders and craters, after the field that Morpheus flew over
+(quadtree paper, section 5): hemispheres up to 1 m across, craters up to 5 m wide and 0.5 m deep.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.rocks.field import RockField
 from lunarsim.world.terrain._crater_kernels import stamp
-from lunarsim.world.terrain.craters import APRON, DEPTH, RIM
+from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 from lunarsim.world.terrain.heightfield import Heightfield
 from lunarsim.world.terrain.relief import fractal_relief
 from lunarsim.world.terrain.terrain import Terrain
 
-# Half a metre deep at five metres wide.
+# Gives a depth of 0.5 m at a diameter of 5 m.
 _FRESHNESS = 0.5
 
 
@@ -38,48 +38,65 @@ def hazard_field(
     Parameters
     ----------
     rng
-        Source of everything drawn.
+        Source of random numbers.
     size
         Side of the field, m.
     surround
         Side of the grassland, m.
     posting
-        Of the relief, m.
+        Distance between posts of the relief, m.
     turn
-        Of the field, counter-clockwise, rad.
+        Rotation of the field, counter-clockwise, rad.
     boulders, craters
-        How many; diameters fall off as the inverse square from 1 m down to 0.4 m and from 5 m down
-        to 2 m.
+        Numbers of each. Diameters follow an inverse square law, from 0.4 to 1 m for boulders and
+        from 2 to 5 m for craters.
     grass_sigma
-        Roughness of the grass, m.
+        Roughness of the grass, 1 sigma, m.
     swell
-        Standard deviation of the long waves of the ground, m.
+        Standard deviation of the long-wavelength relief, m.
     """
     if not 0.0 < size <= surround:
-        raise InputError("terrain.size_m", size, f"a positive length up to {surround} m")
+        raise InputError("terrain.size_m", size, f"must be positive and at most {surround} m")
     if boulders < 0 or craters < 0:
-        raise InputError("terrain.boulders", (boulders, craters), "0 or more")
+        raise InputError("terrain.boulders", (boulders, craters), "must be 0 or more")
     grid = Grid.centred((0.0, 0.0), surround, posting)
     waves = fractal_relief(grid, rng, hurst=0.95, rms_slope=np.deg2rad(1.0)).z.astype(np.float64)
     z = waves * (swell / waves.std()) + grass_sigma * rng.standard_normal(grid.shape)
-    x, y, diameter = _scattered(rng, craters, 2.0, 5.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, craters, 2.0, 5.0, size, turn)
     fresh = np.full(craters, _FRESHNESS)
-    stamp(z, grid.x0, grid.y0, grid.posting, x, y, diameter, fresh, DEPTH, RIM, APRON)
+    stamp(
+        z,
+        grid.x0,
+        grid.y0,
+        grid.posting,
+        x,
+        y,
+        diameter,
+        fresh,
+        DEPTH_RATIO,
+        RIM_HEIGHT_RATIO,
+        APRON_RADII,
+    )
     relief = Heightfield(grid, (z - z.mean()).astype(np.float32))
-    x, y, diameter = _scattered(rng, boulders, 0.4, 1.0, size, turn)
+    x, y, diameter = _scatter_objects(rng, boulders, 0.4, 1.0, size, turn)
     ground = Terrain(relief).elevation(np.column_stack((x, y)))
     return Terrain(relief, RockField.hemispheres(x, y, ground, 0.5 * diameter))
 
 
-def _scattered(
-    rng: np.random.Generator, count: int, least: float, greatest: float, size: float, turn: float
+def _scatter_objects(
+    rng: np.random.Generator,
+    count: int,
+    min_diameter: float,
+    max_diameter: float,
+    size: float,
+    turn: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return east, north and diameter of things scattered over the turned square, largest first.
+    """Return east, north and diameter of objects on the rotated square, largest first.
 
-    N(D) falls as D^-2; no thing overlaps another.
+    N(D) falls as D^-2; objects do not overlap.
     """
     u = rng.random(count)
-    diameter = np.sort(1.0 / np.sqrt(u / least**2 + (1.0 - u) / greatest**2))[::-1]
+    diameter = np.sort(1.0 / np.sqrt(u / min_diameter**2 + (1.0 - u) / max_diameter**2))[::-1]
     placed = np.zeros((0, 3))
     for d in diameter:
         for _ in range(1000):
@@ -88,7 +105,9 @@ def _scattered(
             if np.all(gap > 0.5 * (placed[:, 2] + d)):
                 break
         else:
-            raise InputError("terrain.boulders", count, f"fewer: no room left on {size:g} m")
+            raise InputError(
+                "terrain.boulders", count, f"must be fewer: they do not fit on {size:g} m"
+            )
         placed = np.vstack((placed, [*p, d]))
     c, s = np.cos(turn), np.sin(turn)
     x = c * placed[:, 0] - s * placed[:, 1]

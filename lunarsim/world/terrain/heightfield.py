@@ -1,4 +1,4 @@
-"""Relief as a triangulated grid of posts."""
+"""Relief as a triangulated grid of elevations."""
 
 from __future__ import annotations
 
@@ -15,37 +15,39 @@ from lunarsim.world.terrain.spline import GappySpline
 
 @dataclass(frozen=True)
 class Heightfield:
-    """Elevations at the cell centres of a grid; between them the surface is two triangles.
+    """Elevations at the cell centres of a grid, with two triangles per square.
 
-    The diagonal of the square between four posts runs from south-west to north-east. This is
-    the surface that every sensor sees, so ray casting, rendering and queries agree exactly.
+    The diagonal of the square between four posts runs from south-west to north-east. Ray casting,
+    rendering and point queries use this same surface and therefore agree exactly.
 
     Attributes
     ----------
     grid
-        Places the posts.
+        Grid of the posts.
     z
-        Elevation (rows, cols), float32, m; NaN where nothing is known.
+        Elevation (rows, cols), float32, m; NaN for no data.
     """
 
     grid: Grid
     z: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        # Kernels are compiled for one layout.
+        # The kernels are compiled for a contiguous float32 array.
         object.__setattr__(self, "z", np.ascontiguousarray(self.z, dtype=np.float32))
         if self.z.shape != self.grid.shape:
-            raise InputError("heightfield.z", self.z.shape, f"shape {self.grid.shape}")
+            raise InputError(
+                "heightfield.z", self.z.shape, f"must have the grid's shape {self.grid.shape}"
+            )
         if min(self.z.shape) < 2:
-            raise InputError("heightfield.z", self.z.shape, "at least 2 x 2 posts")
+            raise InputError("heightfield.z", self.z.shape, "must have at least 2 x 2 posts")
         if np.any(np.isinf(self.z)):
-            raise InputError("heightfield.z", "inf", "finite elevations, NaN for no data")
+            raise InputError("heightfield.z", "inf", "must be finite, or NaN for no data")
         if not np.any(np.isfinite(self.z)):
-            raise InputError("heightfield.z", "all no-data", "at least one measured post")
+            raise InputError("heightfield.z", "all no-data", "must have at least one elevation")
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, east, south, north limits of the surface (its outermost posts), m."""
+        """West, east, south and north edges of the surface (its outermost posts), m."""
         g = self.grid
         return (
             g.x0,
@@ -56,18 +58,18 @@ class Heightfield:
 
     @property
     def z_range(self) -> tuple[float, float]:
-        """Least and greatest elevation, m."""
+        """Minimum and maximum elevation, m."""
         return float(np.nanmin(self.z)), float(np.nanmax(self.z))
 
     def scaled(self, factor: float) -> Heightfield:
-        """Return the relief times `factor`: c of Eq. 20 of the Gaussian DEM paper."""
+        """Return the relief times `factor`, c of Eq. 20 of the Gaussian DEM paper."""
         return Heightfield(self.grid, (self.z * np.float32(factor)).astype(np.float32))
 
     def mirrored(self, side: float) -> Heightfield:
-        """Return the relief carried on over a square of at least this side, m, about its middle.
+        """Return the relief extended by mirroring to a square of at least `side`, m.
 
-        It is mirrored at its edges, and again at the edges of that: without a step in elevation.
-        What is as wide already stays so wide.
+        The extension is symmetric about the middle and continuous in elevation. A direction that
+        is already wide enough is not extended.
         """
         wanted = int(np.ceil(side / self.grid.posting - 1e-9)) + 1
         rows, cols = (max(-(-(wanted - n) // 2), 0) for n in self.grid.shape)
@@ -76,18 +78,18 @@ class Heightfield:
         return Heightfield(Grid(west, south, grid.posting, *z.shape), z)
 
     def dequantised(self, step: float) -> Heightfield:
-        """Return a smooth relief that rounds to this one: for elevations kept in coarse steps.
+        """Return a smooth relief that rounds to this one, for quantized elevations.
 
-        It is smoothed again and again and held within half a step of what was measured, so slopes
-        are no longer those of the stairs and no post leaves its rounding error.
+        The relief is smoothed repeatedly and kept within half a step of the measured values, which
+        removes the slopes of the quantization steps.
 
         Parameters
         ----------
         step
-            Distance between neighbouring values of the file, m.
+            Quantization step of the elevations, m.
         """
         if not (np.isfinite(step) and step > 0.0):
-            raise InputError("terrain.height_step_m", step, "a positive step in metres")
+            raise InputError("terrain.height_step_m", step, "must be a positive step in metres")
         measured = self.z.astype(np.float64)
         known = np.isfinite(measured)
         z = np.where(known, measured, 0.0)
@@ -98,10 +100,10 @@ class Heightfield:
         return Heightfield(self.grid, np.where(known, z, np.nan).astype(np.float32))
 
     def refined(self, posting: float) -> Heightfield:
-        """Return the relief at a posting no coarser than `posting`, by cubic spline.
+        """Return the relief at a posting of at most `posting` (m), by cubic spline.
 
-        The new posting divides the old one, so the measured posts stay posts and keep their
-        elevations. A post next to no-data is no-data, since the spline would invent it.
+        The new posting divides the old one, so that the measured posts keep their elevations. A
+        post next to no-data is no-data.
         """
         factor = max(1, int(np.ceil(self.grid.posting / posting - 1e-9)))
         if factor == 1:
@@ -119,6 +121,6 @@ class Heightfield:
             np.arange(fine.rows) / factor, np.arange(fine.cols) / factor, indexing="ij"
         )
         z = spline(rows_at, cols_at)
-        z[::factor, ::factor] = spline.filled  # the spline passes here; this removes its rounding
+        z[::factor, ::factor] = spline.filled  # exact here: removes the spline's rounding error
         z[spline.is_gap(rows_at, cols_at)] = np.nan
         return Heightfield(fine, z.astype(np.float32))

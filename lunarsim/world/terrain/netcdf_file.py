@@ -1,6 +1,6 @@
-"""Check what GDAL does not check in netCDF files: links to other files, and axes.
+"""Checks of netCDF files that GDAL omits: links to other files, and axes.
 
-GDAL takes the last dimension for east and the axes for evenly spaced, whatever the file says.
+GDAL assumes that the last dimension points east and that the axes are evenly spaced.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from rasterio.io import DatasetReader
 from lunarsim.errors import InputError
 from lunarsim.world.terrain.raster_heights import metres_in
 
-# An axis may be uneven by this share of a step: coordinates may be rounded to single precision.
+# Tolerance over one step: coordinates may be rounded to single precision.
 _MAX_UNEVENNESS = 0.1
 _EAST_NAMES = {"projection_x_coordinate", "longitude", "grid_longitude", "x", "lon", "easting"}
 _NORTH_NAMES = {"projection_y_coordinate", "latitude", "grid_latitude", "y", "lat", "northing"}
 
 
 def check_links(path: Path) -> None:
-    """Refuse an HDF5 file whose samples lie in other files."""
+    """Refuse an HDF5 file whose samples are stored in other files."""
     import h5py  # noqa: PLC0415  (loads slowly)
 
     if not h5py.is_hdf5(path):
@@ -41,24 +41,22 @@ def check_links(path: Path) -> None:
             file.visititems_links(note_link)
             file.visititems(note_samples)
     except (RuntimeError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            "terrain.path", str(path), f"the raster cannot be read ({error})"
-        ) from None
+        raise InputError("terrain.path", str(path), f"cannot be read ({error})") from None
     if outside:
         raise InputError(
-            "terrain.path", str(path), f"its variable {outside[0]!r} lies in another file. "
-            "Copy the samples into one file",
+            "terrain.path", str(path), f"has a variable {outside[0]!r} stored in another file",
+            "Copy the samples into one file.",
         )  # fmt: skip
 
 
 def check_axes(source: DatasetReader) -> None:
-    """Refuse a netCDF file whose axes are not those of the raster that GDAL reads.
+    """Refuse a netCDF file whose axes differ from those that GDAL assumes.
 
     Raises
     ------
     InputError
         If rows and columns are exchanged, an axis is not evenly spaced, or its unit is not that of
-        the coordinate reference.
+        the coordinate reference system.
     """
     if source.driver != "netCDF":
         return
@@ -71,7 +69,7 @@ def check_axes(source: DatasetReader) -> None:
             parts = [None if axis is None else (axis.attrs, axis.values) for axis in axes]
             dims = [str(dim) for dim in file[name].dims[-2:]]
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise _refusal(source, f"its axes cannot be read ({error})") from None
+        raise _refusal(source, f"has axes that cannot be read ({error})") from None
     t = source.transform
     wrong_names, map_steps = (_EAST_NAMES, _NORTH_NAMES), (t.e, t.a)
     for dim, part, wrong, step in zip(dims, parts, wrong_names, map_steps, strict=True):
@@ -81,8 +79,8 @@ def check_axes(source: DatasetReader) -> None:
         names = {str(attributes.get(key, "")).lower() for key in ("standard_name", "axis")}
         if wrong & (names | {dim.lower()}):
             raise _refusal(
-                source, f"its dimensions are ({', '.join(dims)}); rows must be northings: "
-                f"`ncpdq -a {dims[1]},{dims[0]} FILE out.nc`",
+                source, f"has dimensions ({', '.join(dims)}), but rows must be northings",
+                f"Exchange them: `ncpdq -a {dims[1]},{dims[0]} FILE out.nc`.",
             )  # fmt: skip
         _check_axis(source, dim, np.asarray(places, dtype=np.float64), attributes, step)
 
@@ -90,7 +88,7 @@ def check_axes(source: DatasetReader) -> None:
 def _check_axis(
     source: DatasetReader, dim: str, places: Any, attributes: dict[str, Any], map_step: float
 ) -> None:
-    """Refuse an axis with uneven steps, or whose steps are not those of the map."""
+    """Refuse an axis with uneven steps, or with steps unlike the map's."""
     crs, unit = source.crs, str(attributes.get("units", "")).lower()
     if len(places) < 2:
         return
@@ -99,17 +97,17 @@ def _check_axis(
         steps = (steps + 180.0) % 360.0 - 180.0
     step = float(steps.mean())
     if not np.abs(np.cumsum(steps - step)).max() <= _MAX_UNEVENNESS * abs(step):
-        raise _refusal(source, f"its axis {dim!r} is not evenly spaced. Interpolate it")
+        raise _refusal(source, f"has an axis {dim!r} that is not evenly spaced", "Interpolate it.")
     if crs is None or not unit:
         return
     length = np.radians(1.0) if unit.startswith("degree") else metres_in(unit)
     true_step = abs(map_step) * crs.units_factor[1]
     if length is None or abs(abs(step) * length - true_step) > 1e-3 * true_step:
         raise _refusal(
-            source, f"its axis {dim!r} is in {unit!r}, its coordinate reference (as GDAL knows it) "
-            f"in {crs.units_factor[0]}. Make them agree, or add the attribute crs_wkt",
+            source, f"has an axis {dim!r} in {unit!r}, but a coordinate reference system (as read "
+            f"by GDAL) in {crs.units_factor[0]}", "Make them agree, or add the attribute crs_wkt.",
         )  # fmt: skip
 
 
-def _refusal(source: DatasetReader, problem: str) -> InputError:
-    return InputError("terrain.path", source.name, problem)
+def _refusal(source: DatasetReader, problem: str, remedy: str = "") -> InputError:
+    return InputError("terrain.path", source.name, problem, remedy)

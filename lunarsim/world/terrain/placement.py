@@ -1,4 +1,4 @@
-"""Rocks set down at random on the relief."""
+"""Random placement of rocks on the relief."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain._placement_kernels import drop_rocks
 from lunarsim.world.terrain.heightfield import Heightfield
 
-# Blocks lie from the rim out to so many radii of their crater.
-_FARTHEST = 5.0
+# Outer limit of the blocks around a crater, crater radii.
+_MAX_CLUSTER_RADII = 5.0
 
 
 @dataclass(frozen=True)
-class Clusters:
-    """Craters with blocks about them.
+class CraterClusters:
+    """Craters with clusters of blocks around them.
 
-    About each, blocks thin with the cube of the distance from its middle, as ejecta do (McGetchin,
-    Settle and Head 1973), from the rim to five radii; a crater has as many as its area is large.
+    The density of blocks falls with the cube of the distance from the crater's centre, like ejecta
+    (McGetchin, Settle and Head 1973), from the rim to five radii. The number of blocks is
+    proportional to the crater's area.
 
     Attributes
     ----------
     x, y, radius
-        Middles and radii (n,), m.
+        Centres and radii (n,), m.
     share
-        Of the rocks, how many lie about them; the others lie anywhere.
+        Fraction of the rocks that lie around the craters; the others lie anywhere.
     """
 
     x: NDArray[np.float64]
@@ -38,18 +39,22 @@ class Clusters:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
-            raise InputError("rocks.clustered", self.share, "a share from 0 to 1")
+            raise InputError("rocks.clustered", self.share, "must be from 0 to 1")
         if self.share > 0.0 and not self.radius.size:
-            raise InputError("rocks.clustered", self.share, "0 where there is no crater for blocks")
+            raise InputError(
+                "rocks.clustered",
+                self.share,
+                "must be 0: no crater is large enough for blocks",
+            )
 
     def rows(self) -> NDArray[np.float64]:
-        """Return the craters as the kernel takes them (4, n): x, y, radius, shares summed up."""
+        """Return the kernel's array (4, n): x, y, radius, cumulative fractions."""
         area = np.cumsum(self.radius**2)
         total = area / area[-1] if area.size else area
         return np.stack((self.x, self.y, self.radius, total))
 
 
-NOWHERE = Clusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+NO_CLUSTERS = CraterClusters(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
 
 
 def place_rocks(
@@ -59,24 +64,24 @@ def place_rocks(
     *,
     model: RockModel | None = None,
     tries: int = 200,
-    clusters: Clusters = NOWHERE,
+    clusters: CraterClusters = NO_CLUSTERS,
 ) -> RockField:
     """Place rocks at random on the relief without overlap, widest first.
 
     Parameters
     ----------
     relief
-        The ground.
+        Relief to place them on.
     diameters
-        m (n,).
+        Diameters (n,), m.
     rng
-        Source of places and shapes.
+        Source of positions and shapes.
     model
-        Shapes and burial; left out: hemispheres.
+        Shapes and burial; omitted: hemispheres.
     tries
-        Draws a rock; one that finds no free spot in so many means that the field is overfull.
+        Attempts per rock; the field is overfull if all attempts for one rock fail.
     clusters
-        Craters with blocks about them; left out: rocks lie anywhere.
+        Craters with blocks around them; omitted: rocks lie anywhere.
 
     Raises
     ------
@@ -94,13 +99,13 @@ def place_rocks(
     seed = int(rng.integers(2**32))
     x, y, ground, placed = drop_rocks(
         reach[order], west, east, south, north, relief.z, g.x0, g.y0, g.posting, seed, tries,
-        clusters.share, clusters.rows(), _FARTHEST,
+        clusters.share, clusters.rows(), _MAX_CLUSTER_RADII,
     )  # fmt: skip
     if placed < reach.size:
         raise InputError(
             "rocks.cover",
             f"{placed} of {reach.size} rocks placed",
-            "a smaller cover: the rest found no room without overlap",
+            "must be smaller: the other rocks do not fit without overlap",
         )
     return RockField(
         x,

@@ -1,4 +1,4 @@
-"""Open raster files of a short list of formats, without network and inside one folder."""
+"""Open raster files of a few formats, within one folder and offline."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from rasterio.io import DatasetReader
 from lunarsim.errors import InputError
 from lunarsim.world.terrain.netcdf_file import check_axes, check_links
 
-# GDAL's names of the formats that are read. A format that refers to other files (VRT) or to the
-# network is not among them.
+# GDAL's names of the accepted formats. Formats that refer to other files (VRT) or to the network
+# are excluded.
 DRIVERS = ("GTiff", "PDS", "PDS4", "ISIS3", "ENVI", "AAIGrid", "netCDF")
-# What GDAL, PROJ and the reading of their texts raise.
+# Exceptions raised by GDAL, PROJ and the parsing of their texts.
 _ERRORS = (
     RasterioError, CRSError, CPLE_BaseError, TransformNotInvertibleError, OSError,
     UnicodeError, np.linalg.LinAlgError,
 )  # fmt: skip
 # Label files that describe a raster of the same name.
 _LABEL_SUFFIXES = (".lbl", ".LBL", ".xml", ".XML")
-# Labels, attached ones too, are shorter.
+# Bytes searched for file names; labels, including attached ones, are shorter.
 _LABEL_BYTES = 2**20
-# A sidecar file can name a URL: no name is allowed, and requests go to a closed port.
+# A sidecar file can contain a URL: all names are blocked, and requests go to a closed port.
 _CLOSED_PROXY = "http://127.0.0.1:1"
 _GDAL_OPTIONS = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
@@ -45,12 +45,12 @@ _GDAL_OPTIONS = {
 
 @contextmanager
 def open_raster(path: Path) -> Iterator[DatasetReader]:
-    """Open a raster of one band; turn every error of GDAL and PROJ into an `InputError`.
+    """Open a raster with one band; convert GDAL's errors to `InputError`.
 
-    A data file that has a PDS label beside it (`ldem.img` and `ldem.lbl`) is opened by its label.
+    A data file with a detached PDS label (`ldem.img` and `ldem.lbl`) is opened through its label.
     """
     if not path.is_file():
-        raise InputError("terrain.path", str(path), "no such file: give an existing raster file")
+        raise InputError("terrain.path", str(path), "must be an existing raster file")
     with rasterio.Env(**_GDAL_OPTIONS), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         _check_proj()
@@ -63,18 +63,16 @@ def open_raster(path: Path) -> Iterator[DatasetReader]:
                 check_axes(source)
                 yield source
         except InputError as error:
-            if error.field == "terrain.path":  # the path as it was given
+            if error.field == "terrain.path":  # report the path as the user gave it
                 raise InputError(error.field, str(path), error.problem, error.remedy) from None
             raise
         except _ERRORS as error:
             reason = error.__cause__ or error
-            raise InputError(
-                "terrain.path", str(path), f"the raster cannot be read ({reason})"
-            ) from None
+            raise InputError("terrain.path", str(path), f"cannot be read ({reason})") from None
 
 
 def _opened(path: Path) -> DatasetReader:
-    """Open a raster by itself, or else by the label beside it."""
+    """Open a raster directly, or else through the label with the same stem."""
     try:
         return DatasetReader(path.absolute(), driver=list(DRIVERS))
     except _ERRORS as error:
@@ -86,38 +84,38 @@ def _opened(path: Path) -> DatasetReader:
         source = DatasetReader(label.absolute(), driver=list(DRIVERS))
     except _ERRORS as error:
         raise InputError(
-            "terrain.path", str(path), f"its label {label.name} cannot be read ({error})"
+            "terrain.path", str(path), f"has a label {label.name} that cannot be read ({error})"
         ) from None
     if path.resolve() not in [Path(name).resolve() for name in source.files]:
         source.close()
         raise InputError(
-            "terrain.path", str(path), f"the label {label.name} beside it names another file"
+            "terrain.path", str(path), f"has a label {label.name} that names another file"
         )
     return source
 
 
 def _not_a_raster(path: Path, error: Exception) -> InputError:
-    """Return the error for a file that none of the formats opens."""
+    """Return the error for a file that no format can open."""
     with path.open("rb") as file:
         start = file.read(4096)
     formats = ", ".join(DRIVERS)
     if b"<VRTDataset" in start:
-        problem = "a VRT refers to other files and is refused"
+        problem = "must not be a VRT, which refers to other files"
     elif path.suffix.lower() in (".img", ".dat"):
         label = path.with_suffix(".lbl").name
-        problem = f"not a raster of {formats}, and there is no label {label} beside it ({error})"
+        problem = f"must be a raster of {formats}, or have a label {label} ({error})"
         return InputError("terrain.path", str(path), problem)
     elif b"PDS_VERSION_ID" in start or b"Product_Observational" in start:
-        problem = f"the label does not lead to a raster ({error})"
+        problem = f"is a label that does not lead to a raster ({error})"
         return InputError("terrain.path", str(path), problem)
     else:
-        problem = f"not a raster of {formats}"
-    remedy = "convert it: `gdal_translate -of GTiff FILE out.tif`"
-    return InputError("terrain.path", str(path), f"{problem}; {remedy}")
+        problem = f"must be a raster of {formats}"
+    remedy = "Convert it: `gdal_translate -of GTiff FILE out.tif`."
+    return InputError("terrain.path", str(path), problem, remedy)
 
 
 def _check_proj() -> None:
-    """Refuse to go on with a PROJ that does not find its data: coordinates would be wrong."""
+    """Refuse a PROJ installation without its data: coordinates would be wrong."""
     try:
         CRS.from_epsg(4326)
     except _ERRORS as error:
@@ -125,19 +123,19 @@ def _check_proj() -> None:
             if name in os.environ:
                 raise InputError(
                     name, os.environ[name],
-                    "this environment variable leads PROJ to a folder without the proj.db of the "
-                    f"installed rasterio. Unset it: `unset {name}`",
+                    "must not lead PROJ to a folder without the proj.db of the installed rasterio",
+                    f"Unset this environment variable: `unset {name}`.",
                 ) from None  # fmt: skip
         raise InputError(
             "rasterio", rasterio.__version__,
-            f"PROJ does not find its data ({error}). Install rasterio again",
+            f"must include the data of PROJ, which is missing ({error})", "Reinstall rasterio.",
         ) from None  # fmt: skip
 
 
 def _check_siblings(path: Path) -> None:
-    """Refuse pipes and devices that GDAL would open as parts of a raster: it would wait for ever.
+    """Refuse pipes and devices that GDAL would open as parts of a raster and block on.
 
-    Those are files that begin with the name of the raster, and files that its label names.
+    These are files that begin with the name of the raster, and files that its label names.
     """
     siblings = path.absolute().parent.iterdir()
     odd = [p for p in siblings if p.exists() and not p.is_file() and not p.is_dir()]
@@ -148,12 +146,13 @@ def _check_siblings(path: Path) -> None:
     for part in odd:
         if part.name.startswith(path.stem) or os.fsencode(part.name) in start:
             raise InputError(
-                "terrain.path", str(path), f"{part.name} beside it is no regular file. Remove it"
-            )
+                "terrain.path", str(path),
+                f"must not have the special file {part.name} in its folder", "Remove that file.",
+            )  # fmt: skip
 
 
 def _check_files(path: Path, source: DatasetReader) -> None:
-    """Refuse a raster whose parts do not all lie in its folder, or in that of what it links to."""
+    """Refuse a raster unless all its parts lie in one folder."""
     parts = [Path(name).resolve() for name in source.files]
     outside = [
         [part for part in parts if not (part.is_file() and part.is_relative_to(folder))]
@@ -162,23 +161,23 @@ def _check_files(path: Path, source: DatasetReader) -> None:
     if all(outside):
         name = source.files[parts.index(outside[0][0])]
         raise InputError(
-            "terrain.path", str(path), f"it refers to {name}, which is no file in its folder. "
-            "Put all parts of a raster into one folder",
+            "terrain.path", str(path), f"refers to {name}, which is not a file in its folder",
+            "Put all parts of a raster into one folder.",
         )  # fmt: skip
 
 
 def _check_band(path: Path, source: DatasetReader) -> None:
-    """Refuse a file that does not hold exactly one raster of real numbers."""
+    """Refuse a file that does not contain exactly one raster of real numbers."""
     if source.subdatasets:
         first = source.subdatasets[0]
         raise InputError(
-            "terrain.path", str(path), f"it holds {len(source.subdatasets)} rasters. Take one "
-            f"out: `gdal_translate '{first}' heights.tif`",
+            "terrain.path", str(path), f"must contain one raster, not {len(source.subdatasets)}",
+            f"Extract one: `gdal_translate '{first}' heights.tif`.",
         )  # fmt: skip
     if source.count != 1:
         raise InputError(
-            "terrain.path", str(path), f"it has {source.count} bands, not one band of "
-            "elevations. Take band N out: `gdal_translate -b N FILE out.tif`",
+            "terrain.path", str(path), f"must have one band of elevations, not {source.count} "
+            "bands", "Extract band N: `gdal_translate -b N FILE out.tif`.",
         )  # fmt: skip
     if "complex" in source.dtypes[0]:
-        raise InputError("terrain.path", str(path), "its heights are complex numbers")
+        raise InputError("terrain.path", str(path), "must not have complex heights")

@@ -1,4 +1,4 @@
-"""Place the posts of a raster in a local east, north frame in true metres."""
+"""Locate the posts of a raster in a local east, north frame in true metres."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ from lunarsim.world.terrain.raster_label import wkt2
 Array = NDArray[np.float64]
 Mapping = Callable[[Array, Array], tuple[Array, Array]]
 
-# Posts are re-indexed without interpolation if none is farther from its place in a square,
-# north-up grid than this share of its distance from the centre. Otherwise they are resampled.
+# Maximum misplacement of a post in a square, north-up grid, over its distance from the centre, for
+# which posts are re-indexed without interpolation. Otherwise they are resampled.
 MAX_MISPLACEMENT = 1e-3
-# Half the distance, m, over which the steps of a raster are measured at its centre.
+# Half the distance over which the steps of a raster are measured at its centre, m.
 _DIFFERENCE_M = 1.0
-# Window corners must map to the local frame and back within this many posts.
+# Tolerance of mapping window corners to the local frame and back, posts.
 _MAX_ROUND_TRIP_POSTS = 0.1
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The local frame of a window; its origin is the centre of the window.
+    """Local frame of a window; its origin is the centre of the window.
 
     Attributes
     ----------
     description
-        Coordinate reference in words.
+        Coordinate reference system in words.
     to_local, to_map
-        From map coordinates to east and north, m, and back.
+        Mappings from map coordinates to east and north, m, and back.
     pixel_to_map
-        Map coordinates of the fractional columns and rows of the window; a post has its centre
-        at half a column and row.
+        Transform from fractional columns and rows of the window to map coordinates; a post has its
+        centre at half a column and row.
     cols, rows
         Size of the window.
     nominal_posting
-        Distance between posts that the file states, m; None in degrees, and if the two
-        directions differ.
+        Distance between posts that the file states, m; None in degrees, and if it differs between
+        the two directions.
     metres_per_map_unit
-        Length of a unit of the map, m, as the file states it; None in degrees.
+        Length of a map unit as stated by the file, m; None in degrees.
     """
 
     description: str
@@ -63,19 +63,19 @@ class Frame:
     metres_per_map_unit: float | None
 
     def local(self, cols: ArrayLike, rows: ArrayLike) -> tuple[Array, Array]:
-        """Return east and north, m, of fractional columns and rows of the window."""
-        return self.to_local(*_moved(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
+        """Return east and north, m, at fractional columns and rows of the window."""
+        return self.to_local(*_transformed(self.pixel_to_map, np.asarray(cols), np.asarray(rows)))
 
     def pixels(self, east: Array, north: Array) -> tuple[Array, Array]:
-        """Return fractional columns and rows of places in the local frame."""
-        return _moved(~self.pixel_to_map, *self.to_map(east, north))
+        """Return fractional columns and rows of points in the local frame."""
+        return _transformed(~self.pixel_to_map, *self.to_map(east, north))
 
     @property
     def steps(self) -> Array:
-        """East and north component (2, 2), m, of a step of one column and of one row.
+        """East and north components (2, 2), m, of a step of one column and of one row.
 
-        Found from the local frame to the raster: the other way, PROJ rounds places near a
-        centre on the equator to about 1 mm.
+        They are computed from the local frame to the raster, because in the other direction PROJ
+        rounds points near a centre on the equator to about 1 mm.
         """
         h = _DIFFERENCE_M
         at = self.pixels(np.array([-h, h, 0.0, 0.0]), np.array([0.0, 0.0, -h, h]))
@@ -83,14 +83,14 @@ class Frame:
         return np.asarray(np.linalg.inv(np.array(per_metre) / (2.0 * h)), dtype=np.float64)
 
     def orientation(self) -> Orientation:
-        """Return how rows and columns are exchanged and reversed so that the raster is north-up."""
+        """Return how to exchange and reverse rows and columns to make the raster north-up."""
         steps = self.steps
         transposed = bool(abs(steps[1, 0]) > abs(steps[0, 0]))
         along = steps[:, ::-1] if transposed else steps
         return Orientation(transposed, bool(along[0, 0] < 0.0), bool(along[1, 1] < 0.0))
 
     def square_posting(self) -> float | None:
-        """Return the posting, m, if the posts are a square north-up grid; see MAX_MISPLACEMENT."""
+        """Return the posting, m, if the posts form a square north-up grid."""
         at = np.meshgrid([0.5, 0.5 * self.cols, self.cols - 0.5], [0.5, 0.5 * self.rows,
                                                                   self.rows - 0.5])  # fmt: skip
         east, north = self.local(*(v.ravel() for v in at))
@@ -113,7 +113,7 @@ class Frame:
         return float(np.sqrt(abs(np.linalg.det(self.steps))))
 
     def extent(self) -> tuple[float, float]:
-        """Return the width and height, m, of the rectangle about the centre with all posts."""
+        """Return width and height, m, of the centred rectangle that contains all posts."""
         c, r = np.linspace(0.5, self.cols - 0.5, 65), np.linspace(0.5, self.rows - 0.5, 65)
         cols = np.concatenate([c, c, np.full(65, c[0]), np.full(65, c[-1])])
         rows = np.concatenate([np.full(65, r[0]), np.full(65, r[-1]), r, r])
@@ -123,7 +123,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a raster lies: exchange rows and columns first, then reverse them.
+    """Orientation of a raster: exchange rows and columns first, then reverse them.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Orientation:
     northern_first: bool
 
     def apply(self, z: Array) -> Array:
-        """Return posts with row 0 in the south and column 0 in the west."""
+        """Return heights with row 0 in the south and column 0 in the west."""
         z = z.T if self.transposed else z
         return z[:: -1 if self.northern_first else 1, :: -1 if self.eastern_first else 1]
 
@@ -151,56 +151,60 @@ class Orientation:
         )
 
 
-def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Frame:
+def frame_of_window(source: DatasetReader, window: Window, posting: float | None) -> Frame:
     """Return the local frame of a window of a raster.
 
     Parameters
     ----------
     source
-        The open file.
+        Open raster file.
     window
-        The part that is used.
+        Window to use.
     posting
-        Distance between posts, m, of a file without a coordinate reference.
+        Distance between posts, m, of a file without a coordinate reference system.
 
     Raises
     ------
     InputError
-        If the file does not say where its posts lie, and `posting` does not help.
+        If the file is not georeferenced and `posting` is not given or not sufficient.
     """
     transform = source.transform @ Affine.translation(window.col_off, window.row_off)
-    if source.transform.is_identity:  # GDAL's sign for: none
+    if source.transform.is_identity:  # GDAL's value for a missing transform
         _check_no_tie_points(source)
         transform = Affine.scale(1.0, -1.0)
     if not (np.isfinite(transform).all() and abs(transform.determinant) > 0.0):
-        raise _refusal(source, "its affine transform is singular or not finite")
+        raise _refusal(source, "has an affine transform that is singular or not finite")
     cols, rows = int(window.width), int(window.height)
     metres: float | None
     centre = transform @ (0.5 * cols, 0.5 * rows)
     if not is_placed(source):
         if posting is None:
             found = [
-                "a coordinate reference, but no transform" if source.crs else "no georeference",
-                "a transform, but no coordinate reference",
-            ][not source.transform.is_identity]
+                "a coordinate reference system but no transform" if source.crs
+                else "no georeferencing",
+                "a transform but no coordinate reference system",
+            ][not source.transform.is_identity]  # fmt: skip
             raise _refusal(
-                source, f"it has {found}. Set terrain.dtm_posting_m, the distance of its posts"
+                source, f"has {found}", "Set terrain.dtm_posting_m, the distance between its posts."
             )
         across, along = _step_lengths(transform)
         if abs(across - along) > 1e-6 * across:
-            raise _refusal(source, "it has no coordinate reference and unequal steps")
+            raise _refusal(source, "has no coordinate reference system and unequal steps")
         name, metres = "none", posting / across
-        mappings = _plane(centre, metres)
+        mappings = _plane_mappings(centre, metres)
     elif _is_engineering(source.crs):
         name, metres = _name(source.crs), _engineering_unit(source)
-        mappings = _plane(centre, metres)
+        mappings = _plane_mappings(centre, metres)
     elif source.crs.is_geographic or source.crs.is_projected:
         _check_axes(source)
         name = _name(source.crs) + (", degrees" if source.crs.is_geographic else "")
         metres = None if source.crs.is_geographic else float(source.crs.linear_units_factor[1])
-        mappings = _globe(source, transform, cols, rows)
+        mappings = _spherical_mappings(source, transform, cols, rows)
     else:
-        raise _refusal(source, f"its coordinate reference {_name(source.crs)!r} is not horizontal")
+        raise _refusal(
+            source,
+            f"has a coordinate reference system {_name(source.crs)!r} that is not horizontal",
+        )
     across, along = _step_lengths(transform)
     equal = metres is not None and abs(across - along) <= MAX_MISPLACEMENT * across
     nominal = posting if not is_placed(source) else (metres * across if metres and equal else None)
@@ -208,44 +212,45 @@ def frame_of(source: DatasetReader, window: Window, posting: float | None) -> Fr
 
 
 def is_placed(source: DatasetReader) -> bool:
-    """Whether a file says where its posts lie; GDAL returns the identity for no transform."""
+    """Return whether a file is georeferenced (GDAL: no identity transform)."""
     return source.crs is not None and not source.transform.is_identity
 
 
-def _refusal(source: DatasetReader, problem: str) -> InputError:
-    return InputError("terrain.path", source.name, problem)
+def _refusal(source: DatasetReader, problem: str, remedy: str = "") -> InputError:
+    return InputError("terrain.path", source.name, problem, remedy)
 
 
 def _check_no_tie_points(source: DatasetReader) -> None:
     if source.gcps[0] or source.rpcs:
         raise _refusal(
-            source, "it is placed by control points. Resample it: `gdalwarp FILE out.tif`"
+            source, "is georeferenced by control points", "Resample it: `gdalwarp FILE out.tif`."
         )
 
 
 def _check_axes(source: DatasetReader) -> None:
-    """Refuse references whose axes GDAL does not pass on as they are meant."""
+    """Refuse reference systems whose axis directions GDAL does not preserve."""
     counts_west = re.search(r'AXIS\["[^"]*",WEST', source.crs.to_wkt(), re.IGNORECASE)
     axes = source.crs.to_dict().get("axis", "enu")
     if (source.crs.is_geographic and counts_west) or axes != "enu":
         raise _refusal(
-            source, "its coordinates count west or south. Resample it: `gdalwarp FILE out.tif`"
-        )
+            source, "has coordinates that increase to the west or south",
+            "Resample it: `gdalwarp FILE out.tif`.",
+        )  # fmt: skip
 
 
-def _moved(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return places moved by an affine transform."""
+def _transformed(transform: Affine, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return points transformed by an affine transform."""
     a, b, c, d, e, f = transform[:6]
     return a * x + b * y + c, d * x + e * y + f
 
 
 def _step_lengths(transform: Affine) -> tuple[float, float]:
-    """Return the length of a step of one column and of one row, map units."""
+    """Return the lengths of a step of one column and of one row, map units."""
     return float(np.hypot(transform.a, transform.d)), float(np.hypot(transform.b, transform.e))
 
 
-def _plane(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping]:
-    """Return the mappings of a plane whose axes point east and north."""
+def _plane_mappings(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping]:
+    """Return the mappings of a plane with axes along east and north."""
     cx, cy = centre
 
     def to_local(x: Array, y: Array) -> tuple[Array, Array]:
@@ -257,25 +262,26 @@ def _plane(centre: tuple[float, float], metres: float) -> tuple[Mapping, Mapping
     return to_local, to_map
 
 
-def _globe(
+def _spherical_mappings(
     source: DatasetReader, transform: Affine, cols: int, rows: int
 ) -> tuple[Mapping, Mapping]:
-    """Return the mappings to an azimuthal equidistant frame about the centre of a window."""
+    """Return the mappings to an azimuthal equidistant frame about a window."""
     body = _body(source.crs)
     crs = _on_sphere(source.crs) if "R" in body else source.crs
     cx, cy = transform @ (0.5 * cols, 0.5 * rows)
     globe = CRS.from_dict({"proj": "longlat"} | body)
     (lon,), (lat,) = warp(crs, globe, [cx], [cy])
     if not np.isfinite([lon, lat]).all():
-        raise _refusal(source, "its centre lies outside the domain of its projection")
+        raise _refusal(source, "has its centre outside the domain of its projection")
     edge = _refusal(
-        source, "it reaches over the edge of its projection. Choose a part: terrain.dtm_window"
-    )
+        source, "extends beyond the edge of its projection",
+        "Choose a part of it with terrain.dtm_window.",
+    )  # fmt: skip
     target = CRS.from_dict({"proj": "aeqd", "lat_0": lat, "lon_0": lon, "units": "m"} | body)
 
     def warped(start: CRS, end: CRS, x: Array, y: Array) -> tuple[Array, Array]:
         try:
-            return _warped(start, end, x, y)
+            return _reproject(start, end, x, y)
         except CPLE_BaseError:
             raise edge from None
 
@@ -285,15 +291,15 @@ def _globe(
     def back(period: float) -> Mapping:
         def to_map(east: Array, north: Array) -> tuple[Array, Array]:
             x, y = warped(target, crs, east, north)
-            # Longitudes go on beyond 180 deg, and a cylindrical map with them.
+            # Shift by the period: longitudes and cylindrical maps continue beyond 180 deg.
             return (x + period * np.round((cx - x) / period) if period else x), y
 
         return to_map
 
     at = np.meshgrid([0.5, cols / 2, cols - 0.5], [0.5, rows / 2, rows - 0.5])
-    x, y = _moved(transform, at[0].ravel(), at[1].ravel())
+    x, y = _transformed(transform, at[0].ravel(), at[1].ravel())
     east, north = to_local(x, y)
-    for period in (0.0, _turn(crs, globe, lon, lat)):
+    for period in (0.0, _longitude_period(crs, globe, lon, lat)):
         to_map = back(period)
         again = to_map(east, north)
         off = np.hypot(again[0] - x, again[1] - y) / min(_step_lengths(transform))
@@ -302,28 +308,28 @@ def _globe(
     raise edge
 
 
-def _turn(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
-    """Return the map units of 360 degrees of longitude."""
-    x, _ = _warped(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
-    # One of the two steps may pass the edge of the map.
+def _longitude_period(crs: CRS, globe: CRS, lon: float, lat: float) -> float:
+    """Return the map units in 360 degrees of longitude."""
+    x, _ = _reproject(globe, crs, lon + np.array([-1e-3, 0.0, 1e-3]), np.full(3, lat))
+    # One of the two steps may cross the edge of the map.
     return float(np.abs(np.diff(x)).min()) * 360_000.0
 
 
-def _warped(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]:
+def _reproject(source: CRS, target: CRS, x: Array, y: Array) -> tuple[Array, Array]:
     east, north = warp(source, target, x.ravel(), y.ravel())
     return np.reshape(east, x.shape), np.reshape(north, y.shape)
 
 
 def _body(crs: CRS) -> dict[str, Any]:
-    """Return the ellipsoid of a coordinate reference, in PROJ's terms.
+    """Return the ellipsoid of a coordinate reference system as PROJ parameters.
 
-    Planetary maps in the equidistant cylindrical projection count their latitudes on a sphere of
-    the equatorial radius: distances are those of that sphere.
+    Planetary maps in the equidistant cylindrical projection define latitudes on a sphere of the
+    equatorial radius; distances are those on that sphere.
     """
     number = r"([-+.\deE]+)"
     found = re.search(rf'(?:ELLIPSOID|SPHEROID)\["[^"]*",{number},{number}', crs.to_wkt())
     if found is None:
-        raise InputError("terrain.path", crs.to_string()[:60], "it names no ellipsoid")
+        raise InputError("terrain.path", crs.to_string()[:60], "must state an ellipsoid")
     radius, inverse_flattening = (float(text) for text in found.groups())
     if inverse_flattening == 0.0 or crs.to_dict().get("proj") == "eqc":
         return {"R": radius}
@@ -331,9 +337,9 @@ def _body(crs: CRS) -> dict[str, Any]:
 
 
 def _on_sphere(crs: CRS) -> CRS:
-    """Return a reference on a sphere of the equatorial radius.
+    """Return a coordinate reference system on a sphere of the equatorial radius.
 
-    PROJ computes the equidistant cylindrical projection on the ellipsoid in later releases only.
+    Only later releases of PROJ compute the equidistant cylindrical projection on the ellipsoid.
     """
     terms = crs.to_dict()
     if terms.get("proj") != "eqc":
@@ -347,10 +353,10 @@ def _is_engineering(crs: CRS) -> bool:
 
 
 def _engineering_unit(source: DatasetReader) -> float:
-    """Return the metres of the unit of a local (engineering) reference."""
+    """Return the length of the unit of a local (engineering) reference system, m."""
     found = re.search(r'LENGTHUNIT\["[^"]*",([-+.\deE]+)', wkt2(source.crs).split("VERTCRS")[0])
     if found is None:
-        raise _refusal(source, "its local coordinate reference gives no unit of length")
+        raise _refusal(source, "has a local coordinate reference system without a unit of length")
     return float(found.group(1))
 
 

@@ -1,4 +1,4 @@
-"""Read the heights of a raster in metres: scale, offset, unit, and posts without a height."""
+"""Read the heights of a raster in metres, and its missing posts."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rasterio.windows import Window
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import bytes_in_words
 from lunarsim.world.terrain.raster_label import (
-    counts_down,
     declared_units,
+    has_downward_heights,
     has_hexadecimal_no_data,
     special_values,
 )
 
-# Metres in a unit, by the names that files use; see `metres_in`.
+# Metres per unit, by the unit names used in files; `metres_in` normalizes a name first.
 _METRES = {
     "m": 1.0, "metre": 1.0, "meter": 1.0,
     "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
@@ -36,60 +36,61 @@ _METRES = {
     "usft": 1200 / 3937, "foot us survey": 1200 / 3937, "ft us": 1200 / 3937,
     "yd": 0.9144, "yard": 0.9144, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
 }  # fmt: skip
-# Words of labels that mean: no unit is given.
+# Words in labels for a missing unit.
 _NO_UNIT = {"", "n/a", "none", "null"}
 
-# Float rasters from PDS mark missing posts by huge negative numbers, not always declared.
+# Float rasters from PDS mark missing posts by very large negative numbers, often undeclared.
 _MISSING_BELOW = -1e30
-# The radius of a body is at most this, m: heights may be counted from its centre.
+# Limit of heights, which may be radii of the body, m.
 _MAX_HEIGHT_M = 1e7
-# Range of heights within one raster, m: no body has more.
+# Limit of the range of heights within one raster, m; no known body exceeds it.
 _MAX_RELIEF_M = 1e5
-# Numbers that programs write where they know no height.
+# Values that programs customarily write for missing heights.
 _CUSTOMARY_MARKERS = (
     -999, -9999, -99999, -999999, -32767, -32768, -(2**31), 9999, 99999, 32767, 65535, 2**31 - 1,
 )  # fmt: skip
-# Sorted by height, posts of natural terrain follow each other closely. A lowest or highest value
-# is taken for an undeclared no-data value if nothing lies within this distance of it, m ...
+# The sorted heights of natural terrain have no large gaps. A minimum or maximum that is separated
+# from all other heights is treated as an undeclared no-data value. Minimum gap for a customary
+# marker, m:
 _MIN_MARKER_GAP_M = 50.0
-# ... for a number that is not a customary marker (0, for instance), within this distance, m, and
-# within the range of all other heights.
+# Minimum gap for other values (0, for instance), m; the gap must also exceed the range of all
+# other heights.
 _MIN_OUTLIER_GAP_M = 500.0
 
-# Undeclared no-data values of one file that are looked for at each end, plus one.
-_MOST_MARKERS = 8
+# Maximum number of undeclared no-data values to find at each end, plus one.
+_EXTREMES_PER_END = 8
 
-# Posts that are read at once, about 40 MB with their masks.
+# Posts read at a time, about 40 MB with their masks.
 _POSTS_PER_BLOCK = 2_000_000
 
 
 def metres_in(unit: str) -> float | None:
-    """Return the length of a unit in metres, None if its name is not known."""
+    """Return the length of a unit in metres; None if its name is not known."""
     words = " ".join(re.sub(r"[-_.()\s]+", " ", unit.lower().strip("\"' ")).split())
     return _METRES.get(words, _METRES.get(words.removesuffix("s")))
 
 
 def check_count(field_name: str, value: object, rows: int, cols: int, remedy: str) -> None:
     """Refuse more posts than fit into memory (400 million: 3 GB)."""
-    most = 400_000_000
-    if rows * cols > most:
+    max_posts = 400_000_000
+    if rows * cols > max_posts:
         raise InputError(
             field_name, value,
-            f"{rows} x {cols} posts of 8 bytes are {bytes_in_words(8.0 * rows * cols)}, at most "
-            f"{most} posts are read; {remedy}",
+            f"needs {rows} x {cols} posts ({bytes_in_words(8.0 * rows * cols)}), but at most "
+            f"{max_posts} posts are read", remedy,
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class HeightScale:
-    """How the numbers of a file become metres: (number * scale + offset) * metres.
+    """Conversion of raw values to metres: (number * scale + offset) * metres.
 
     Attributes
     ----------
     scale, offset
-        As the file gives them.
+        Scale and offset stated by the file.
     unit
-        Name of the unit, "m" if the file gives none.
+        Name of the unit; "m" if the file states none.
     metres
         Length of the unit, m.
     """
@@ -101,54 +102,54 @@ class HeightScale:
 
     @classmethod
     def of(cls, source: DatasetReader, unit: str | None) -> HeightScale:
-        """Return what a file declares; `unit` replaces the unit that it gives."""
+        """Return the conversion that a file declares; `unit` replaces the file's unit."""
         scale, offset = float(source.scales[0]), float(source.offsets[0])
         if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
             raise InputError(
-                "terrain.path", source.name, f"its scale {scale:g} or offset {offset:g} is unusable"
-            )
-        if counts_down(source):
+                "terrain.path", source.name,
+                f"has an unusable scale {scale:g} or offset {offset:g} of heights",
+            )  # fmt: skip
+        if has_downward_heights(source):
             raise InputError(
-                "terrain.path", source.name, "its heights count downwards. Change their sign: "
-                "`gdal_calc.py -A FILE --calc=-A --outfile out.tif`",
+                "terrain.path", source.name, "must have heights that increase upwards, not depths",
+                "Change their sign: `gdal_calc.py -A FILE --calc=-A --outfile out.tif`.",
             )  # fmt: skip
         if unit is not None:
             metres = metres_in(unit)
             if metres is None:
                 known = suggestion(unit, _METRES)
-                raise InputError("terrain.dtm_unit", unit, f"not a known unit of length; {known}")
+                raise InputError("terrain.dtm_unit", unit, f"must be a unit of length ({known})")
             return cls(scale, offset, unit, metres)
         names = [name for name in declared_units(source) if name.lower() not in _NO_UNIT]
         lengths = {name: metres_in(name) for name in names}
         for name, length in lengths.items():
             if length is None:
                 raise InputError(
-                    "terrain.path", source.name, f"the unit of its heights, {name!r}, is not "
-                    'known. Set terrain.dtm_unit ("m", "km", "ft", "us-ft")',
+                    "terrain.path", source.name, f"has heights in an unknown unit {name!r}",
+                    'Set terrain.dtm_unit ("m", "km", "ft", "us-ft").',
                 )  # fmt: skip
         known_lengths = [length for length in lengths.values() if length is not None]
         if known_lengths and max(known_lengths) > (1.0 + 1e-9) * min(known_lengths):
             raise InputError(
-                "terrain.path", source.name, f"it gives several units of height: "
-                f"{', '.join(lengths)}. Set terrain.dtm_unit to the right one",
+                "terrain.path", source.name, f"states several units of height: "
+                f"{', '.join(lengths)}", "Set terrain.dtm_unit to the right one.",
             )  # fmt: skip
         return cls(scale, offset, names[0] if names else "m", (known_lengths or [1.0])[0])
 
     def metres_of(self, numbers: NDArray[np.float64] | float) -> NDArray[np.float64]:
-        """Return numbers of the file in metres."""
+        """Convert raw values to metres."""
         return np.asarray((np.asarray(numbers) * self.scale + self.offset) * self.metres)
 
 
 @dataclass
-class Extremes:
-    """Statistics of heights, m, gathered block by block.
+class HeightStatistics:
+    """Statistics of heights, m, accumulated block by block.
 
     Attributes
     ----------
-    posts, known
-        Number of posts, and of those with a height.
+        Numbers of posts, and of posts with a height.
     lowest, highest
-        The eight extreme heights at each end, and how many posts have each; the extreme first.
+        The eight most extreme heights at each end with their counts; the extreme first.
     """
 
     posts: int = 0
@@ -157,49 +158,49 @@ class Extremes:
     highest: list[tuple[float, int]] = field(default_factory=list)
 
     def add(self, z: NDArray[np.float64]) -> None:
-        """Take in a block of heights, NaN where there are none."""
+        """Add a block of heights, NaN where missing."""
         heights = z[np.isfinite(z)]
         self.posts += z.size
         self.known += heights.size
-        self.lowest = _several_lowest(heights, self.lowest)
+        self.lowest = _lowest_values(heights, self.lowest)
         negative = [(-value, count) for value, count in self.highest]
-        self.highest = [(-value, count) for value, count in _several_lowest(-heights, negative)]
+        self.highest = [(-value, count) for value, count in _lowest_values(-heights, negative)]
 
     @property
     def z_range(self) -> tuple[float, float]:
-        """Lowest and highest height, m; NaN if there is none."""
+        """Minimum and maximum height, m; NaN if there is none."""
         return (self.lowest[0][0], self.highest[0][0]) if self.known else (np.nan, np.nan)
 
 
-def _several_lowest(
+def _lowest_values(
     heights: NDArray[np.float64], before: list[tuple[float, int]]
 ) -> list[tuple[float, int]]:
     counts = dict(before)
-    if len(before) == _MOST_MARKERS:
+    if len(before) == _EXTREMES_PER_END:
         heights = heights[heights <= before[-1][0]]
-    for _ in range(_MOST_MARKERS):
+    for _ in range(_EXTREMES_PER_END):
         if heights.size == 0:
             break
         low = float(heights.min())
         above = heights[heights > low]
         counts[low] = counts.get(low, 0) + heights.size - above.size
         heights = above
-    return sorted(counts.items())[:_MOST_MARKERS]
+    return sorted(counts.items())[:_EXTREMES_PER_END]
 
 
 @dataclass(frozen=True)
-class Heights:
-    """The heights of a raster file.
+class RasterHeights:
+    """Heights of a raster file.
 
     Attributes
     ----------
     source
-        The open file.
+        Open raster file.
     scale
-        From its numbers to metres.
+        Conversion of raw values to metres.
     no_data
-        Numbers of posts without a height that the user declares; None: undeclared ones are looked
-        for.
+        Values that mark posts without a height, declared by the user; None: undeclared ones are
+        searched for.
     """
 
     source: DatasetReader
@@ -207,7 +208,7 @@ class Heights:
     no_data: Sequence[float] | None
 
     def blocks(self, window: Window) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Yield first row and heights, m, of blocks of rows; NaN for posts without a height."""
+        """Yield first row and heights, m, of blocks of rows; NaN if missing."""
         source = self.source
         masked = not has_hexadecimal_no_data(source)
         special = [*special_values(source), *(self.no_data or ())]
@@ -225,15 +226,15 @@ class Heights:
             z[missing] = np.nan
             yield top, z
 
-    def extremes(self, window: Window) -> Extremes:
-        """Return statistics of a window, without holding it in memory.
+    def extremes(self, window: Window) -> HeightStatistics:
+        """Return statistics of a window, without loading it into memory.
 
         Raises
         ------
         InputError
-            If the heights are none of a terrain; see `check`.
+            If `check` refuses the heights.
         """
-        found = Extremes()
+        found = HeightStatistics()
         for _, z in self.blocks(window):
             found.add(z)
         self.check(found)
@@ -245,21 +246,21 @@ class Heights:
         Raises
         ------
         InputError
-            If there are too many, or they are none of a terrain; see `check`.
+            If the window has too many posts or no heights, or `check` refuses the heights.
         """
         rows, cols = int(window.height), int(window.width)
-        check_count("terrain.path", self.source.name, rows, cols, "give terrain.dtm_window")
-        z, found = np.empty((rows, cols)), Extremes()
+        check_count("terrain.path", self.source.name, rows, cols, "Set terrain.dtm_window.")
+        z, found = np.empty((rows, cols)), HeightStatistics()
         for top, block in self.blocks(window):
             found.add(block)
             z[top : top + len(block)] = block
         self.check(found)
         if not found.known:
-            raise InputError("terrain.path", self.source.name, "no post has an elevation")
+            raise InputError("terrain.path", self.source.name, "has no elevations")
         return z
 
-    def check(self, found: Extremes) -> None:
-        """Refuse an undeclared no-data value, and heights that no body has."""
+    def check(self, found: HeightStatistics) -> None:
+        """Refuse undeclared no-data values and implausible heights."""
         if not found.known:
             return
         low, high = found.z_range
@@ -269,12 +270,12 @@ class Heights:
         if max(-low, high) > _MAX_HEIGHT_M or high - low > _MAX_RELIEF_M:
             raise InputError(
                 "terrain.path", self.source.name,
-                f"its heights reach from {low:.6g} to {high:.6g} m, more than {_MAX_RELIEF_M:g} m "
-                "apart. Declare what marks missing posts: terrain.dtm_nodata",
+                f"has heights from {low:.6g} to {high:.6g} m, which no known body has",
+                "Declare the marker of missing posts: terrain.dtm_nodata.",
             )  # fmt: skip
 
     def _check_marker(self, extreme: list[tuple[float, int]], opposite: float, side: str) -> None:
-        """Refuse extreme values that are far from all others; `opposite` is the other end."""
+        """Refuse extreme values far from all others; `opposite` is the other extreme."""
         customary = self.scale.metres_of(np.array(_CUSTOMARY_MARKERS, dtype=np.float64))
         zero = self.scale.metres_of(0.0)
         for number, ((value, _), (following, _)) in enumerate(pairwise(extreme), start=1):
@@ -295,13 +296,14 @@ class Heights:
         declared = f"[{shown}]" if len(numbers) > 1 else shown
         raise InputError(
             "terrain.path", self.source.name,
-            f"{sum(count for _, count in found)} posts of value {shown} lie {gap:.0f} m {side} all "
-            f"others. Set terrain.dtm_nodata = {declared}, or [] if these heights are real",
+            f"has {sum(count for _, count in found)} posts of value {shown}, {gap:.0f} m {side} "
+            "all others",
+            f"Set terrain.dtm_nodata = {declared}, or [] if these heights are real.",
         )  # fmt: skip
 
 
 def _equal(numbers: NDArray[np.generic], value: float) -> NDArray[np.bool_]:
-    """Whether numbers are a value, rounded to their type."""
+    """Return whether numbers equal a value rounded to their type."""
     if numbers.dtype.kind == "f":
         with np.errstate(over="ignore"):
             value = float(numbers.dtype.type(value))

@@ -1,8 +1,8 @@
-"""Read from planetary labels what GDAL does not pass on: units and special values.
+"""Read units and special values that GDAL omits from planetary labels.
 
-GDAL passes on scale and offset of every format (also SCALING_FACTOR and OFFSET of PDS3, Base and
-Multiplier of ISIS3, scaling_factor and value_offset of PDS4), and the unit of all but PDS3, ISIS3
-and AAIGrid. Of the values that mark missing posts it passes on one.
+GDAL provides scale and offset of every format (including SCALING_FACTOR and OFFSET of PDS3, Base
+and Multiplier of ISIS3, scaling_factor and value_offset of PDS4), and the unit of all formats but
+PDS3, ISIS3 and AAIGrid. It provides only one of the values that mark missing posts.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from rasterio.crs import CRS
 from rasterio.io import DatasetReader
 
-# Keywords of PDS3 labels that give a value of posts without a height.
+# Keywords of PDS3 labels whose value marks posts without a height.
 _MISSING_KEYWORDS = re.compile(
     r"((MISSING|INVALID|UNKNOWN|NOT_APPLICABLE|NULL)(_CONSTANT)?"
     r"|CORE_(NULL|(LOW|HIGH)_(INSTR|REPR)_SATURATION))"
 )
-# Special pixels of ISIS3: null and the four kinds of saturation. Those of 32-bit cubes are
-# below -1e30 and need no list.
+# Special pixels of ISIS3: null and four kinds of saturation. Those of 32-bit cubes are below -1e30
+# and need no list.
 _ISIS_SPECIAL = {
     "uint8": (0, 255),
     "int16": (-32768, -32767, -32766, -32765, -32764),
@@ -33,7 +33,7 @@ _ISIS_SPECIAL = {
 
 
 def declared_units(source: DatasetReader) -> list[str]:
-    """Return all units of height that a file gives: band, label, vertical reference."""
+    """Return all units of height that a file states: band, label, vertical reference."""
     found = [source.units[0]] + [unit for _, unit in _label_units(source)]
     if source.crs is not None:
         vertical = re.search(r'VERTCRS\[.*?LENGTHUNIT\["([^"]*)"', wkt2(source.crs))
@@ -41,8 +41,8 @@ def declared_units(source: DatasetReader) -> list[str]:
     return [unit.strip() for unit in found if unit and unit.strip()]
 
 
-def counts_down(source: DatasetReader) -> bool:
-    """Whether the heights are depths: vertical reference, or attribute `positive` of netCDF."""
+def has_downward_heights(source: DatasetReader) -> bool:
+    """Return whether the heights are depths."""
     if source.driver == "netCDF" and str(source.tags(1).get("positive", "")).lower() == "down":
         return True
     crs = source.crs
@@ -50,7 +50,7 @@ def counts_down(source: DatasetReader) -> bool:
 
 
 def special_values(source: DatasetReader) -> list[float]:
-    """Return the values that a label declares as posts without a height, besides the no-data."""
+    """Return the missing values of a label, without the no-data value."""
     dtype = np.dtype(source.dtypes[0])
     if source.driver == "ISIS3":
         return [float(v) for v in _ISIS_SPECIAL.get(dtype.name, ())]
@@ -65,7 +65,7 @@ def special_values(source: DatasetReader) -> list[float]:
 
 
 def has_hexadecimal_no_data(source: DatasetReader) -> bool:
-    """Whether a PDS3 label writes its no-data as 16#FF7FFFFB#, which GDAL reads as 16."""
+    """Return whether a PDS3 label has a no-data value like 16#FF7FFFFB#."""
     if source.driver != "PDS":
         return False
     image = _image_object(_json_label(source, "json:PDS"))
@@ -73,7 +73,7 @@ def has_hexadecimal_no_data(source: DatasetReader) -> bool:
 
 
 def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
-    """Yield keyword and unit of height of formats whose unit GDAL does not pass on."""
+    """Yield keyword and unit of height of formats whose unit GDAL does not provide."""
     if source.driver == "PDS":
         image = _image_object(_json_label(source, "json:PDS"))
         for key in ("UNIT", "UNITS", "CORE_UNIT"):
@@ -84,7 +84,7 @@ def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
                 yield key, re.sub(r"/(DN|PIXEL)$", "", str(image[key]["unit"]), flags=re.I)
     elif source.driver == "ISIS3":
         cube = _json_label(source, "json:ISIS3").get("IsisCube", {})
-        for name, group in cube.items():  # BandBin, and with its Name behind it from GDAL 3.12 on
+        for name, group in cube.items():  # BandBin; GDAL 3.12 and later append its Name
             for key in ("Unit", "Units"):
                 if name.startswith("BandBin") and isinstance(group.get(key), str):
                     yield key, group[key]
@@ -97,7 +97,7 @@ def _label_units(source: DatasetReader) -> Iterator[tuple[str, str]]:
 
 
 def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
-    """Return a label that GDAL has read; rasterio splits its text at the first colon."""
+    """Return a label parsed by GDAL; rasterio splits its text at the first colon."""
     text = ":".join(next(iter(source.tags(ns=domain).items()), ("", "")))
     try:
         label = json.loads(text)
@@ -107,7 +107,7 @@ def _json_label(source: DatasetReader, domain: str) -> dict[str, Any]:
 
 
 def _image_object(label: dict[str, Any]) -> dict[str, Any]:
-    """Return the object of a PDS3 label that describes the samples; empty if there is none."""
+    """Return the object of a PDS3 label that describes the samples, or {}."""
     if "SAMPLE_BITS" in label or "CORE_ITEM_BYTES" in label:
         return label
     nested = [_image_object(value) for value in label.values() if isinstance(value, dict)]
@@ -116,7 +116,7 @@ def _image_object(label: dict[str, Any]) -> dict[str, Any]:
 
 def _pds4_constants(text: str) -> list[ElementTree.Element]:
     if not text or "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL):
-        return []  # a label needs no entities of its own
+        return []  # refuse labels with entity declarations
     try:
         root = ElementTree.fromstring(text.encode())
     except ElementTree.ParseError:
@@ -126,7 +126,7 @@ def _pds4_constants(text: str) -> list[ElementTree.Element]:
 
 
 def _number(text: Any, dtype: np.dtype[Any]) -> float | None:
-    """Return a special value given as a number or as the bits of one; None if it is neither."""
+    """Return a special value given as a number or as its bits; None if it is neither."""
     if isinstance(text, dict):
         text = text.get("value")
     bits = re.fullmatch(r"\s*(?:16#([0-9A-Fa-f]+)#|0x([0-9A-Fa-f]+))\s*", str(text))

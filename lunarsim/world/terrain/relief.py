@@ -1,4 +1,4 @@
-"""Procedural relief: fractal ground by spectral synthesis."""
+"""Procedural relief: fractal terrain by spectral synthesis."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ def fractal_relief(
 ) -> Heightfield:
     """Draw self-affine relief with a given roughness.
 
-    The two-dimensional power spectrum falls as ``k**-(2 + 2 hurst)``, as measured planetary
-    surfaces do; random phases make one realisation. Synthesis runs on a plane twice as wide as
-    the grid so that opposite edges are unrelated, then the result is scaled so that the root
-    mean square slope between posts `baseline` apart (east and north together) is `rms_slope`.
+    The two-dimensional power spectrum falls as ``k**-(2 + 2 hurst)``, as observed for planetary
+    surfaces. The synthesis covers twice the width of the grid, so that opposite edges are
+    uncorrelated. The result is scaled so that the root mean square slope between posts `baseline`
+    apart (east and north together) is `rms_slope`.
 
     Parameters
     ----------
     grid
-        Where the posts are.
+        Grid of the posts.
     rng
         Source of the phases and amplitudes.
     hurst
-        Hurst exponent in (0, 1): 0.9 is smooth rolling ground, 0.5 is rough.
+        Hurst exponent in (0, 1): 0.9 is smooth rolling terrain, 0.5 is rough.
     rms_slope
         Root mean square slope at the baseline, rad.
     baseline
-        Length over which the slope is taken, m; at least one posting.
+        Length over which the slope is measured, m; at least one posting.
 
     Returns
     -------
@@ -43,9 +43,9 @@ def fractal_relief(
         Relief with zero mean.
     """
     if not 0.0 < hurst < 1.0:
-        raise InputError("terrain.hurst", hurst, "a number between 0 and 1")
+        raise InputError("terrain.hurst", hurst, "must be between 0 and 1")
     if not 0.0 <= rms_slope < np.pi / 4:
-        raise InputError("terrain.rms_slope", rms_slope, "a slope between 0 and 45 deg")
+        raise InputError("terrain.rms_slope", rms_slope, "must be between 0 and 45 deg")
     rows, cols = 2 * grid.rows, 2 * grid.cols
     ky = np.fft.fftfreq(rows, grid.posting)[:, None]
     kx = np.fft.rfftfreq(cols, grid.posting)[None, :]
@@ -56,7 +56,7 @@ def fractal_relief(
     step = max(1, round(baseline / grid.posting))
     if min(grid.shape) <= step:
         side = min(grid.shape) * grid.posting
-        raise InputError("terrain.size_m", side, f"a side longer than {baseline} m")
+        raise InputError("terrain.size_m", side, f"must be more than {baseline} m")
     length = step * grid.posting
     mean_square = np.mean(((z[:, step:] - z[:, :-step]) / length) ** 2) + np.mean(
         ((z[step:, :] - z[:-step, :]) / length) ** 2
@@ -66,10 +66,10 @@ def fractal_relief(
 
 
 def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
-    """Return measured relief with detail between its posts, which keep their elevations.
+    """Return measured relief with added detail between its posts.
 
-    What the detail would do to the measured posts is taken away again: the spline through its
-    values there. So it acts only below the measured posting.
+    The spline through the detail's values at the measured posts is subtracted from the detail.
+    The detail therefore acts only below the measured posting.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ def add_detail(measured: Heightfield, detail: Heightfield) -> Heightfield:
     Raises
     ------
     InputError
-        If the grids do not belong together.
+        If the grids do not match.
     """
     fine = measured.refined(detail.grid.posting)
     if fine.grid != detail.grid:
-        raise InputError("terrain.detail", detail.grid.shape, f"the grid {fine.grid}")
+        raise InputError("terrain.detail", detail.grid.shape, f"must have the grid {fine.grid}")
     factor = round(measured.grid.posting / fine.grid.posting)
     coarse = Heightfield(measured.grid, detail.z[::factor, ::factor])
     added = detail.z.astype(np.float64) - coarse.refined(detail.grid.posting).z

@@ -1,4 +1,4 @@
-"""Interpolate a raster that may have gaps by cubic spline."""
+"""Cubic spline interpolation of a raster that can have gaps."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ Array = NDArray[np.float64]
 
 
 class GappySpline:
-    """Cubic spline through a raster; its values next to gaps are only invented.
+    """Cubic spline through a raster; its values next to gaps are extrapolated.
 
     Parameters
     ----------
     z
         Values (rows, cols); NaN in gaps, but not everywhere.
-    carry_slopes
-        Whether slopes are carried on into gaps, which keeps the spline from swinging beside them;
+    extrapolate_slopes
+        Whether to extrapolate slopes into gaps, which prevents oscillation next to them;
         otherwise gaps take the value of the nearest post.
     """
 
-    def __init__(self, z: NDArray[np.floating], *, carry_slopes: bool = False) -> None:
+    def __init__(self, z: NDArray[np.floating], *, extrapolate_slopes: bool = False) -> None:
         self._known = np.isfinite(z)
         self.filled = z.astype(np.float64)
         if not self._known.all():
@@ -29,12 +29,12 @@ class GappySpline:
                 ~self._known, return_distances=False, return_indices=True
             )
             self.filled = self.filled[tuple(nearest)]
-            if carry_slopes:
-                self._carry_slopes(nearest)
+            if extrapolate_slopes:
+                self._extrapolate_slopes(nearest)
         self._coefficients = ndimage.spline_filter(self.filled, order=3, mode="mirror")
 
-    def _carry_slopes(self, nearest: NDArray[np.int32]) -> None:
-        """Reflect the raster at the post nearest to a gap, through its value."""
+    def _extrapolate_slopes(self, nearest: NDArray[np.int32]) -> None:
+        """Fill gaps by point reflection of the raster through the nearest post."""
         rows, cols = np.nonzero(~self._known)
         at = nearest[:, rows, cols]
         shape = np.array(self._known.shape)[:, None]
@@ -44,14 +44,14 @@ class GappySpline:
         self.filled[rows, cols] = 2.0 * self.filled[rows, cols] - self.filled[row, col]
 
     def __call__(self, rows: Array, cols: Array) -> Array:
-        """Return values at fractional rows and columns, which lie within the raster."""
+        """Return values at fractional rows and columns inside the raster."""
         z = ndimage.map_coordinates(
             self._coefficients, (rows, cols), order=3, mode="mirror", prefilter=False
         )
         return np.asarray(z)
 
     def is_gap(self, rows: Array, cols: Array) -> NDArray[np.bool_]:
-        """Whether a gap is among the four posts about each place."""
+        """Return whether any of the four posts around each point is a gap."""
         if self._known.all():
             return np.zeros(np.shape(rows), dtype=bool)
         gaps = (~self._known).astype(np.float64)

@@ -1,4 +1,4 @@
-"""`Terrain`: relief and rocks as one surface, with exact queries."""
+"""The terrain surface with exact point queries and ray casting."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from lunarsim.rocks.shapes import shape_table
 from lunarsim.world.terrain import _ray_kernels, _surface_kernels
 from lunarsim.world.terrain.heightfield import Heightfield
 
-# Side of a bucket of the acceleration structure, m: about the size of a large rock.
-_BUCKET = 1.6
+# Side of a bucket of rocks in the ray caster, m: about the size of a large rock.
+_BUCKET_SIDE_M = 1.6
 
 
 @dataclass(frozen=True)
 class RayHits:
-    """Where rays meet the ground.
+    """Hits of rays on the terrain.
 
     Attributes
     ----------
     range
-        Distance along each ray (n,), m; NaN for no return.
+        Distance along each ray (n,), m; NaN if it misses.
     normal
-        Unit surface normal at the hit (n, 3), ENU; NaN for no return.
+        Unit surface normal at the hit (n, 3), ENU; NaN if the ray misses.
     rock
-        Index of the rock that was hit (n,), -1 for relief, -2 for no return.
+        Index of the rock that was hit (n,); -1 for relief, -2 if the ray misses.
     """
 
     range: NDArray[np.float64]
@@ -39,23 +39,23 @@ class RayHits:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Ground truth: a heightfield and the rocks that stand on it.
+    """True terrain: a heightfield and the rocks on it.
 
     The surface at a point is the higher of the relief and any rock there. Outside the
-    heightfield, or over no-data, elevation and normal are NaN and rays find nothing.
+    heightfield, or over no-data, elevation and normal are NaN and rays hit nothing.
 
     Attributes
     ----------
     relief
-        The ground without rocks.
+        Relief without rocks.
     rocks
-        The rocks.
+        Rocks on the relief.
     """
 
     relief: Heightfield
     rocks: RockField = field(default_factory=RockField.empty)
 
-    # What the kernels take: where the posts are; posts, rocks and their lists; the pyramid.
+    # Arguments of the kernels: first post (x, y) and posting; rocks; pyramid of maxima.
     _frame: tuple[float, float, float] = field(init=False, repr=False, compare=False)
     _leaf: int = field(init=False, repr=False, compare=False)
     _rock_arrays: _ray_kernels.Rocks = field(init=False, repr=False, compare=False)
@@ -63,7 +63,7 @@ class Terrain:
 
     def __post_init__(self) -> None:
         g = self.relief.grid
-        base = max(0, round(np.log2(_BUCKET / g.posting)))
+        base = max(0, round(np.log2(_BUCKET_SIDE_M / g.posting)))
         table = shape_table()
         rows = self.rocks.rows()
         z = np.ascontiguousarray(self.relief.z)
@@ -82,12 +82,12 @@ class Terrain:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, east, south, north limits, m."""
+        """West, east, south and north edges, m."""
         return self.relief.bounds
 
     @property
     def z_range(self) -> tuple[float, float]:
-        """Least elevation of the relief and greatest of relief and rocks, m."""
+        """Minimum elevation of the relief and maximum of relief and rocks, m."""
         low, high = self.relief.z_range
         if len(self.rocks):
             high = max(high, float(np.max(self.rocks.base + self.rocks.height)))
@@ -95,7 +95,7 @@ class Terrain:
 
     @property
     def nbytes(self) -> int:
-        """Memory of posts, rocks and the ray caster's lists, bytes."""
+        """Memory of posts, rocks and the ray caster's arrays, bytes."""
         arrays = (self.relief.z, *self._rock_arrays, *self._pyramid)
         return sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
 
@@ -109,7 +109,7 @@ class Terrain:
         return np.asarray(out).reshape(xy.shape[:-1])
 
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the unit surface normal (..., 3) at points (..., 2); NaN where unknown."""
+        """Return surface normals (..., 3), ENU, at points (..., 2); NaN if unknown."""
         xy = np.asarray(xy, dtype=np.float64)
         flat = np.ascontiguousarray(xy.reshape(-1, 2))
         out = _surface_kernels.normal_at(
@@ -127,7 +127,7 @@ class Terrain:
         return out
 
     def rock_raster(self, grid: Grid) -> NDArray[np.int32]:
-        """Return the rock on top at every cell centre of `grid` (rows, cols), -1 for none."""
+        """Return the index of the rock on top at every cell centre (rows, cols); -1: none."""
         g = grid
         out = np.full(grid.shape, -1, np.int32)
         _surface_kernels.rock_raster(
@@ -148,13 +148,13 @@ class Terrain:
         Parameters
         ----------
         origin
-            ENU start of the rays, (3,) for all or (n, 3), m.
+            Start of the rays, (3,) for all or (n, 3), ENU, m.
         direction
             Unit vectors (n, 3), ENU.
         max_range
-            Longest distance that counts as a return, m.
+            Maximum range, m; more distant hits are misses.
         normals
-            Whether to find the surface normals too; without them `normal` is empty.
+            Whether to compute surface normals; otherwise `normal` is empty.
         """
         direction = np.ascontiguousarray(direction, dtype=np.float64)
         origin = np.ascontiguousarray(np.atleast_2d(np.asarray(origin, dtype=np.float64)))
@@ -177,7 +177,7 @@ class Terrain:
 
 
 def _levels(rows: int, cols: int, base: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the heights and widths of the pyramid's levels over `rows` x `cols` cells."""
+    """Return rows and columns of the pyramid's levels over `rows` x `cols` cells."""
     high, wide = [rows], [cols]
     while max(high[-1], wide[-1]) > 1 or len(high) <= base:
         high.append((high[-1] + 1) // 2)

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.grid import Grid
 from lunarsim.sensors.rendering import _glow_kernels as kernels
-from lunarsim.sensors.rendering.glow import glow_map
+from lunarsim.sensors.rendering.glow import scattered_light_map
 from lunarsim.world.light import Light
 from lunarsim.world.terrain import Heightfield
 
@@ -29,7 +29,7 @@ def test_side_of_a_long_groove_sees_the_other_side(angle, turned):
     z = np.broadcast_to(tangent * np.abs(across), (161, 161)).copy()
     z = z.T.copy() if turned else z
     shine = np.full(z.shape, 0.2)
-    found = kernels.gathered(z, slopes(z, 1.0), 1.0, shine, 24, 1.1)
+    found = kernels.scattered_irradiance(z, slopes(z, 1.0), 1.0, shine, 24, 1.1)
     found = found.T if turned else found
     for x in (3.0, 6.0):
         fills = np.radians(angle) + np.arctan(tangent * (80.0 - x) / (80.0 + x))
@@ -41,7 +41,7 @@ def test_side_of_a_long_groove_sees_the_other_side(angle, turned):
 def test_a_plane_sees_nothing_of_itself():
     x, y = np.meshgrid(np.arange(40.0), np.arange(30.0))
     z = 0.3 * x - 0.2 * y
-    found = kernels.gathered(z, slopes(z, 1.0), 1.0, np.ones(z.shape), 16, 1.2)
+    found = kernels.scattered_irradiance(z, slopes(z, 1.0), 1.0, np.ones(z.shape), 16, 1.2)
     assert np.all((found >= 0.0) & (found < 1e-9))
 
 
@@ -66,15 +66,15 @@ def test_straight_above_and_below_the_horizon():
     z = np.random.default_rng(0).normal(size=grid.shape).astype(np.float32)
     z[3, 4] = np.nan
     relief = Heightfield(grid, z)
-    assert np.all(glow_map(relief, Light(0.0, -0.1, scattered=True)).values == 0.0)
-    noon = glow_map(relief, Light(0.0, 0.5 * np.pi, scattered=True)).values
+    assert np.all(scattered_light_map(relief, Light(0.0, -0.1, scattered=True)).values == 0.0)
+    noon = scattered_light_map(relief, Light(0.0, 0.5 * np.pi, scattered=True)).values
     assert np.isfinite(noon).all() and (noon[..., 0] >= 0.0).all() and noon[..., 0].max() > 0.0
 
 
 def test_map_lies_over_its_ground():
     grid = Grid(100.0, -40.0, 2.0, 30, 20)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
-    found = glow_map(relief, Light(scattered=True))
+    found = scattered_light_map(relief, Light(scattered=True))
     scale = found.from_camera(np.array([110.0, -20.0, 50.0]))
     # The camera is over post (5, 10): the middle of that texel.
     rows, cols = found.values.shape[:2]
@@ -96,6 +96,6 @@ def test_no_light_is_negative_under_a_low_sun(elevation):
     x, y = np.meshgrid(np.arange(90.0), np.arange(90.0))
     z = 4.0 * np.sin(0.15 * x) * np.cos(0.11 * y) + np.random.default_rng(1).normal(0, 0.3, x.shape)
     relief = Heightfield(Grid(0.0, 0.0, 1.0, 90, 90), z.astype(np.float32))
-    values = glow_map(relief, Light(elevation=np.radians(elevation))).values
+    values = scattered_light_map(relief, Light(elevation=np.radians(elevation))).values
     assert np.all(np.isfinite(values)) and values.min() >= 0.0
     assert np.count_nonzero(values[..., 1] == 0.0) > 50, "some ground about is dark"

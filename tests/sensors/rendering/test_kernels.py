@@ -76,4 +76,6 @@ def test_corners_of_cells_and_least_depths():
         (rng.integers(0, 6, 200), rng.integers(0, 5, 200), rng.random(200))
     ).astype(np.float32)
     hit = rng.random(200) < 0.7
-    assert np.array_equal(small_rocks.least(points, hit, 5, 6), plain.least_map(points, hit, 5, 6))
+    assert np.array_equal(
+        small_rocks.min_depth(points, hit, 5, 6), plain.least_map(points, hit, 5, 6)
+    )

@@ -7,7 +7,7 @@ from lunarsim.frames import sensor_axes
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _tile_kernels as kernels
-from lunarsim.sensors.rendering.lee_blocks import LeeBlocks
+from lunarsim.sensors.rendering.lee_blocks import ShadowCasterBlocks
 from lunarsim.sensors.rendering.relief_tiles import ReliefTiles, level_mesh
 from lunarsim.sensors.rendering.renderer import Renderer
 from lunarsim.world.light import Light
@@ -45,14 +45,16 @@ def test_what_is_known_of_one_sun_is_not_held_for_another():
     grid = Grid.centred((0.0, 0.0), 150.0, 1.0)
     relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=0.2)
     tiles = ReliefTiles.of(relief)
-    kept = LeeBlocks(relief, tiles)
+    kept = ShadowCasterBlocks(relief, tiles)
     for _ in range(4):
         sun = sun_at(rng)
         for _ in range(2):
             picked = np.flatnonzero(rng.random(len(tiles.first)) < 0.5)
             fine = np.zeros((len(picked), 4), np.int32)
             found = kept.of(picked, fine, sun, 0.5)
-            assert np.array_equal(found, LeeBlocks(relief, tiles).of(picked, fine, sun, 0.5))
+            assert np.array_equal(
+                found, ShadowCasterBlocks(relief, tiles).of(picked, fine, sun, 0.5)
+            )
     assert kept.of(picked, fine, sun, 3.1).all()  # texels far larger than cells: drawn whole
     assert not kept.of(picked, fine, sun, 2.9).all()
     # So are tiles with a coarser neighbour.
@@ -90,7 +92,7 @@ def test_pictures_are_those_with_all_blocks_drawn(seed, monkeypatch):
         views.append((View(eye, axes, 4.0 * height, 4.0 * height, 99.5, 79.5, 200, 160), sun))
     found = [Renderer(terrain).render(*view).radiance for view in views]
     monkeypatch.setattr(
-        LeeBlocks, "of", lambda _, picked, *__: np.ones((len(picked), 16), np.bool_)
+        ShadowCasterBlocks, "of", lambda _, picked, *__: np.ones((len(picked), 16), np.bool_)
     )
     for view, picture in zip(views, found, strict=True):
         assert np.array_equal(Renderer(terrain).render(*view).radiance, picture)

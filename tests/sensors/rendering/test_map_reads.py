@@ -9,10 +9,10 @@ from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.rocks.field import RockField
 from lunarsim.sensors.rendering.context import gl_context, on_render_thread
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.programs import geometry_programs
 from lunarsim.sensors.rendering.renderer import Renderer
-from lunarsim.sensors.rendering.rock_painter import RockPainter
+from lunarsim.sensors.rendering.rock_painter import RockRenderer
 from lunarsim.sensors.rendering.rock_tiles import DrawnRocks
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from lunarsim.world.light import Light
@@ -44,7 +44,7 @@ def test_all_that_a_view_shows_between_two_levels_is_read(seed):
     view = camera(rng, rng.uniform(0.0, 0.9))
     frame = frame_about(rng, view.position)
     low, high = np.sort(rng.uniform(-8.0, 8.0, 2))
-    reads = MapReads.of(view, frame, low, high)
+    reads = ShadowMapReads.of(view, frame, low, high)
     assert len(reads.normal) == 12
     pixel = rng.uniform([-0.5, -0.5], [639.5, 479.5], (500, 2))
     pixel[:4] = [[-0.5, -0.5], [639.5, -0.5], [639.5, 479.5], [-0.5, 479.5]]
@@ -66,7 +66,7 @@ def test_what_lies_far_from_a_picture_is_not_read():
         lean=np.zeros(2), axes=np.eye(2), corner=np.array([-200.0, -200.0]), texel=0.25,
         size=(1600, 1600), heights=(10.0, -110.0), slack=0.0,
     )  # fmt: skip
-    reads = MapReads.of(view, frame, 0.0, 0.0)
+    reads = ShadowMapReads.of(view, frame, 0.0, 0.0)
     # It shows 100 m by 75 m about the middle; the map's border may be read by what lies beyond.
     place = np.array([[[800.0, 800.0]], [[1030.0, 800.0]], [[800.0, 400.0]], [[2.0, 400.0]]])
     assert reads.meet(place).tolist() == [True, False, False, True]
@@ -79,7 +79,7 @@ def test_nothing_is_known_of_a_view_that_shows_the_horizon(tilt):
     rng = np.random.default_rng(0)
     view = camera(rng, tilt)
     frame = frame_about(rng, view.position)
-    reads = MapReads.of(view, frame, -1.0, 1.0)
+    reads = ShadowMapReads.of(view, frame, -1.0, 1.0)
     assert reads.normal.size == 0
     assert reads.meet(rng.uniform(100.0, 900.0, (50, 1, 2))).all()
 
@@ -88,7 +88,7 @@ def test_nothing_is_known_of_a_view_from_below_what_it_shows():
     rng = np.random.default_rng(0)
     view = camera(rng, 0.0)
     frame = frame_about(rng, view.position)
-    assert MapReads.of(view, frame, 0.0, view.position[2] + 1.0).normal.size == 0
+    assert ShadowMapReads.of(view, frame, 0.0, view.position[2] + 1.0).normal.size == 0
 
 
 @on_render_thread
@@ -96,7 +96,7 @@ def test_elevations_of_what_is_seen_of_rocks():
     rng = np.random.default_rng(2)
     base = random_terrain(rng, rocks=40)
     context = gl_context()
-    rocks = RockPainter(context, geometry_programs(context, ()), base)
+    rocks = RockRenderer(context, geometry_programs(context, ()), base)
     view = camera(rng, 0.0)
     size = base.rocks.reach()
     inside = np.abs(np.stack((base.rocks.x, base.rocks.y))).max(axis=0) + 1.5 * size < 15.0
@@ -115,7 +115,7 @@ def test_elevations_of_what_is_seen_of_rocks():
     z = base.relief.z.copy()
     z[0, 0] = np.nan
     holed = Terrain(Heightfield(base.relief.grid, z), base.rocks)
-    rocks = RockPainter(context, geometry_programs(context, ("HOLES",)), holed)
+    rocks = RockRenderer(context, geometry_programs(context, ("HOLES",)), holed)
     some = rocks.seen(replace(view, position=np.array([0.0, 0.0, 50.0])), 1.0)
     assert some.number.size
     assert rocks.heights(some) == (-np.inf, np.inf)
@@ -147,6 +147,6 @@ def test_pictures_are_those_with_the_whole_map(seed, monkeypatch):
         sun = replace(light, diameter=0.01 * (k % 3))
         views.append((View(eye, axes, 600.0, 600.0, 79.5, 59.5, 160, 120), sun))
     found = [drawn(terrain, *view) for view in views]
-    monkeypatch.setattr(MapReads, "of", lambda _, frame, *__: MapReads.anywhere(frame))
+    monkeypatch.setattr(ShadowMapReads, "of", lambda _, frame, *__: ShadowMapReads.anywhere(frame))
     for view, picture in zip(views, found, strict=True):
         assert np.array_equal(drawn(terrain, *view), picture)

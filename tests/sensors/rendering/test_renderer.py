@@ -202,7 +202,7 @@ def test_sky_night_and_underground_are_defined():
     assert np.allclose(earthshine.radiance, 2e-5, rtol=1e-4)
     far_away = renderer.render(look(20.0, target=(5000.0, 0.0, 0.0)), Light())
     assert np.all(far_away.radiance == 0.0)
-    with pytest.raises(InputError, match="above the ground"):
+    with pytest.raises(InputError, match="above the terrain"):
         renderer.render(look(20.0, target=(0.0, 0.0, -30.0)), Light())
 
 

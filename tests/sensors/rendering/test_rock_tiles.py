@@ -7,7 +7,7 @@ from lunarsim.frames import sensor_axes
 from lunarsim.models.pinhole import View
 from lunarsim.sensors.rendering import _cull_kernels as cull
 from lunarsim.sensors.rendering import _rock_tile_kernels as kernels
-from lunarsim.sensors.rendering.map_reads import MapReads
+from lunarsim.sensors.rendering.map_reads import ShadowMapReads
 from lunarsim.sensors.rendering.rock_tiles import RockTiles
 from lunarsim.sensors.rendering.shadow_frame import ShadowFrame
 from tests.reference import rendering as plain
@@ -98,7 +98,7 @@ def test_rocks_that_shade_are_those_found_among_all(kind, seed):
     tiles = RockTiles.of(rocks, reach, foot)
     for _ in range(8):
         view, frame = camera(rng, level=False), shadow_frame(rng)
-        found = tiles.shading(view, frame, MapReads.anywhere(frame))
+        found = tiles.shading(view, frame, ShadowMapReads.anywhere(frame))
         every = np.arange(len(rocks), dtype=np.int32)
         none = np.zeros(0)
         box, seen = cull.shading_rocks(

@@ -8,7 +8,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.rng import Streams
 from lunarsim.scenario import Scenario
-from lunarsim.world.terrain import Clusters, place_rocks
+from lunarsim.world.terrain import CraterClusters, place_rocks
 from tests.worlds import flat_terrain
 
 
@@ -17,7 +17,9 @@ def test_blocks_thin_with_the_cube_of_the_distance():
     plane = flat_terrain(size=400.0).relief
     x, y, radius = np.array([-60.0, 80.0]), np.array([20.0, -50.0]), np.array([20.0, 10.0])
     rng = np.random.default_rng(3)
-    rocks = place_rocks(plane, np.full(4000, 0.02), rng, clusters=Clusters(x, y, radius, 0.75))
+    rocks = place_rocks(
+        plane, np.full(4000, 0.02), rng, clusters=CraterClusters(x, y, radius, 0.75)
+    )
     away = np.hypot(rocks.x[:, None] - x, rocks.y[:, None] - y) / radius
     # Even ground has 1000 in 160,000 m^2; the areas within five radii hold some of them too.
     even = 1000.0 / 400.0**2

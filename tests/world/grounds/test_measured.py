@@ -15,7 +15,7 @@ DTM = SCENARIOS / "data" / "hirise_dteec_010228_1490_crop.tif"
 
 
 def test_posts_too_fine_for_memory_are_refused():
-    with pytest.raises(InputError, match=r"terrain\.posting_m = 0\.0001: .*at least 0\.\d+ m"):
+    with pytest.raises(InputError, match=r"terrain\.posting_m: must be at least 0\.\d+ m"):
         MeasuredGround(path=DTM, posting=1e-4).relief()
 
 
@@ -51,5 +51,5 @@ def test_ground_is_carried_on_beyond_its_raster_by_mirrors():
         assert np.array_equal(wide.z[:, col - off], wide.z[:, col + off])
     assert np.array_equal(wide.z[row - 5], wide.z[row + 5])
     assert replace(own, mirrored_to=10.0).relief().grid == narrow.grid
-    with pytest.raises(InputError, match=r"terrain\.posting_m = 2\.0: at least"):
+    with pytest.raises(InputError, match=r"terrain\.posting_m: must be at least"):
         replace(own, mirrored_to=1e6).relief()

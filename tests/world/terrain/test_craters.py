@@ -16,7 +16,7 @@ from lunarsim.world.terrain import (
     fractal_relief,
 )
 from lunarsim.world.terrain._crater_kernels import stamp
-from lunarsim.world.terrain.craters import APRON, DEPTH, RIM
+from lunarsim.world.terrain.craters import APRON_RADII, DEPTH_RATIO, RIM_HEIGHT_RATIO
 
 
 def test_profile_has_the_depth_and_rim_of_a_fresh_crater():
@@ -44,7 +44,19 @@ def test_stamping_agrees_with_the_profile(seed):
     x, y = rng.uniform(-20.0, 20.0, (2, 6))
     diameter, freshness = rng.uniform(1.0, 15.0, 6), rng.random(6)
     z = np.zeros(grid.shape)
-    stamp(z, grid.x0, grid.y0, grid.posting, x, y, diameter, freshness, DEPTH, RIM, APRON)
+    stamp(
+        z,
+        grid.x0,
+        grid.y0,
+        grid.posting,
+        x,
+        y,
+        diameter,
+        freshness,
+        DEPTH_RATIO,
+        RIM_HEIGHT_RATIO,
+        APRON_RADII,
+    )
     centres = grid.centres()
     plain = sum(
         crater_profile(np.hypot(*(centres - [x[n], y[n]]).transpose(2, 0, 1)), diameter[n],

@@ -10,7 +10,7 @@ from lunarsim.rng import Streams
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.scenario import Scenario
 from lunarsim.world.terrain import Terrain, add_fillets, place_rocks
-from lunarsim.world.terrain.fillets import REACH
+from lunarsim.world.terrain.fillets import FILLET_WIDTH_RADII
 from tests.reference.terrain import soil_about
 from tests.worlds import flat_terrain
 
@@ -25,7 +25,7 @@ def test_soil_lies_about_rocks_as_a_plain_loop_lays_it():
     ground = Terrain(relief).elevation(np.column_stack((rocks.x, rocks.y)))
     ground = np.where(np.isfinite(ground), ground, rocks.base + rocks.height)
     points = relief.grid.centres().reshape(-1, 2)
-    soil = [soil_about(rocks, 0.3, ground, REACH, p) for p in points]
+    soil = [soil_about(rocks, 0.3, ground, FILLET_WIDTH_RADII, p) for p in points]
     assert (found.z - relief.z).ravel() == pytest.approx(np.array(soil), abs=1e-6)
     assert 0.0 < np.mean(np.array(soil) > 0.0) < 0.5
 

@@ -65,9 +65,9 @@ def test_axes_place_the_posts(tmp_path, change):
      ({"crs": UNKNOWN}, "crs_wkt"),
      ({"crs": f"+proj=longlat {SPHERE}", "unit": "radian", "x": STEPS / 1e4,
        "y": STEPS[::-1] / 1e4}, "in 'radian'.*degree"),
-     ({"y": STEPS[::-1] + 0.3 * np.cos(STEPS)}, "'y' is not evenly spaced"),
-     ({"x": STEPS * np.abs(STEPS)}, "'x' is not evenly spaced"),
-     ({"positive": "down"}, "count downwards")],
+     ({"y": STEPS[::-1] + 0.3 * np.cos(STEPS)}, "'y' that is not evenly spaced"),
+     ({"x": STEPS * np.abs(STEPS)}, "'x' that is not evenly spaced"),
+     ({"positive": "down"}, "increase upwards, not depths")],
     ids=["order", "km", "unknown mapping", "radians", "jitter", "stretched", "depth"],
 )  # fmt: skip
 def test_other_axes_are_refused(tmp_path, change, words):
@@ -85,7 +85,7 @@ def test_longitudes_that_start_again_within_the_raster(tmp_path):
 def test_longitudes_that_count_west_are_refused(tmp_path):
     path = write(tmp_path / "z.nc", 1e-3 * STEPS, 1e-3 * STEPS[::-1], crs="IAU_2015:49901",
                  unit="degrees")  # fmt: skip
-    with pytest.raises(InputError, match="count west or south"):
+    with pytest.raises(InputError, match="increase to the west or south"):
         load_dtm(path)
 
 

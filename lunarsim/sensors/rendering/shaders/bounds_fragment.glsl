@@ -1,7 +1,7 @@
-// Least and greatest depth of each block of the shadow map.
+// Minimum and maximum depth of each block of the shadow map.
 uniform sampler2D shadow;
-uniform ivec2 last;          // column and row of the map
-layout(location = 0) out vec4 bound;   // least for the test, greatest, least; see spread_fragment.glsl
+uniform ivec2 last;          // last column and row of the map
+layout(location = 0) out vec4 bound;   // minimum to compare, maximum, minimum; see spread_fragment.glsl
 
 void main() {
     ivec2 first = BLOCK * ivec2(gl_FragCoord.xy);

@@ -1,7 +1,7 @@
-// Radiance factor of a point (metres about the camera, ENU) with a unit normal, where more shines
-// than a Sun that is a point. Of a rock, or of the relief; `brightness` is its albedo over the mean.
+// Radiance factor of a point (metres relative to the camera, ENU) with a unit normal, for light other
+// than a point Sun. `stone` is true for rocks; `brightness` is the albedo over the terrain's mean.
 #ifdef GLOW
-uniform sampler2D glow;      // irradiance from the ground about, over the Sun's; and its mean I/F
+uniform sampler2D glow;      // irradiance from terrain over the Sun's; mean I/F of that terrain
 #endif
 
 float radiance(Light light, vec3 rel, vec3 n, bool stone, float brightness) {
@@ -14,7 +14,7 @@ float radiance(Light light, vec3 rel, vec3 n, bool stone, float brightness) {
     float diffuse = light.surface.y;
 #ifdef GLOW
     vec2 around = texture(glow, rel.xy * light.glow_from.xy + light.glow_from.zw).rg;
-    // A rock's side looks at the ground too.
+    // A rock's side also receives light from the terrain below.
     diffuse += BOUNCE * (around.x + (stone ? 0.5 * (1.0 - n.z) * around.y : 0.0));
 #endif
 #ifdef EARTH

@@ -1,5 +1,5 @@
-// The light as it is given. Fragment shaders get it as a flat varying: a software driver loads those
-// many times faster than uniforms.
+// Light parameters from the frame block. Fragment shaders receive them as a flat varying, which a
+// software driver loads many times faster than uniforms.
 Light given_light() {
     return Light(
         sunlight.xyz, across, along, vec4(map_size - 2.0, map_texel), map_dark, surface.xyz

@@ -1,9 +1,9 @@
 const float NEVER = 1e30;
 
-// Where the line o + t d enters (x) and leaves (y) the unit half sphere carried straight down;
-// x > y: nowhere.
+// Distances t at which the line o + t d enters (x) and leaves (y) the unit hemisphere extended
+// downwards by a cylinder; x > y: no intersection.
 vec2 cross_half_sphere(vec3 o, vec3 d) {
-    // From the point nearest to the axis on: this keeps precision far away.
+    // Start from the point nearest to the centre, for precision at long range.
     float dd = dot(d, d);
     float tc = -dot(o, d) / dd;
     vec3 near = o + tc * d;
@@ -15,7 +15,7 @@ vec2 cross_half_sphere(vec3 o, vec3 d) {
         if (o.z + (tc + half_chord) * d.z >= 0.0) leave = tc + half_chord;
     }
     if (enter == NEVER || leave == -NEVER) {
-        // The skirt below the base: a unit cylinder.
+        // The extension below the base: a unit cylinder.
         float ff = dot(d.xy, d.xy);
         if (ff > 0.0) {
             float tw = -dot(near.xy, d.xy) / ff;
@@ -29,7 +29,7 @@ vec2 cross_half_sphere(vec3 o, vec3 d) {
             }
         }
     }
-    // Rounding may find a point on the rim neither above the base nor below it.
+    // Rounding may place a point of the rim neither above nor below the base.
     if (room > 0.0 && enter == NEVER && leave != -NEVER) enter = tc - sqrt(room / dd);
     if (room > 0.0 && leave == -NEVER && enter != NEVER) leave = tc + sqrt(room / dd);
     return vec2(enter, leave);

@@ -1,5 +1,5 @@
-flat in vec3 fixed_part;           // camera, in units of the rock
-noperspective in vec3 moving_part; // ray
+flat in vec3 fixed_part;           // camera position, in units of the rock
+noperspective in vec3 moving_part; // ray direction, in units of the rock
 flat in vec4 turn_and_scale;
 flat in float height;
 flat in vec3 depth;

@@ -1,6 +1,6 @@
-// Upside down, so that the ray comes from the Sun; t is the way down from the rock's base.
-flat in vec3 fixed_part;           // sunray, in units of the rock
-noperspective in vec3 moving_part; // its place at the level of the base
+// The ray points away from the Sun; t is the height that it descends from the rock's base.
+flat in vec3 fixed_part;           // direction of the ray, in units of the rock
+noperspective in vec3 moving_part; // position of the ray at the height of the base
 flat in vec2 depth;
 layout(location = 0) out float dark;
 

@@ -1,4 +1,4 @@
-// Radiance factor I/F after Hapke; see lunarsim.world.photometry, whose names these are.
+// Radiance factor I/F of Hapke's model, with the names of lunarsim.world.photometry.
 const float TAN_ROUGH = HAPKE_TAN;
 const float CHI = inversesqrt(1.0 + 3.14159265 * TAN_ROUGH * TAN_ROUGH);
 const float GAMMA = sqrt(1.0 - HAPKE_W);
@@ -25,7 +25,7 @@ float reflect_sun(Light light, vec3 n, vec3 towards_camera) {
     vec2 q = mu / (sine * TAN_ROUGH);
     vec2 e1 = exp(-0.63661977 * q), e2 = exp(-0.31830989 * q * q);
     bool low = mu.x >= mu.y;
-    // The nearer of the two directions to the normal, and the farther.
+    // The direction nearer to the normal comes first.
     vec2 one = low ? e1 : e1.yx, two = low ? e2 : e2.yx;
     float below = 1.0 / (2.0 - one.y - angle_of(cos_psi) * 0.31830989 * one.x);
     vec2 more = vec2(cos_psi * two.y + half_psi * two.x, two.y - half_psi * two.x) * below;

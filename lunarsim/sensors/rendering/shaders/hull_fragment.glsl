@@ -1,5 +1,5 @@
-// A rock that is the convex body of a few half spaces.
-flat in vec4 face[FACES];   // normal over the scale, and what it makes of a point on the plane
+// A rock that is the convex intersection of a few half spaces.
+flat in vec4 face[FACES];   // normal over the scale, and distance of the plane from the camera
 noperspective in vec3 ray;
 flat in vec3 depth;
 flat in float identity;
@@ -13,7 +13,7 @@ void main() {
     vec3 normal = vec3(0.0);
     for (int k = 0; k < FACES; k++) {
         float speed = dot(face[k].xyz, ray);
-        // Along a plane, its crossing is far behind where that is outside, far ahead inside.
+        // Parallel to a plane: the crossing is far behind if the ray is outside, far ahead if inside.
         if (abs(speed) < 1e-12) speed = 1e-12;
         float t = face[k].w / speed;
         if (speed > 0.0) {

@@ -1,5 +1,5 @@
-// Upside down, so that the ray comes from the Sun; t is the way down from the rock's base.
-flat in vec4 face[FACES];   // t at the rock's axis and its slopes, as (slopes, t, 1 at the far side)
+// The ray points away from the Sun; t is the height that it descends from the rock's base.
+flat in vec4 face[FACES];   // gradient of t in the ray's position, t at the rock's axis, sign: 1 if leaving
 noperspective in vec2 place;
 flat in vec2 depth;
 layout(location = 0) out float dark;

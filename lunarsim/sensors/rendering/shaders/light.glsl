@@ -1,32 +1,32 @@
-// Sunlight, shadow and reflection.
+// Sunlight, shadows and reflection.
 struct Light {
-    vec3 to_sun;          // unit vector towards the Sun, ENU; zero where it has set
-    vec4 across, along;   // from metres about the camera, and 1, to texels of the shadow map
-    vec4 drawn;           // last column and row of it, and the size of a texel in its texture
-    vec2 dark;            // depth in the shadow map from which on a point at the camera's level is
-                          // dark, and its growth for each metre up
-    vec3 surface;         // albedo, radiance factor where no Sun shines, McEwen's share
+    vec3 to_sun;          // unit vector to the Sun, ENU; zero below the horizon
+    vec4 across, along;   // affine transform from metres relative to the camera to shadow map texels
+    vec4 drawn;           // last column and row of the map, and the size of a texel in its texture
+    vec2 dark;            // depth in the map from which on a point at the camera's elevation is in
+                          // shadow, and its increase per metre of height
+    vec3 surface;         // albedo, I/F without the Sun, 1 for lunar-Lambert
 #ifdef WIDE
-    vec4 penumbra;        // as in the frame
+    vec4 penumbra;        // as in frame.glsl
 #endif
 #ifdef GLOW
     vec4 glow_from;
 #endif
 };
 
-uniform sampler2D shadow;    // highest lee face along each sunray
+uniform sampler2D shadow;    // depth of the highest face turned away from the Sun along each ray
 
 #ifndef SOFT
 bool in_shadow(Light light, vec3 rel) {
     vec2 where = vec2(dot(light.across.xyz, rel) + light.across.w,
                       dot(light.along.xyz, rel) + light.along.w);
-    // The middle of the texel: what is found must not depend on the size of the texture.
+    // The centre of the texel: the result must not depend on the size of the texture.
     where = (floor(clamp(where, vec2(1.0), light.drawn.xy)) + 0.5) * light.drawn.zw;
     float limit = light.dark.x + rel.z * light.dark.y;
     bool dark = texture(shadow, where).r < limit;
 #ifdef LEAKS
-    // Light leaks through where a ridge is narrower than a texel: ground counts as lit where three
-    // of the four neighbours are.
+    // Light leaks through ridges narrower than a texel: a point is lit only if at least three of its
+    // four neighbours are.
     vec2 right = vec2(light.drawn.z, 0.0), up = vec2(0.0, light.drawn.w);
     int around = int(texture(shadow, where + right).r < limit)
                + int(texture(shadow, where - right).r < limit)
@@ -47,7 +47,7 @@ float angle_of(float cosine) {
 
 #ifndef HAPKE
 // Radiance factor I/F; McEwen (1991), Icarus 92, 298-311, with his polynomial in the phase angle.
-// Without his share of the Lommel-Seeliger law, Lambert's remains.
+// If `surface.z` is 0, this is Lambert's law.
 float reflect_sun(Light light, vec3 n, vec3 towards_camera) {
     float incidence = max(dot(n, light.to_sun), 0.0);
     float emission = max(dot(n, towards_camera), 1e-4);

@@ -1,4 +1,4 @@
-// What a pixel of the picture holds.
+// Outputs of an image pixel.
 #ifdef TRUTH
 layout(location = 0) out vec4 grey_and_normal;
 layout(location = 1) out vec2 range_and_id;   // identity + 2; 0 is the sky

@@ -1,4 +1,4 @@
-// Radiance factor of a point (metres about the camera, ENU) with a unit normal.
+// Radiance factor of a point (metres relative to the camera, ENU) with a unit normal.
 float radiance(Light light, vec3 rel, vec3 n) {
     float direct = reflect_sun(light, n, -normalize(rel));
     return (in_shadow(light, rel) ? 0.0 : direct) + light.surface.y;

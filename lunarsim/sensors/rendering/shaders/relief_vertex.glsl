@@ -1,15 +1,15 @@
 in ivec2 post;     // column and row in the tile
-in ivec4 tile;     // first column and row of the tile, last ones in it counted from there
+in ivec4 tile;     // first column and row of the tile; its last column and row, relative to these
 in ivec4 edges;    // level of detail of the western, eastern, southern and northern edge
 in mat4 placed;    // from (column and row in the tile, height in the texture) to clip coordinates
-uniform sampler2D corners;  // elevations of the corners of each cell, from the south-western on
+uniform sampler2D corners;  // elevations of the corners of each cell, starting at the south-west
 #ifdef HOLES
 out float hole;
 #endif
 
 const int SIDE = 32;
 
-// Along an edge a fine tile has but the posts of its coarser neighbour: no gap is left.
+// Along an edge, a fine tile uses only the posts of its coarser neighbour, so that no gap appears.
 int snapped(int k, int level) {
     return ((k + ((1 << level) >> 1)) >> level) << level;
 }

@@ -1,19 +1,19 @@
-// A rock: a scaled, turned unit shape, as in lunarsim.terrain. All that is the same for the whole
-// rock is worked out here and handed on as flat varyings.
-in vec2 corner;    // of the box that holds the rock, from the picture's corner
-in float number;   // a whole one
-uniform sampler2D rocks;    // three texels a rock: (x, y, base, a), (b, height, cos, sin), (shape, albedo)
+// A rock: a scaled, rotated unit shape, as in lunarsim.rocks. Values that are constant over the rock
+// are computed here and passed on as flat varyings.
+in vec2 corner;    // corner of the box around the rock, relative to the image's corner, pixels
+in float number;   // index of the rock (an integer)
+uniform sampler2D rocks;    // three texels per rock: (x, y, base, a), (b, height, cos, sin), (shape, albedo)
 #ifdef FACES
-uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST to each
+uniform vec4 planes[18 * MOST];   // half spaces of the unit shapes, MOST per shape
 flat out vec4 face[FACES];
 #else
 flat out vec3 fixed_part;
 noperspective out vec3 moving_part;
 #endif
 #ifdef SHADOW
-flat out vec2 depth;       // of the base, and its growth for each metre down
+flat out vec2 depth;       // depth of the base, and its increase per metre downwards
 #else
-flat out vec3 depth;       // window depth: x - y / (depth along the boresight); nearest depth, m
+flat out vec3 depth;       // window depth: x - y / (depth along the boresight); minimum depth, m
 flat out float identity;
 flat out Light light;
 #ifdef BOULDERS
@@ -50,7 +50,7 @@ void main() {
     vec3 scale = vec3(one.w, two.xy);
     vec2 turn = two.zw;
 #ifdef SHADOW
-    // Sunrays go down, each from its place at the level of the rock's base.
+    // Rays from the Sun descend, each from its position at the height of the rock's base.
     vec3 way = vec3(-lean, -1.0);
     vec2 level = map_corner + mat2(from_map.xy, from_map.zw) * corner + lean * centre.z - centre.xy;
     depth = vec2(heights.x - centre.z, 1.0) / (heights.x - heights.y);
@@ -70,7 +70,7 @@ void main() {
         vec3 n = plane.xyz / scale;
         n = vec3(turn.x * n.x - turn.y * n.y, turn.y * n.x + turn.x * n.y, n.z);
 #ifdef SHADOW
-        // Where a ray crosses the plane is linear in its place.
+        // The height at which a ray crosses the plane is linear in its position.
         float speed = dot(n, way);
         if (abs(speed) < 1e-9) speed = 1e-9;
         face[k] = vec4(-n.xy, plane.w, speed) / abs(speed);

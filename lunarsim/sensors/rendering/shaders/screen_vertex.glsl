@@ -1,9 +1,9 @@
-// One triangle that covers the picture.
+// One triangle that covers the image.
 noperspective out vec2 pixel;
 noperspective out vec3 ray;
-flat out vec4 to_cells;      // place of the camera in its cell, posts in a metre, its elevation
-flat out vec4 to_texture;    // from cells about the camera's to the texture of the relief
-flat out vec2 depth;         // window depth to inverse distance
+flat out vec4 to_cells;      // position of the camera in its cell, posts per metre, its elevation
+flat out vec4 to_texture;    // from cells relative to the camera's to the texture of the relief
+flat out vec2 depth;         // from window depth to inverse distance
 flat out Light light;
 #ifdef MOTTLE
 flat out vec4 to_mottles;

@@ -1,4 +1,4 @@
-// The relief, from the depth that was drawn first: each pixel is shaded once.
+// Shades the relief, once per pixel, from its previously drawn depth.
 uniform sampler2D depths;
 uniform sampler2D corners;   // elevations of the corners of each cell: SW, SE, NW, NE
 noperspective in vec2 pixel;
@@ -9,16 +9,16 @@ flat in vec2 depth;
 flat in Light light;
 
 #ifdef MOTTLE
-uniform sampler2D mottles;   // the ground's albedo
+uniform sampler2D mottles;   // albedo field of the terrain
 flat in vec4 to_mottles;
 
 float ground_albedo(vec3 rel) {
-    // Four standard deviations below the mean there may be less than nothing.
+    // The field can be negative at four standard deviations below the mean.
     return max(1.0 + MOTTLE * (texture(mottles, rel.xy * to_mottles.xy + to_mottles.zw).r - 128.0 / 255.0), 0.02);
 }
 #endif
 
-// The plane of the facet at a point: its gradient, and its height below the camera, m.
+// Plane of the facet at a point: its gradient, and its height relative to the camera, m.
 vec3 facet_at(vec3 rel) {
     vec2 at = rel.xy * to_cells.z + to_cells.xy;
     vec2 cell = floor(at);
@@ -29,7 +29,7 @@ vec3 facet_at(vec3 rel) {
 }
 
 #ifdef COARSE
-// Where the ray meets a facet, if that is near.
+// Distance at which the ray intersects a facet's plane, if close to t; otherwise t.
 float meet(vec3 facet, float t) {
     float met = facet.z / (ray.z - dot(facet.xy, ray.xy));
     return abs(met - t) < 4e-3 * t ? met : t;
@@ -42,7 +42,7 @@ void main() {
     float t = 1.0 / (depth.x - depth.y * window);
     vec3 facet = facet_at(t * ray);
 #ifdef COARSE
-    // The relief was drawn coarsely: two steps lead to the facet itself.
+    // The relief was drawn coarsely: two iterations lead to the finest facet.
     t = meet(facet, t);
     facet = facet_at(t * ray);
     t = meet(facet, t);

@@ -1,4 +1,4 @@
-// A texel of the shadow map that a small rock darkens.
+// A texel of the shadow map that a small rock shadows.
 in vec3 at;                // texel and depth
 flat out float depth;
 

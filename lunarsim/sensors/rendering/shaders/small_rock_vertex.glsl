@@ -1,6 +1,6 @@
-// A pixel of a rock that covers few of them; it is shaded here, once.
-in vec3 at;                // pixel and depth along the boresight, m, where the ray meets the rock
-in vec4 stone;             // normal and number
+// A pixel of a rock that covers only a few pixels; it is shaded here, once.
+in vec3 at;                // pixel, and depth along the boresight of the hit, m
+in vec4 stone;             // normal, and index of the rock
 #ifdef BOULDERS
 uniform sampler2D rocks;
 #endif

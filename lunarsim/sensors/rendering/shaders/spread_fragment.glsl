@@ -1,10 +1,11 @@
-// Depths of the blocks about each, along one axis.
+// Bounds of the depths of the blocks around each block, along one axis.
 //
-// What is far must be high to reach a point with its penumbra: the depth by which blocks are compared
-// grows with their distance. The first of a block is that depth; the third, what it grew from.
+// A distant occluder must be high for its penumbra to reach a point: the depth by which blocks are
+// compared increases with their distance. The first component is that depth; the third, the depth
+// before the increase.
 uniform sampler2D bounds;
-uniform ivec4 spread;        // last column and row, and how far in blocks
-uniform float growth;        // of depth for each block
+uniform ivec4 spread;        // last column and row, and search distance in blocks
+uniform float growth;        // increase of depth per block
 layout(location = 0) out vec4 bound;
 
 void main() {

@@ -1,4 +1,4 @@
-// What share of the Sun's disc a point sees.
+// Visible fraction of the Sun's disc.
 
 float depth_at(Light light, vec2 texel) {
     return texture(shadow, (floor(clamp(texel, vec2(1.0), light.drawn.xy)) + 0.5) * light.drawn.zw).r;
@@ -8,11 +8,11 @@ float dark_at(Light light, vec2 texel, float limit) {
     return depth_at(light, texel) < limit ? 1.0 : 0.0;
 }
 
-// With an edge that is as wide as a texel or two.
+// With a shadow edge one or two texels wide.
 float plain_share(Light light, vec2 place, float limit) {
 #ifdef LEAKS
-    // Light leaks through where a ridge is narrower than a texel: a point that but a quarter of its
-    // surroundings calls lit is dark.
+    // Light leaks through ridges narrower than a texel: a point is dark if only a quarter of its
+    // neighbourhood is lit.
     float dark = 0.25 * dark_at(light, place, limit);
     dark += 0.125 * (dark_at(light, place + vec2(1.0, 0.0), limit)
                      + dark_at(light, place - vec2(1.0, 0.0), limit)
@@ -35,9 +35,9 @@ float plain_share(Light light, vec2 place, float limit) {
 }
 
 #ifdef WIDE
-uniform sampler2D bounds;    // least depth of the shadow map about each of its blocks, and greatest
+uniform sampler2D bounds;    // minimum and maximum depth of the shadow map around each of its blocks
 
-// Places on a disc: for the search, and for the share.
+// Sample points on a disc: for the blocker search, and for the visible fraction.
 const vec2 SEARCH[SEARCHES] = vec2[](SEARCH_PLACES);
 const vec2 EVEN[STRIPS * STEPS] = vec2[](EVEN_PLACES);
 
@@ -49,7 +49,7 @@ float sun_share(Light light, vec3 rel) {
     vec3 about = texture(bounds, block).rgb;
     if (about.r >= limit) return 1.0;
     if (about.g < limit) return 0.0;
-    // The disc as the highest occluder would throw it; then as those found do, on average.
+    // Disc size for the highest occluder first; then for the mean of the occluders found.
     vec2 reach = (limit - about.b) * light.penumbra.xy;
     if (max(reach.x, reach.y) < 1.0) return plain_share(light, place, limit);
     float found = 0.0, rise = 0.0;
@@ -60,10 +60,10 @@ float sun_share(Light light, vec3 rel) {
     }
     if (found == 0.0) return plain_share(light, place, limit);
     vec2 disc = rise / found * light.penumbra.xy;
-    // No finer than the map.
+    // Not finer than the map's resolution.
     disc = sqrt(disc * disc + 0.7);
-    // Strips of the disc from its upper limb down: what hides a place of it hides all below, for
-    // the ground has no overhangs. Rays to lower places may well run below the ground by then.
+    // Strips of the disc from its upper limb down: an occluder of one point hides all points below it,
+    // because terrain has no overhangs. Rays to lower points may even pass below the terrain.
     float dark = 0.0;
     for (int strip = 0; strip < STRIPS; strip++) {
         float hidden = 0.0;
