@@ -1,4 +1,4 @@
-"""Figures of a campaign: every arm by itself, arms against each other, two campaigns."""
+"""Statistics of a campaign: per arm, between arms, and between two campaigns."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from lunarsim.evaluation.comparisons import (
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
 
-# All pairs of arms up to so many; each against the first beyond.
+# Up to this number of arms all pairs are compared; beyond it, each arm with the first.
 _MOST_PAIRED = 8
-# Of a spec, what says which draws a flight's index has.
+# Fields of the identity that determine the draws of a flight index.
 _DRAWN = ("method", "dispersions", "correlations")
 _TOLD = ("propellant_kg", "divert_m", "duration_s")
 
 
 @dataclass(frozen=True)
 class ArmFigures:
-    """One arm by itself.
+    """Statistics of one arm.
 
     Attributes
     ----------
     name
-        Of the arm.
+        Name of the arm.
     rows, flown
-        Flights, and those that gave a verdict.
+        Number of flights, and number of flights that have a landing outcome.
     shares
-        Share of flown flights with a metric true, by metric.
+        Share of flown flights for which a metric is true, by metric.
     means
-        Mean and its bootstrap interval, by metric.
+        Mean and its bootstrap interval (value, low, high), by metric.
     quantiles
-        Median and 95 % quantile, each with its interval, by metric.
+        Median and 95th percentile, each with its interval, by metric.
     ellipse
-        Of the touchdowns about where the arm's lie, or None.
+        Landing ellipse of the touchdown points, or None.
     """
 
     name: str
@@ -64,7 +64,7 @@ class ArmFigures:
 
 
 def column(found: Results, name: str, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-    """Return a column of numbers, or of true and false as 1 and 0; NaN where there is none."""
+    """Return a column as floats (true and false as 1 and 0, missing values as NaN)."""
     values = pc.cast(found.table[name], "float64").to_numpy(zero_copy_only=False)
     return np.asarray(values if rows is None else values[rows], dtype=np.float64)
 
@@ -75,18 +75,18 @@ def metrics(found: Results, kind: str) -> list[str]:
 
 
 def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
-    """Return which rows are of each arm."""
+    """Return a mask of the rows of each arm."""
     names = found.table["arm"]
     return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in found.arms}
 
 
 def figures_of(found: Results) -> list[ArmFigures]:
-    """Return the figures of every arm; flights without a verdict are counted, not judged.
+    """Compute the statistics of every arm; flights without an outcome are only counted.
 
     Raises
     ------
     InputError
-        If flights do not count alike (importance sampling).
+        If the flights have unequal weights (importance sampling).
     """
     found.check_even("folder")
     rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
@@ -128,20 +128,19 @@ def _ellipse(found: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
 
 
 def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the pairs of arms that are compared: all of a few, else each with the first."""
+    """Return the pairs of arms to compare: all pairs of a few arms, else each with the first."""
     if len(arms) <= _MOST_PAIRED:
         return list(combinations(arms, 2))
     return [(arms[0], other) for other in arms[1:]]
 
 
 def differences(found: Results, metric: str = "safe") -> list[Difference]:
-    """Return the differences of a metric between arms, on the flights that both have flown.
+    """Compute the differences of a metric between arms on the flights that both have flown.
 
     Raises
     ------
     InputError
-        If the campaign has no such metric that is a number, or true or false, or its flights do not
-        count alike.
+        If the metric is not a numeric or boolean column, or the flights have unequal weights.
     """
     found.check_even("folder")
     kind = found.manifest["columns"].get(metric)
@@ -168,18 +167,18 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a second campaign says against a first, for one arm.
+    """Result of comparing an arm of a second campaign with the same arm of a first.
 
     Attributes
     ----------
     difference
-        Of the share, second less first; its interval is at 90 %, as two one-sided tests at 5 %.
+        Share of the second minus share of the first, with a 90 % interval (two one-sided tests at
+        5 %).
     equivalent
         Whether the interval lies within the margin.
     worse
-        Whether the second is proven worse: McNemar's test at 5 %, corrected for all arms.
+        Whether the second is significantly worse: McNemar's test at 5 %, corrected for all arms.
     """
-
     difference: Difference
     equivalent: bool
     worse: bool
@@ -191,23 +190,26 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
     Parameters
     ----------
     first, second
-        Campaigns with arms of the same names and the same root seed.
+        Campaigns with the same arms and the same root seed.
     margin
-        Differences of a share up to this do not matter.
+        Differences of a share within this margin count as equivalent.
     metric
-        Column that is true or false.
+        Boolean column.
 
     Raises
     ------
     InputError
-        If they did not fly the same, their flights do not count alike, or there is no such metric.
+        If the campaigns differ in arms, seed or draws, flights have unequal weights, or there is
+        no such metric.
     """
     for field, found in (("A", first), ("B", second)):
         found.check_even(field)
     for name in ("seed", "arms", *_DRAWN):
         ours, theirs = (_key(found, name) for found in (first, second))
         if ours != theirs:
-            raise InputError("B", str(second.folder), f"the same {name} as A: {ours}, not {theirs}")
+            raise InputError(
+                "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
+            )
     if first.manifest["columns"].get(metric) != "bool":
         raise InputError("--metric", metric, suggestion(metric, metrics(first, "bool")))
     made = []
@@ -215,7 +217,9 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
         a, b = (_by_flight(found, arm, metric) for found in (first, second))
         flights = sorted(a.keys() & b.keys())
         if not flights:
-            raise InputError("B", str(second.folder), f"flights that A has too, of arm {arm!r}")
+            raise InputError(
+                "B", str(second.folder), f"must share flights with A, but has none in arm {arm!r}"
+            )
         hits = np.array([(a[i], b[i]) for i in flights], dtype=bool)
         made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))
     corrected = holm([d.p for d in made])
@@ -236,7 +240,7 @@ def _key(found: Results, name: str) -> object:
 
 
 def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
-    """Return the metric by flight; a flight without a verdict is no success."""
+    """Return the metric by flight; a flight without an outcome counts as a failure."""
     mine = pc.equal(found.table["arm"], arm).to_numpy(zero_copy_only=False)
     rows = found.table.filter(pa.array(mine & found.apart))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)

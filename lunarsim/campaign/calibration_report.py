@@ -1,4 +1,4 @@
-"""What a calibration gave, in a table and in words."""
+"""Print the result of a calibration as a table and in words."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from lunarsim.campaign.calibrate import Calibrated
 from lunarsim.evaluation.site_calibration import Figures, Judgement
 
 _HEADINGS = (
-    "domain", "p", "sites", "share of\nall sites", "share safe", "ECE", "Brier skill", "p > 0.95",
-    "mean p less\nshare safe",
+    "domain", "p_safe", "sites", "share of\nall sites", "observed\nsafe share", "ECE",
+    "Brier skill", "sites with\np > 0.95", "bias (mean p\nminus observed)",
 )  # fmt: skip
 
 
 def _groups(found: Calibrated) -> tuple[tuple[str, Judgement], ...]:
     return (
         ("packaged", found.left_out.packaged_domain),
-        ("refit's", found.left_out.refit_domain),
+        ("refit", found.left_out.refit_domain),
     )
 
 
 def calibration_table(found: Calibrated) -> Table:
-    """Return the figures with 95 % intervals: packaged and refit, on the sites of either domain."""
+    """Build the table of packaged and refitted calibration per domain, with 95 % intervals."""
     c = found.calibration
     table = Table(
-        title=f"{c.scenario}: {c.sites} sites on {found.maps} maps of {c.flights} flights; each "
-        "flight judged by a refit to the others"
+        title=f"{c.scenario}: {c.sites} sites on {found.maps} maps of {c.flights} flights, "
+        "leave-one-flight-out"
     )
     for heading in _HEADINGS:
         table.add_column(heading, justify="left" if heading in ("domain", "p") else "right")
@@ -48,7 +48,7 @@ def _cells(f: Figures) -> tuple[str, ...]:
 
 
 def _ranged(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
-    """Return a figure and its interval; "-" where there is none."""
+    """Format a value and its interval; "-" if the value is not finite."""
     if not np.isfinite(values[0]):
         return "-"
     value, low, high = (form.format(v) for v in values)
@@ -56,27 +56,27 @@ def _ranged(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
 
 
 def verdicts(found: Calibrated) -> Iterator[str]:
-    """Yield in words whether the refit is better, and what it is."""
+    """Yield sentences that say whether the refit is better, and its coefficients."""
     left = found.left_out.refit_domain
     for name, judgement in _groups(found):
         gain = judgement.gain
         if not np.isfinite(gain).all():
-            yield f"In the {name} domain there are no sites to tell whether the refit is better."
+            yield f"In the {name} domain there are no sites to compare the refit on."
             continue
         word = "better" if judgement.better else ("worse" if gain[2] < 0.0 else "no better")
         yield (
-            f"In the {name} domain the refit is {word} than the packaged probability, by flights "
-            f"left out: Brier score lower by {_ranged(gain, '{:+.4f}')}."
+            f"In the {name} domain the refit is {word} than the packaged calibration on "
+            f"held-out flights: the Brier score is lower by {_ranged(gain, '{:+.4f}')}."
         )
     if left.refit.skill[0] <= 0.0:
         yield (
-            "Its probabilities tell less of flights left out than the share of safe sites alone "
-            "does: take more flights."
+            "On held-out flights its probabilities are less informative than the mean safe share: "
+            "use more flights."
         )
     if not any(judgement.better for _, judgement in _groups(found)):
-        yield "Nothing is gained by this file: the packaged calibration alone does as well."
+        yield "The refit gives no improvement: use the packaged calibration."
     c = found.calibration
     yield (
-        f"log odds of the refit: {c.inside.intercept:+.3f} {c.inside.slope:+.3f} x packaged in the "
+        f"Log odds of the refit: {c.inside.intercept:+.3f} {c.inside.slope:+.3f} x packaged in the "
         f"packaged domain, {c.outside.intercept:+.3f} {c.outside.slope:+.3f} x packaged outside"
     )

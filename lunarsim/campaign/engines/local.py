@@ -1,4 +1,4 @@
-"""Flights in processes of this machine."""
+"""Execute flights in processes of this machine."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from lunarsim.campaign.engines.worker import BEGAN, DONE, ENDED, READY, serve
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished
 from lunarsim.campaign.plan import Group, Work
 
-# How long an interrupt may go unseen, s.
+# Maximum time until an interrupt is noticed, s.
 _TICK = 0.1
-# A flight whose process dies is begun so often.
+# Maximum number of starts of a flight whose process dies.
 TRIES = 3
 
 
 class WorkersDieError(RuntimeError):
-    """Workers end before they have begun; what they wrote to stderr says why."""
+    """Workers ended before they were ready; their stderr shows the reason."""
 
 
 class _Worker:
-    """One process and what it is doing."""
+    """A worker process and its current flight."""
 
     def __init__(self, work: Work) -> None:
         # OpenGL contexts and Numba's thread pools do not survive a fork.
@@ -53,7 +53,7 @@ class _Worker:
         self.orders.send(group)
 
     def end(self) -> int | None:
-        """Kill the process if it is still there; return its exit code."""
+        """Kill the process if it is still running; return its exit code."""
         self.process.kill()
         self.process.join()
         self.orders.close()
@@ -62,19 +62,19 @@ class _Worker:
 
 
 class LocalEngine:
-    """Processes that start by spawn, take a group at a time, and end with this one.
+    """Executes flights in spawned processes that end with this one.
 
     Parameters
     ----------
     jobs
-        Processes.
+        Number of processes.
     time_limit
-        Wall-clock time after which a flight is ended, s; None: never.
+        Wall-clock time after which a flight is ended, s; None: no limit.
 
     Attributes
     ----------
     name, asks_to_halt
-        See `Engine`.
+        Attributes of the `Engine` interface.
     """
 
     name = "local"
@@ -90,9 +90,9 @@ class LocalEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as they end; see `Engine`.
+        """Yield flights as they end.
 
-        A flight whose process dies is begun again, `TRIES` times in all.
+        A flight whose process dies is started up to `TRIES` times.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class LocalEngine:
             self._workers.clear()
 
     def _assign(self, work: Work, source: Iterator[Group | None]) -> None:
-        """Give everybody who is free a group, and start workers while there are groups."""
+        """Give every free worker a group, and start workers while there are groups."""
         free = deque(w for w in self._workers if w.group is None)
         while free or len(self._workers) < self.jobs:
             group = self._again.popleft() if self._again else next(source, None)
@@ -127,7 +127,7 @@ class LocalEngine:
             if not free:
                 self._workers.append(_Worker(work))
                 free.append(self._workers[-1])
-            # Who died idle cannot be told; his end is heard like that of any other.
+            # A worker that died idle cannot be detected here; `_hear` handles its end later.
             with contextlib.suppress(OSError):
                 free.popleft().give(group)
 
@@ -139,11 +139,11 @@ class LocalEngine:
         return min([_TICK, *(max(v, 0.0) for v in left)])
 
     def _hear(self, worker: _Worker) -> Iterator[Finished]:
-        """Take one message of a worker, or its death."""
+        """Handle one message of a worker, or its death."""
         assert worker.group is not None
         try:
             what, value = worker.orders.recv()
-        except Exception:  # the end of a process, in the midst of a message or between two
+        except Exception:  # the process ended, within a message or between two
             yield from self._died(worker)
             return
         if what == READY:
@@ -158,7 +158,7 @@ class LocalEngine:
             worker.group = None
 
     def _died(self, worker: _Worker) -> Iterator[Finished]:
-        """Let the flights of a dead worker be begun again, or record the one that kills it."""
+        """Queue the flights of a dead worker again, or report the flight that kills it."""
         code = self._dismiss(worker)
         group = worker.group
         assert group is not None
@@ -167,8 +167,8 @@ class LocalEngine:
             if self._stillborn >= TRIES:
                 raise WorkersDieError(
                     f"{TRIES} workers in a row ended before they were ready (exit code {code}). "
-                    "Their messages stand above. A script that flies with several jobs needs the "
-                    'line `if __name__ == "__main__":` before it calls lunarsim'
+                    "Their messages are above. A script that flies with several jobs needs the "
+                    'line `if __name__ == "__main__":` before it calls lunarsim.'
                 )
         elif worker.left:
             arm = worker.left[0] if worker.arm is None else worker.arm
@@ -176,12 +176,12 @@ class LocalEngine:
             tries = self._tries[group.flight, arm]
             if tries >= TRIES:
                 worker.left.remove(arm)
-                error = f"its process ended {_how(code)}, {tries} times"
+                error = f"The process of the flight ended {_how(code)}, {tries} times."
                 yield self._failed(worker, arm, KILLED, error, tries)
         self._put_back(worker)
 
     def _overdue(self) -> Iterator[Finished]:
-        """End flights that take longer than the limit."""
+        """End flights that exceed the time limit."""
         if self.time_limit is None:
             return
         now = time.monotonic()
@@ -192,7 +192,7 @@ class LocalEngine:
             assert arm is not None
             self._dismiss(worker)
             worker.left.remove(arm)
-            error = f"it took longer than {self.time_limit:g} s"
+            error = f"The flight exceeded the time limit of {self.time_limit:g} s."
             yield self._failed(worker, arm, TIMEOUT, error, 1)
             self._put_back(worker)
 
@@ -212,7 +212,7 @@ class LocalEngine:
         return worker.end()
 
     def _heard_last(self) -> Iterator[Finished]:
-        """End all workers; yield what they have finished and nobody has heard yet."""
+        """End all workers; yield finished flights that have not been received yet."""
         for worker in self._workers:
             worker.process.kill()
         for worker in self._workers:
@@ -227,9 +227,10 @@ class LocalEngine:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Keep an interrupt from processes that start meanwhile; this one hears it a moment later.
+    """Block an interrupt from processes that start meanwhile; this one receives it afterwards.
 
-    The keyboard sends it to all, and one that is still loading would die of it with a traceback.
+    The keyboard sends SIGINT to all processes, and one that is still loading would die of it with
+    a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -246,9 +247,9 @@ def _received(connection: Connection) -> Any:
 
 
 def _how(code: int | None) -> str:
-    """Return an exit code in words."""
+    """Describe an exit code."""
     if code is None or code >= 0:
         return f"with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
-    more = ", as for want of memory" if code == -signal.SIGKILL else ""
+    more = ", possibly out of memory" if code == -signal.SIGKILL else ""
     return f"by signal {name}{more}"
