@@ -179,6 +179,7 @@ class Verdict:
     worse
         Whether the second is significantly worse: McNemar's test at 5 %, corrected for all arms.
     """
+
     difference: Difference
     equivalent: bool
     worse: bool

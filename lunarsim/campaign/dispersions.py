@@ -91,9 +91,7 @@ class TruncatedNormal:
             raise InputError("low", self.low, f"must be below high ({self.high})")
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
         if mass < _LEAST_MASS:
-            raise InputError(
-                "low", self.low, "the bounds must enclose some of the distribution"
-            )
+            raise InputError("low", self.low, "the bounds must enclose some of the distribution")
 
     def _scores(self) -> tuple[float, float]:
         low = -np.inf if self.low is None else (self.low - self.mean) / self.sigma
