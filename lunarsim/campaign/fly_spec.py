@@ -1,4 +1,4 @@
-"""A spec flown into a folder."""
+"""Fly a campaign spec into a folder."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ def fly_spec(
     cache: DiskCache | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Ran:
-    """Fly what a folder lacks of a spec; see `lunarsim.campaign.run.run`.
+    """Fly the missing flights of a spec.
 
     Parameters
     ----------
     spec, engine, out
-        What, by whom, and the folder of results.
+        Campaign spec, engine, and folder of results.
     retry, progress
-        See `run`.
+        Whether to repeat flights without an outcome; function called with the number of new rows.
     cache
-        Where the truth about grounds is kept between campaigns; results do not depend on it.
+        Cache of the truth about worlds; results do not depend on it.
     say
-        Told when kernels are compiled first, by one process; left out, or without a cache, or by
-        another engine than the local one: workers compile what they meet.
+        Function that receives messages while kernels are compiled first, by one process. Without
+        it, without a cache, or with another engine than local, each worker compiles its kernels.
 
     Raises
     ------
     InputError
-        If the first flight of an arm cannot be flown or sent to worker processes, or the folder is
-        another's; nothing has been written then.
+        If the first flight of an arm cannot be flown or sent to worker processes, or the folder
+        belongs to another campaign; nothing has been written then.
     """
     plan = plan_of(spec, out, cache)
     if manifest_of(out, plan) is None:
@@ -65,7 +65,7 @@ def fly_spec(
 
 
 def write_files(spec: CampaignSpec, folder: Path) -> None:
-    """Write the spec and the scenario that it starts from, whole."""
+    """Write the spec and its base scenario, atomically."""
     texts = {"scenario.toml": spec.scenario.to_toml()}
     if all(arm.policy is None for arm in spec.arms):
         texts["spec.toml"] = spec.to_toml()

@@ -1,6 +1,6 @@
-"""One flight of a campaign, flown by whoever works for it; grounds and truth are made once.
+"""Fly one flight of a campaign in a worker; worlds and truth are computed once per group.
 
-`fly` is the function that campaigns name in their `Work`; others serve tests of the machinery.
+Campaigns name `fly` in their `Work`; other functions serve tests of the engines.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ from lunarsim.scenario.changes import path_of, with_values
 from lunarsim.simulation import Flight, Simulation, build_world
 from lunarsim.world.terrain import Terrain
 
-# Columns that tell a flight's place in a subset simulation.
+# Columns that locate a flight in a subset simulation.
 _PLACE = (LEVEL, CHAIN, WORLD)
 
 
 @dataclass(frozen=True)
 class Study:
-    """What workers know of a campaign.
+    """Settings of a campaign that workers need.
 
     Attributes
     ----------
     seed
         Root seed.
     arms
-        What is compared.
+        Arms that are compared.
     out
         Folder for records and figures, or None.
     records
-        Which flights' whole records are kept: none, failures or all.
+        Flights whose complete records are kept: none, failures or all.
     figures
-        Whether the first flight of each arm is drawn, and every one that was not safe.
+        Whether to draw the first flight of each arm and every flight that was not safe.
     cache
-        Where truth is kept between campaigns; None: nowhere.
+        Cache of the truth about worlds, or None.
     block
-        Flights of a block of a Saltelli design, which share two worlds; 0: each has its own.
+        Flights in a block of a Saltelli design, which share two worlds; 0: one world per flight.
     paths
-        See `path_classes`; empty: every flight is flown apart.
+        Class of each arm for shared flight paths, from `path_classes`; empty: no sharing.
     """
 
     seed: int
@@ -70,7 +70,7 @@ class Study:
 
 
 def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None = None) -> Plan:
-    """Return the plan of a spec; records and figures go to `out`, truth to `cache`."""
+    """Build the plan of a spec; records and figures go to `out`, truth to `cache`."""
     arms = [(arm.name, _named(arm.values)) for arm in spec.arms]
     laws = spec.dispersions.distributions
     chains = None if spec.dispersions.subset is None else Chains(spec.dispersions)
@@ -108,7 +108,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
 
 
 def _kinds(laws: Mapping[str, Any]) -> dict[str, str]:
-    """Return the kind of each column of draws; a choice of tables has a column for each key."""
+    """Return the kind of each column of draws; a choice of tables gives a column for each key."""
     found: dict[str, list[Any]] = {}
     for key, law in laws.items():
         for value in law.values if isinstance(law, Choice) else (0.0,):
@@ -118,12 +118,12 @@ def _kinds(laws: Mapping[str, Any]) -> dict[str, str]:
 
 
 def check_flyable(spec: CampaignSpec) -> None:
-    """Build the first flight of every arm, as far as it can be without flying.
+    """Set up the first flight of every arm without flying it.
 
     Raises
     ------
     InputError
-        If one cannot be flown, or a file of another flight cannot be read.
+        If a flight cannot be set up, or a file of another flight cannot be read.
     """
     check_files(spec)
     seed = flight_seed(spec.head.seed, 0)
@@ -137,12 +137,12 @@ def check_flyable(spec: CampaignSpec) -> None:
 
 
 def check_files(spec: CampaignSpec) -> None:
-    """Read the files that the grounds of all arms, and of all choices that are drawn, are made of.
+    """Read the files of the terrain of all arms, including all choices that may be drawn.
 
     Raises
     ------
     InputError
-        If one cannot be read, or does not fit what it is used for.
+        If a file cannot be read, or does not fit its use.
     """
     choices = {
         key: law.values
@@ -161,7 +161,7 @@ def check_files(spec: CampaignSpec) -> None:
 
 
 def _named(values: Any, before: str = "") -> dict[str, Any]:
-    """Return values by whole key, which are columns: ``policy`` as ``policy.kind``."""
+    """Return values by complete key, as in the columns: ``policy`` as ``policy.kind``."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         name = before + ".".join(path_of(key, value))
@@ -170,21 +170,21 @@ def _named(values: Any, before: str = "") -> dict[str, Any]:
 
 
 def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[str, Any]:
-    """Fly one index under one arm; return its metrics.
+    """Fly one flight index under one arm; return its metrics.
 
     Parameters
     ----------
     study
-        What is flown.
+        Settings of the campaign.
     group, arm
-        Which flight.
+        Group of the flight; index of the arm.
     memory
-        Grounds and truth of the group so far.
+        Worlds and truth that the group has computed so far; extended here.
 
     Raises
     ------
     NotKeptError
-        With the metrics, if record or figures cannot be written.
+        With the metrics, if the record or the figures cannot be written.
     """
     flight, simulation, row = fly_whole(study, group, arm, memory)
     name = study.arms[arm].name
@@ -198,14 +198,14 @@ def fly(study: Study, group: Group, arm: int, memory: dict[Any, Any]) -> dict[st
                 folder /= f"failed-{group.flight}"
             draw_flight(flight, simulation.world, simulation.truth, folder)
     except OSError as error:
-        raise NotKeptError(row, f"record or figures not kept: {error}") from error
+        raise NotKeptError(row, f"Record or figures were not written: {error}.") from error
     return row
 
 
 def fly_whole(
     study: Study, group: Group, arm: int, memory: dict[Any, Any]
 ) -> tuple[Flight, Simulation, dict[str, Any]]:
-    """Fly as `fly` does; return the record, what flew it, and the metrics. Nothing is written."""
+    """Fly as `fly` does, without writing; return the record, the simulation and the metrics."""
     draws = {k: value for k, value in group.draws.items() if k not in (WEIGHT, *_PLACE)}
     scenario = with_values(study.arms[arm].scenario, draws, "dispersions")
     seed = flight_seed(study.seed, group.draws.get(WORLD, world_of(group.flight, study.block)))
@@ -230,17 +230,17 @@ def fly_whole(
 def _on_the_same_path(
     study: Study, group: Group, arm: int, draws: Mapping[str, Any]
 ) -> dict[int, Scenario]:
-    """Return the scenarios of a group's other arms that differ from an arm in policy alone."""
+    """Return the scenarios of the group's other arms that differ from an arm only in policy."""
     found = {}
     for i in group.arms if study.paths else ():
         if i != arm and study.paths[i] == study.paths[arm]:
-            with contextlib.suppress(InputError):  # it will be told when it is its turn
+            with contextlib.suppress(InputError):  # raised again when that arm is flown
                 found[i] = with_values(study.arms[i].scenario, draws, "dispersions")
     return found
 
 
 def _keep(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> None:
-    """Write the whole record of a flight, where it is to be kept, so that it is there whole."""
+    """Write the complete record of a flight atomically, if it is to be kept."""
     if study.out is None or study.records == "none" or (study.records == "failures" and safe):
         return
     folder = study.out / "flights" / folder_name(arm)
@@ -249,5 +249,5 @@ def _keep(study: Study, index: int, arm: str, flight: Flight, safe: bool) -> Non
         flight.save(Path(temporary) / "flight")
         target = folder / f"{index:05d}"
         if target.exists():
-            shutil.rmtree(target)  # of the same flight, whose row was not written any more
+            shutil.rmtree(target)  # leftover of the same flight, whose row was not written
         (Path(temporary) / "flight").rename(target)

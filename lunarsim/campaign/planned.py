@@ -1,4 +1,4 @@
-"""A plan as a file."""
+"""Write a plan to a file."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lunarsim.campaign.rows import plain, schema_of
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
-    """Write a row a flight: id, flight, arm, seed and inputs.
+    """Write one row per flight and arm: id, flight, arm, seed and inputs.
 
     Parameters
     ----------
     plan, path
-        What; where.
+        Plan; path of the file.
     suffix
-        .csv or .parquet.
+        Format, .csv or .parquet.
     """
     whole = schema_of(plan.inputs, {})
     schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])

@@ -1,4 +1,4 @@
-"""Flights on a Ray cluster, or on Ray here: its own scheduling, retries and object store."""
+"""Execute flights on a Ray cluster, or on a local Ray instance."""
 
 from __future__ import annotations
 
@@ -20,37 +20,37 @@ from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, funct
 from lunarsim.campaign.plan import Group, Work
 from lunarsim.errors import InputError
 
-# How long an interrupt may go unseen, s.
+# Maximum time until an interrupt is noticed, s.
 _TICK = 0.2
-# How often Ray begins a group whose worker or node is lost.
+# Maximum number of starts of a group whose worker or node is lost.
 TRIES = 3
-# Groups that wait at the cluster, for each of its cores.
+# Queued groups per core of the cluster.
 _WINDOW = 2
-# An address answers within, s.
+# Time limit for the connection to an address, s.
 _ANSWER = 5.0
 
 
 class RayEngine:
-    """Ray tasks, a group each.
+    """Executes each group of flights as a Ray task.
 
     Parameters
     ----------
     address
-        Of a running cluster, HOST:PORT; None: Ray is started here, with `jobs` cores.
+        Address of a running cluster, HOST:PORT; None: start Ray here with `jobs` cores.
     jobs
-        Cores where it is started here.
+        Number of cores of a local instance.
     time_limit
-        Wall-clock time after which a flight is ended, s; None: never.
+        Wall-clock time after which a flight is ended, s; None: no limit.
 
     Attributes
     ----------
     name, asks_to_halt
-        See `Engine`.
+        Attributes of the `Engine` interface.
 
     Raises
     ------
     InputError
-        If Ray is not installed, or the address does not answer.
+        If Ray is not installed, or the address does not respond.
     """
 
     name = "ray"
@@ -63,7 +63,10 @@ class RayEngine:
             import ray  # noqa: PLC0415  (an extra)
         except ImportError:
             raise InputError(
-                "--engine", "ray", 'local, or Ray installed: pip install "lunarsim[ray]"'
+                "--engine",
+                "ray",
+                "Ray is not installed",
+                'Install it: pip install "lunarsim[ray]".',
             ) from None
         self._ray: Any = ray
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
@@ -71,10 +74,9 @@ class RayEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as their groups end; see `Engine`.
+        """Yield flights as their groups end.
 
-        After an interrupt Ray is left to `leave_at_once`: nobody is to wait the seconds that it
-        needs to take its leave.
+        After an interrupt Ray is not shut down here, which takes seconds: `leave_at_once` ends it.
         """
         ray = self._ray
         ours = not ray.is_initialized()
@@ -90,13 +92,14 @@ class RayEngine:
         more = {"num_cpus": self.jobs, "include_dashboard": False} if self.address is None else {}
         try:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
-        except Exception as error:  # Ray raises what it likes
+        except Exception as error:  # Ray raises many types
             said = str(error).strip().split("\n")[0]
             if self.address is None:
-                raise InputError("--engine", "ray", f"a Ray that starts here ({said})") from None
+                raise InputError("--engine", "ray", f"Ray does not start here ({said})") from None
             raise InputError(
-                "--address", self.address, f"a running Ray cluster of this version ({said})"
-            ) from None
+                "--address", self.address,
+                f"must be a running Ray cluster of the same version ({said})",
+            ) from None  # fmt: skip
 
     def _flown(
         self, work: Work, groups: Iterator[Group | None], halt: Callable[[], bool]
@@ -129,11 +132,11 @@ class RayEngine:
                     ray.cancel(reference, force=True)
 
     def _lost(self, group: Group, again: list[Group], said: str) -> Iterator[Finished]:
-        """Fly the arms of a lost group apart; one that is lost by itself is recorded."""
+        """Fly the arms of a lost group separately; record a single arm as killed."""
         if len(group.arms) > 1:
             again += [replace(group, arms=(arm,)) for arm in group.arms]
             return
-        error = f"its process ended {TRIES} times ({said.strip().splitlines()[0]})"
+        error = f"The process of the flight ended {TRIES} times ({said.strip().splitlines()[0]})."
         yield Finished(
             group.flight, group.arms[0], KILLED, error=error, tries=TRIES, finished=time.time()
         )
@@ -146,23 +149,24 @@ class RayEngine:
                 yield from self.check_node(ray.get(reference))
 
     def check_node(self, came: list[Finished] | OtherNode) -> list[Finished]:
-        """Return the flights of a node; refuse one that gives other results."""
+        """Return the flights of a node; refuse a node with other code or packages."""
         if isinstance(came, OtherNode):
             raise InputError(
                 "--address", self.address,
-                f"nodes with code and packages of this machine: {came.who} has {came.has}",
+                f"node {came.who} has other code or packages: {came.has}",
+                "Install the same versions on all nodes.",
             )  # fmt: skip
         return came
 
 
 @dataclass(frozen=True)
 class OtherNode:
-    """A node that may give other results than this machine.
+    """Node that may give other results than this machine.
 
     Attributes
     ----------
     who, has
-        Host and process; what differs, in words.
+        Host and process id; description of the differences.
     """
 
     who: str
@@ -172,14 +176,14 @@ class OtherNode:
 def fly_group(
     work: Work, group: Group, time_limit: float | None, made_by: Mapping[str, str]
 ) -> list[Finished] | OtherNode:
-    """Fly a group on a worker of the cluster; return what became of each flight.
+    """Fly a group on a worker of the cluster; return its finished flights.
 
     Parameters
     ----------
     work, group, time_limit
-        What; the longest that a flight may take, s.
+        Function and settings; group of flights; wall-clock limit of a flight, s.
     made_by
-        Code and packages that the rows will name as theirs: nothing is flown by others.
+        Code and packages recorded in the rows. A node with others does not fly.
     """
     here, who = this_node(), f"{socket.gethostname()}:{os.getpid()}"
     other = differing(made_by, here)
@@ -194,7 +198,7 @@ def fly_group(
         with _limited(time_limit):
             done = attempt(function, work, group, arm, memory)
         if done.error.startswith(f"{__name__}.{_TooLongError.__name__}"):
-            error = f"it took longer than {time_limit:g} s"
+            error = f"The flight exceeded the time limit of {time_limit:g} s."
             done = replace(done, outcome=TIMEOUT, error=error, traceback="")
         found.append(replace(done, worker=who))
     return found
@@ -202,19 +206,19 @@ def fly_group(
 
 @cache
 def this_node() -> dict[str, str]:
-    """Return code and packages of this process."""
+    """Return the code digest and package versions of this process."""
     return {"lunarsim": f"code {code_digest()}"} | environment()
 
 
 class _TooLongError(BaseException):
-    """A flight took longer than its limit."""
+    """The flight exceeded its time limit."""
 
 
 def leave_at_once(status: int) -> NoReturn:
-    """End this process and all that Ray started for it here, without Ray's seconds of farewell.
+    """End this process and Ray's local processes at once, without Ray's slow shutdown.
 
-    What flies ends with this process. The agents of a node that was killed look for a minute for
-    somebody to tell, so they go first.
+    Running flights end with this process. The agents of a killed node would wait for a minute, so
+    they are killed first.
     """
     for node in _children(os.getpid()):
         with contextlib.suppress(OSError):
@@ -225,7 +229,7 @@ def leave_at_once(status: int) -> NoReturn:
 
 
 def _children(process: int) -> list[int]:
-    """Return the numbers of a process's children; none where there is no /proc."""
+    """Return the process ids of child processes; empty where there is no /proc."""
     try:
         listed = Path(f"/proc/{process}/task/{process}/children").read_text()
     except OSError:
@@ -235,7 +239,7 @@ def _children(process: int) -> list[int]:
 
 @contextlib.contextmanager
 def _limited(seconds: float | None) -> Iterator[None]:
-    """Raise `_TooLongError` in what runs inside once the time is over."""
+    """Raise `_TooLongError` in the enclosed code when the time is over."""
     if seconds is None:
         yield
         return
@@ -255,8 +259,8 @@ def _limited(seconds: float | None) -> Iterator[None]:
 def _check_answers(address: str) -> None:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
-        raise InputError("--address", address, "HOST:PORT of a running Ray cluster")
+        raise InputError("--address", address, "must be HOST:PORT of a running Ray cluster")
     try:
         socket.create_connection((host, int(port)), timeout=_ANSWER).close()
     except (OSError, OverflowError) as error:
-        raise InputError("--address", address, f"an address that answers ({error})") from None
+        raise InputError("--address", address, f"does not respond ({error})") from None

@@ -1,4 +1,4 @@
-"""A worker process: flies groups that it is sent, and ends with its parent, however that ends."""
+"""Worker process: flies the groups it receives, and always ends with its parent."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from typing import Any
 from lunarsim.campaign.outcomes import attempt, function_of
 from lunarsim.campaign.plan import Work
 
-# What a worker says: it is there; a flight begins; a flight has ended; a group is done.
+# Messages of a worker: ready; a flight began; a flight ended; a group is done.
 READY, BEGAN, ENDED, DONE = "ready", "began", "ended", "done"
 _PR_SET_PDEATHSIG = 1
 
 
 def serve(work: Work, orders: Connection, lifeline: Connection, parent: int) -> None:
-    """Fly until the orders end.
+    """Fly groups until the connection closes.
 
     Parameters
     ----------
     work
-        What flies.
+        Function and settings that all flights share.
     orders
-        Groups come in, what becomes of them goes out.
+        Connection that receives groups and sends messages.
     lifeline
-        Nothing comes on it; it closes when the parent is gone.
+        Connection without messages; it closes when the parent ends.
     parent
         Process id of the parent.
     """
     _end_with(parent, lifeline)
-    # An interrupt from the keyboard reaches all processes; the parent says what follows from it.
+    # A keyboard interrupt reaches all processes; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     function = function_of(work)
     one_thread()
@@ -57,9 +57,9 @@ def serve(work: Work, orders: Connection, lifeline: Connection, parent: int) -> 
 
 
 def _swept(first: bool) -> None:
-    """Free what flights leave behind in circles: some 70 MB each, which nobody else would for long.
+    """Free reference cycles that flights leave, about 70 MB each.
 
-    What the first group has loaded stays, and is not looked through again: that makes it cheap.
+    Objects loaded by the first group are frozen, which makes later collections cheap.
     """
     gc.collect()
     if first:
@@ -67,7 +67,7 @@ def _swept(first: bool) -> None:
 
 
 def one_thread() -> None:
-    """Keep a worker to one thread: the processes share the cores."""
+    """Limit a worker to one thread, because the processes share the cores."""
     if "numba" in sys.modules:
         sys.modules["numba"].set_num_threads(1)
     if "numpy" in sys.modules:
@@ -77,9 +77,9 @@ def one_thread() -> None:
 
 
 def _end_with(parent: int, lifeline: Connection) -> None:
-    """See to it that this process does not outlive its parent."""
+    """Make this process end with its parent."""
     if sys.platform == "linux":
-        # The kernel does it at once, even in the midst of a long kernel of ours.
+        # The operating system kills it at once, even within a long compiled kernel.
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
             os._exit(1)
