@@ -1,9 +1,9 @@
-"""Rare failures: the share of flights that fail, from flights that were drawn to fail more often.
+"""Estimate the share of rare failures by importance sampling or subset simulation.
 
-Each flight counts with its weight, the density of its draws over the density that they were drawn
-from; the mean of weight times failure is unbiased for the share of failures under the dispersions
-as declared (Owen, Monte Carlo theory, methods and examples, 2013, sections 9.1 and 9.11). The
-mixture keeps weights below 1 / nominal_share, so the variance is finite whatever the shifts are.
+Each flight of importance sampling has a weight: the nominal density of its draws over the density
+that they were drawn from. The mean of weight times failure is an unbiased estimate of the failure
+share under the nominal dispersions (Owen, Monte Carlo theory, methods and examples, 2013, sections
+9.1 and 9.11). The mixture bounds the weights by 1 / nominal_share, so the variance is finite.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RareShare:
-    """The share of failures of one arm.
+    """Failure share of one arm.
 
     Attributes
     ----------
     arm
-        Its name.
+        Name of the arm.
     flights, failures, left_out
-        With a verdict; of them failed; without a verdict.
+        Number of flights with an outcome; failures among them; flights without an outcome.
     value, low, high
-        Share of failures under the dispersions as declared, and its 95 % interval.
+        Failure share under the nominal dispersions, and its 95 % interval.
     worth
-        Flights of plain Monte Carlo that would give the same standard error; NaN without failures.
+        Number of plain Monte Carlo flights with the same standard error; NaN without failures.
     told_by
-        Failures of equal weight that theirs are worth (Kish): 1 where a single one outweighs all;
-        with method subset the worlds that the last level is of.
+        Effective number of failures (Kish): 1 if a single one outweighs all others. With method
+        subset the number of worlds in the last level.
     """
 
     arm: str
@@ -57,35 +57,37 @@ class RareShare:
 
     @property
     def few(self) -> bool:
-        """Whether so few have failed that the interval is rough."""
+        """Whether too few flights failed for an accurate interval."""
         return not self.told_by >= FEW
 
 
 def rare_shares(
     found: Results, metric: str = "safe", above: float | None = None, below: float | None = None
 ) -> list[RareShare]:
-    """Return the share of failures of every arm.
+    """Estimate the failure share of every arm.
 
     Parameters
     ----------
     found
-        A campaign of method importance or subset.
+        Results of a campaign of method importance or subset.
     metric
-        Column of true and false: failed is false; or of numbers, with a limit. With method subset
-        what the spec says.
+        Boolean column that is false for a failure, or a numeric column with a limit. With method
+        subset the spec defines the failure.
     above, below
-        A number beyond one of these is a failure.
+        Failure limit of a numeric column.
 
     Raises
     ------
     InputError
-        If flights count alike, or metric and limits do not fit.
+        If the campaign has another method, or metric and limits do not fit together.
     """
     if not found.is_leaning:
-        raise InputError("folder", str(found.folder), "a campaign of method importance or subset")
+        raise InputError(
+            "folder", str(found.folder), "must be a campaign of method importance or subset"
+        )
     if found.is_subset:
         if metric != "safe" or above is not None or below is not None:
-            expected = "nothing: with method subset the spec says what failure is"
+            expected = "must be omitted: with method subset the spec defines the failure"
             raise InputError("--metric", metric, expected)
         return [_of_subset(found)]
     kinds = {n: kind for n, kind in found.manifest["columns"].items() if kind != "text"}
@@ -93,7 +95,7 @@ def rare_shares(
         raise InputError("--metric", metric, suggestion(metric, kinds))
     limits = above is not None or below is not None
     if limits == (kinds[metric] == "bool"):
-        expected = "a column of numbers with --above or --below, or one of true and false without"
+        expected = "must be a numeric column with --above or --below, or a boolean one without"
         raise InputError("--metric", metric, expected)
     values, weights = column(found, metric), column(found, WEIGHT)
     if limits:
@@ -117,7 +119,7 @@ def rare_shares(
 
 
 def _of_subset(found: Results) -> RareShare:
-    """Return the share of a subset simulation; NaN while it is not complete."""
+    """Return the failure share of a subset simulation; NaN while it is not complete."""
     chains = chains_of(found)
     lost = sum(level.lost for level in chains.levels)
     failures = sum(int((level.margins <= 0.0).sum()) for level in chains.levels[-1:])
@@ -132,25 +134,25 @@ def _of_subset(found: Results) -> RareShare:
 
 
 def _told_by(weights: Array) -> float:
-    """Return how many equal weights say as much as these (Kish 1965); 0 for none."""
+    """Return the effective sample size of weights (Kish 1965); 0 for none."""
     return float(weights.sum() ** 2 / (weights**2).sum()) if len(weights) else 0.0
 
 
 def weighted_share(
     hits: NDArray[np.bool_], weights: Array, most: float
 ) -> tuple[float, float, float, float]:
-    """Return the weighted share of hits, its 95 % interval, and how many even draws it is worth.
+    """Return the weighted share of hits, its 95 % interval, and the equivalent number of draws.
 
-    The interval is even in the logarithm, since the share cannot be negative. Where hits are worth
-    few even ones, its upper end is at least that of the least flattering case: hits of the greatest
-    weight of all, which are those of draws as declared, were as many as can be.
+    The interval is symmetric in the logarithm, since the share is positive. If the effective number
+    of hits is small, the upper end is at least that of the worst case: the hits of maximum weight,
+    which are nominal draws, reach their upper bound.
 
     Parameters
     ----------
     hits, weights
-        Of each draw (n,).
+        Hit (boolean) and weight of each draw (n,).
     most
-        Greatest weight that a draw can have.
+        Maximum weight that a draw can have.
     """
     count = len(hits)
     nan = float("nan")

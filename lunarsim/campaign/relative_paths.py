@@ -1,4 +1,4 @@
-"""Relative paths in the tables of a spec, which start from its folder."""
+"""Resolve the relative paths in a spec from the folder of the spec."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ def from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
     Parameters
     ----------
     given
-        A table, a list, or a value.
+        Table, list or value.
     folder
-        Of the spec.
+        Folder of the spec.
     named
-        Whether it stands under a key that names a file.
+        Whether `given` is under a key that names a file.
     """
     if isinstance(given, Mapping):
         return {

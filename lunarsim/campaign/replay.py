@@ -1,4 +1,4 @@
-"""One flight of a campaign flown again, and whether it ends as it did."""
+"""Fly one flight of a campaign again and compare its metrics."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Replayed:
     Attributes
     ----------
     flight, simulation
-        Its record, and what flew it.
+        Record of the flight, and its simulation.
     row
-        Its metrics.
+        Metrics.
     recorded
-        Its row in the campaign; None where it has none yet.
+        Row in the campaign, or None.
     differences
-        Name, recorded and new value of metrics that differ; None without a verdict then.
+        Name, recorded and new value of metrics that differ; None if the row has no outcome.
     """
 
     flight: Flight
@@ -46,19 +46,22 @@ def replay(folder: str | Path, flight: str) -> Replayed:
     Parameters
     ----------
     folder
-        Of the campaign.
+        Folder of the campaign.
     flight
-        Its id, such as ``12-0``: index and number of the arm.
+        Id of the flight, for instance ``12-0``: index and number of the arm.
 
     Raises
     ------
     InputError
-        If the folder holds no campaign whose spec can be read, or the campaign no such flight.
+        If the folder holds no campaign with a readable spec, or the flight does not exist.
     """
     found = load_results(folder)
     spec_file = Path(folder) / "spec.toml"
     if not spec_file.is_file():
-        raise InputError("folder", str(folder), "one with spec.toml: policy objects have none")
+        raise InputError(
+            "folder", str(folder), "must contain spec.toml",
+            "Campaigns with policy objects have none and cannot be replayed.",
+        )  # fmt: skip
     spec = CampaignSpec.load(spec_file)
     index, arm = _parsed(flight, int(found.manifest["flights"]), len(spec.arms))
     plan = plan_of(spec)
@@ -78,23 +81,25 @@ def replay(folder: str | Path, flight: str) -> Replayed:
 
 
 def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
-    """Return the draws of a flight; with method subset they follow from flights before it."""
+    """Return the draws of a flight; with method subset they depend on earlier flights."""
     if plan.chains is not None:
         plan.chains.resume(found.table.to_pylist())
     try:
         return plan.draws(index)
     except LookupError:
         raise InputError(
-            "--flight", index, "a flight whose forerunners have been flown, as the column id tells"
-        ) from None
+            "--flight", index, "depends on flights that have not been flown",
+            "Choose one from the column id of the results.",
+        ) from None  # fmt: skip
 
 
 def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:
     index, _, arm = flight.partition("-")
     if not (index.isdecimal() and arm.isdecimal() and int(index) < flights and int(arm) < arms):
         raise InputError(
-            "--flight", flight, f"INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}, as the column id"
-        )
+            "--flight", flight, f"must be INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}",
+            "Choose one from the column id of the results.",
+        )  # fmt: skip
     return int(index), int(arm)
 
 

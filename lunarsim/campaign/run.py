@@ -1,4 +1,4 @@
-"""Fly a plan: who flies, what is kept, and how it ends."""
+"""Run a plan: fly the missing flights with an engine and store their rows."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupte
 
 @dataclass(frozen=True)
 class Ran:
-    """How a run of a campaign ended.
+    """Result of a run of a campaign.
 
     Attributes
     ----------
     state
-        complete; stopped: the interval was narrow enough; interrupted; out of time.
+        complete; stopped: the interval is narrow enough; interrupted; out of time.
     flown, before
-        Rows of this run, and rows that were there already.
+        Number of rows of this run, and of earlier runs.
     failed
-        Rows of this run without a verdict.
+        Number of rows of this run without an outcome.
     flights
-        Indices that the campaign has, or was stopped at.
+        Number of flight indices of the campaign, or where it was stopped.
     notes
-        What was found wrong in the folder, in words.
+        Messages about damage found in the folder.
     unrecorded
-        Why flights of this run have no record or figures although they should; empty: all have.
+        Reason why flights of this run lack records or figures; empty if none does.
     """
 
     state: str
@@ -57,18 +57,18 @@ class Ran:
 
 
 class Halt:
-    """Whether somebody asked for the end: an interrupt or a polite kill."""
+    """Flag that is set by an interrupt (SIGINT) or a termination request (SIGTERM)."""
 
     def __init__(self) -> None:
         self.asked = False
 
     def __call__(self) -> bool:
-        """Tell whether to end at once."""
+        """Return whether to stop at once."""
         return self.asked
 
     @contextlib.contextmanager
     def on_signals(self, engine: Engine) -> Iterator[None]:
-        """Take SIGINT and SIGTERM as the wish to end; a second one ends without care."""
+        """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`."""
         if threading.current_thread() is not threading.main_thread() or not engine.asks_to_halt:
             yield
             return
@@ -97,25 +97,26 @@ def run(
     progress: Callable[[int], None] | None = None,
     files: Callable[[Path], None] | None = None,
 ) -> Ran:
-    """Fly what a folder lacks of a plan.
+    """Fly the missing flights of a plan.
 
     Parameters
     ----------
     plan, engine, out
-        What, by whom, and the folder: new, or of the same campaign.
+        Plan, engine, and folder: new, or of the same campaign.
     rule, time_budget
-        When to stop early; wall-clock time after which no flight starts, s.
+        Early-stopping rule; wall-clock time after which no flight starts, s.
     retry
-        Whether flights without a verdict are flown again.
+        Whether flights without an outcome are flown again.
     progress, files
-        Called with the number of rows that have come; writes what else belongs into the folder.
+        Function called with the number of new rows; function that writes other files into the
+        folder.
 
     Raises
     ------
     InputError
-        If the folder is another's; nothing has been written then.
+        If the folder belongs to another campaign; nothing has been written then.
     OSError
-        If the folder cannot be written to. It is removed if it is new and no flight is finished.
+        If the folder cannot be written to. A new folder without a finished flight is removed.
     """
     store, remove = _opened(out, plan, retry)
     halt = Halt()
@@ -138,7 +139,9 @@ def run(
         if not store.count:
             remove()
             raise
-        said = f"{error.strerror}. Finished flights are kept: free space and repeat the command"
+        said = (
+            f"{error.strerror}. Finished flights are kept. Free disk space and repeat the command"
+        )
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
         store.abandon()
@@ -148,7 +151,7 @@ def run(
 
 
 def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
-    """Return the store of a folder, and what removes the folder if it is new."""
+    """Open the store of a folder; return it with a function that removes a new folder."""
     is_new = not out.is_dir() or not any(out.iterdir())
     remove = remover_of_new(out) if is_new else lambda: None
     try:
@@ -167,7 +170,7 @@ def _fly(
     time_budget: float | None,
     progress: Callable[[int], None] | None,
 ) -> tuple[int, int, bool, str]:
-    """Fly; return rows, rows without a verdict, whether time sufficed, and why records are lost."""
+    """Fly; return rows, rows without outcome, whether time sufficed, and why records are lost."""
     flown = failed = 0
     not_kept: list[str] = []
     began = time.monotonic()
@@ -204,7 +207,7 @@ def _fly(
 
 
 def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
-    """Yield what has no row yet, in the order of flights; None where it waits for others to end."""
+    """Yield flights without a row, in order; None while all wait for running flights."""
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)
         return
@@ -224,18 +227,18 @@ def _shown(rule: WidthRule, store: Store, plan: Plan) -> None:
 
 
 def _shown_to_chains(plan: Plan, store: Store) -> None:
-    """Show chains what is there; what follows from flights that are not is forgotten."""
+    """Add existing rows to the chains; delete rows whose predecessors are missing."""
     assert plan.chains is not None
     orphans = plan.chains.resume(store.rows())
     if orphans:
         store.forget({(flight, 0) for flight in orphans})
         store.notes.append(
-            f"{len(orphans)} flights that were drawn from flights that are gone are flown again"
+            f"{len(orphans)} flights depend on flights that are missing; they are flown again."
         )
 
 
 def _closed(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
-    """Close a folder, at the flight that the campaign ended at where that was open; return how."""
+    """Close the folder, truncated at the last flight of a stopped campaign; return the state."""
     state = _state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
     if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:

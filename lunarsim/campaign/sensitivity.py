@@ -1,9 +1,9 @@
-"""What of the dispersions a metric hangs on, with errors; by SALib (extra `sensitivity`).
+"""Sensitivity of a metric to the dispersions, with intervals; by SALib (extra `sensitivity`).
 
-Sobol indices come from a Saltelli design alone (`method = "saltelli"`). From any other method's
-flights PAWN is worked out (Pianosi and Wagener 2018): how far the distribution of the metric moves,
-as a Kolmogorov distance, when a key is held in a tenth of its range; the median of ten tenths. Its
-errors are bootstrapped, and a column drawn for nothing tells what chance alone gives.
+Sobol indices need a Saltelli design (`method = "saltelli"`). For other methods PAWN is computed
+(Pianosi and Wagener 2018): the Kolmogorov distance between the distribution of the metric and its
+distribution with a key limited to a tenth of its range; the median over ten tenths. Its intervals
+are bootstrapped. A random dummy column shows the value that chance alone gives.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from lunarsim.scenario.changes import path_of
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 
-# The factor of a Saltelli design that is no key: rocks, noise, navigation errors.
+# Additional factor of a Saltelli design: rocks, noise, navigation errors.
 WORLD = "world and noise"
-# Flights of an arm below which nothing is said, and rows that PAWN looks at at most.
+# Minimum number of flights of an arm, and maximum number of rows for PAWN.
 _LEAST, _MOST = 50, 1000
 _TENTHS = 10
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Of one arm's metric.
+    """Sensitivity of a metric in one arm.
 
     Attributes
     ----------
     arm, metric, method
-        Of what; sobol or pawn.
+        Name of the arm; name of the metric; sobol or pawn.
     rows, left_out
-        Flights that it is from, and those that could not be used.
+        Number of flights used, and of flights that could not be used.
     names
-        Keys that were drawn; of Sobol indices the world as well.
+        Dispersed keys; for Sobol indices also the world.
     indices
-        By name of the index ("first order", "total"; "PAWN"), a value with its 95 % interval for
+        By name of the index ("first order", "total"; "PAWN"): a value with its 95 % interval for
         each of the names.
     chance
-        PAWN's 95 % quantile of a column drawn for nothing; NaN for Sobol indices.
+        95th percentile of PAWN for a dummy column; NaN for Sobol indices.
     why_not
-        Why there are no indices; "" where there are.
+        Reason why there are no indices; "" if there are.
     """
 
     arm: str
@@ -72,33 +72,34 @@ def check_installed() -> None:
         raise InputError(
             "sensitivity",
             "SALib",
-            'a package that is installed: pip install "lunarsim[sensitivity]"',
+            "the package is missing",
+            'Install it: pip install "lunarsim[sensitivity]".',
         ) from None
 
 
 def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) -> list[Sensitivity]:
-    """Return the sensitivity of a metric in every arm.
+    """Compute the sensitivity of a metric in every arm.
 
     Parameters
     ----------
     found
-        A campaign with dispersions.
+        Results of a campaign with dispersions.
     metric
-        Column of numbers, or of true and false.
+        Numeric or boolean column.
     resamples
-        Of the bootstrap.
+        Number of bootstrap resamples.
 
     Raises
     ------
     InputError
-        If SALib is not installed, the campaign draws nothing, its flights do not count alike, or
-        the metric is no number.
+        If SALib is not installed, the campaign has no dispersions, flights have unequal weights,
+        or the metric is not numeric.
     """
     found.check_even("folder")
     identity = found.manifest["identity"]
     keys = list(identity.get("dispersions", {}))
     if not keys:
-        raise InputError("folder", str(found.folder), "a campaign with [dispersions]")
+        raise InputError("folder", str(found.folder), "must be a campaign with [dispersions]")
     known = [n for n, kind in found.manifest["columns"].items() if kind != "text"]
     if metric not in known:
         raise InputError("--metric", metric, suggestion(metric, known))
@@ -122,7 +123,7 @@ def _sobol(
     arm: str, metric: str, keys: Sequence[str], flights: NDArray[np.int64], values: Array,
     resamples: int, rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Return Sobol indices of whole blocks; a block with a flight without a value is left out."""
+    """Compute Sobol indices from complete blocks; omit blocks with a missing value."""
     from SALib.analyze import sobol  # noqa: PLC0415
 
     names = (*keys, WORLD)
@@ -154,7 +155,7 @@ def _pawn(
     arm: str, metric: str, keys: Sequence[str], inputs: Array, values: Array, resamples: int,
     rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Return PAWN's medians with percentiles of a bootstrap, and what chance alone gives."""
+    """Compute PAWN medians with bootstrap intervals, and the value that chance alone gives."""
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
     told = Sensitivity(
@@ -172,7 +173,7 @@ def _pawn(
         rows = rng.integers(len(y), size=len(y))
         nothing = rng.random(len(y))
         drawn[i] = _pawn_medians(np.column_stack((inputs[rows], nothing)), y[rows])
-    # Fewer distinct flights make all distances greater: the spread is taken, not the place.
+    # Resamples have fewer distinct flights, which biases the distances: use only their spread.
     spread = drawn[:, :-1] - drawn[:, :-1].mean(axis=0)
     low, high = value + np.quantile(spread, (0.025, 0.975), axis=0)
     intervals = [
@@ -183,9 +184,9 @@ def _pawn(
 
 
 def _ranks(inputs: Array, rng: np.random.Generator) -> Array:
-    """Return the ranks of each column (n, keys), equal values in an order that is drawn.
+    """Return the ranks of each column (n, keys), with ties in random order.
 
-    Tenths are then tenths of the flights, also where a key has few values.
+    Tenths then contain equal numbers of flights, also for keys with few values.
     """
     out = np.empty(inputs.shape)
     for column_of, values in zip(out.T, inputs.T, strict=True):
@@ -203,12 +204,12 @@ def _pawn_medians(inputs: Array, values: Array) -> Array:
 
 def _why_not(values: Array) -> str:
     if len(values) < _LEAST:
-        return f"{len(values)} flights can be used, fewer than {_LEAST}"
+        return f"only {len(values)} flights can be used, fewer than {_LEAST}"
     return "" if np.ptp(values) > 0.0 else f"all flights have the value {values[0]:g}"
 
 
 def _input(found: Results, key: str) -> Array:
-    """Return the draws of a key as numbers: words by their order in the alphabet."""
+    """Return the draws of a key as numbers; texts as their alphabetical rank."""
     name = ".".join(path_of(key))
     if found.manifest["inputs"].get(name) != "text":
         return column(found, name)

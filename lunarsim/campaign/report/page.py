@@ -1,4 +1,4 @@
-"""What stands in a report, and the file that it is written to."""
+"""Content of a report, and the file that it is written to."""
 
 from __future__ import annotations
 
@@ -33,52 +33,53 @@ from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole
 
-# Flights that are listed as the worst, of each arm.
+# Number of worst flights listed per arm.
 _WORST = 5
-# Arms whose sensitivity is worked out, and resamples of its bootstrap.
+# Maximum number of arms for the sensitivity analysis, and its bootstrap resamples.
 _MOST_SENSITIVE, _RESAMPLES = 8, 50
-# Rows of the table of what went wrong.
+# Maximum number of rows of the table of failure causes.
 _MOST_CAUSES = 60
-# Underscores within words and brackets that no link follows mean themselves.
+# Underscores within words and brackets without a link need no escape.
 _MARKDOWN = re.compile(r"([\\`*<|~]|(?<!\w)_|_(?!\w)|(?<=\])\()")
 _LABELS = {
-    "propellant_kg": "propellant (kg)",
-    "divert_m": "divert (m)",
-    "duration_s": "time of flight (s)",
+    "propellant_kg": "Propellant (kg)",
+    "divert_m": "Divert distance (m)",
+    "duration_s": "Flight time (s)",
 }
 
 
 def write_report(folder: str | Path, out: Path) -> Results:
-    """Write the report of a campaign, finished or not; return what it is of.
+    """Write the report of a campaign, finished or not; return its results.
 
     Parameters
     ----------
     folder
-        Of the campaign.
+        Folder of the campaign.
     out
-        HTML file, which needs no network, or Markdown file (.md), its tables alone.
+        HTML file, which needs no network, or Markdown file (.md) with the tables only.
 
     Raises
     ------
     InputError
-        If the folder holds no flown flight, the file will not do, or plotly or jinja2 lack.
+        If the folder holds no flight, the file name is not usable, or plotly or jinja2 is missing.
     """
     tables_alone = out.suffix.lower() == ".md"
     if not tables_alone and out.suffix.lower() != ".html":
-        raise InputError("--out", str(out), "a file name that ends in .html or .md")
+        raise InputError("--out", str(out), "must be a file name that ends in .html or .md")
     check_output("--out", out, out.suffix.lower())
     try:
         import jinja2  # noqa: PLC0415  (an extra)
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
-            "report", error.name, 'a package that is installed: pip install "lunarsim[report]"'
-        ) from None
+            "report", error.name, "a package is missing",
+            'Install it: pip install "lunarsim[report]".',
+        ) from None  # fmt: skip
     found = load_results(folder)
     if not len(found.table):
-        raise InputError("folder", str(folder), "a campaign with at least one flight flown")
+        raise InputError("folder", str(folder), "must hold a campaign with at least one flight")
     if found.manifest["columns"].get("safe") != "bool":
-        raise InputError("folder", str(folder), "a campaign whose rows tell whether it was safe")
+        raise InputError("folder", str(folder), "must hold a campaign with the boolean column safe")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
     page = template.render(
         **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
@@ -88,13 +89,13 @@ def write_report(folder: str | Path, out: Path) -> Results:
 
 
 def _page(jinja2: Any) -> Any:
-    """Return the template of the HTML page."""
+    """Load the template of the HTML page."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_text("page.html.j2"))
 
 
 def _markdown(jinja2: Any) -> Any:
-    """Return the template of the tables in Markdown, a row of a table a line."""
+    """Load the template of the tables in Markdown."""
 
     def row(cells: Iterable[object]) -> str:
         return f"| {' | '.join(map(_literal, cells))} |"
@@ -108,7 +109,7 @@ def _markdown(jinja2: Any) -> Any:
 
 
 def _literal(text: object) -> str:
-    """Return a text on one line with the characters escaped that Markdown gives a meaning."""
+    """Return a text on one line, with Markdown characters escaped."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
@@ -127,7 +128,7 @@ def _content(found: Results) -> dict[str, Any]:
     if found.is_leaning:
         return _rare_content(found)
     figures = figures_of(found)
-    # Whoever might have stopped has looked, also where the flights came to an end first.
+    # A campaign with a stop rule was monitored, even if it ended before the rule applied.
     watched = "stop" in found.manifest["identity"]
     intervals = {a.name: _interval(a, watched) for a in figures}
     made = differences(found) if len(figures) > 1 else []
@@ -151,16 +152,16 @@ def _content(found: Results) -> dict[str, Any]:
 
 
 def _rare_content(found: Results) -> dict[str, Any]:
-    """Return what the page shows of rare failures: nothing that takes flights as alike."""
+    """Return the page's content for rare failures, without statistics that need equal weights."""
     shares = rare_shares(found)
     chains = chains_of(found) if found.is_subset else None
     rows = [
         {
             "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
             "cells": {
-                "share that fails": _ranged_share(s),
-                "failed of the last level" if chains else "failed of these": str(s.failures),
-                "worth so many even flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
+                "Failure share": _ranged_share(s),
+                "Failures in last level" if chains else "Failures": str(s.failures),
+                "Equivalent Monte Carlo flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
             },
         }
         for s in shares
@@ -180,7 +181,7 @@ def _rare_content(found: Results) -> dict[str, Any]:
 def _ranged_share(s: RareShare) -> str:
     if s.value != s.value:
         return "–"
-    rough = " (few failed: rough)" if s.few else ""
+    rough = " (few failures: approximate)" if s.few else ""
     return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
@@ -208,11 +209,11 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
 
 
 def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
-    """Return the sensitivity of the safe share, and why there is none where something is drawn."""
+    """Return the sensitivity of the safe share, or the reason why there is none."""
     if not found.manifest["identity"].get("dispersions"):
         return [], ""
     if len(found.arms) > _MOST_SENSITIVE:
-        return [], f"not worked out for more than {_MOST_SENSITIVE} arms; see the command"
+        return [], f"Not computed for more than {_MOST_SENSITIVE} arms; use the command."
     try:
         return sensitivities(found, "safe", _RESAMPLES), ""
     except InputError as error:
@@ -220,13 +221,13 @@ def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
 
 
 def _interval(arm: ArmFigures, watched: bool) -> tuple[float, float]:
-    """Return the interval of the safe share: one that stands peeking where it was peeked at."""
+    """Return the interval of the safe share; a confidence sequence if it was monitored."""
     share = arm.shares["safe"]
     return share_sequence(share.count, share.total) if watched else share.interval
 
 
 def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
-    """Return the cells of an arm's rows of the summary and of what it took."""
+    """Return the cells of an arm in the tables of outcomes and of effort."""
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
         if not math.isfinite(value):
@@ -234,26 +235,26 @@ def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
         bounds = [format(v, form) if math.isfinite(v) else "?" for v in (low, high)]
         return f"{value:{form}} [{bounds[0]}, {bounds[1]}]"
 
-    cells = {"landed safe": ranged(arm.shares["safe"].value, low, high, ".3f")}
+    cells = {"Safe landings, share": ranged(arm.shares["safe"].value, low, high, ".3f")}
     if "aborted" in arm.shares:
-        cells["aborted"] = str(arm.shares["aborted"].count)
-        cells["navigation lost"] = str(arm.shares["navigation_lost"].count)
+        cells["Aborted"] = str(arm.shares["aborted"].count)
+        cells["Navigation lost"] = str(arm.shares["navigation_lost"].count)
     took = {}
     for name, label in _LABELS.items():
         if name in arm.means:
             form = ".1f"
-            took[f"{label}, mean"] = ranged(*arm.means[name], form)
-            took[f"{label}, 95 %"] = ranged(*arm.quantiles[name][1], form)
+            took[label.replace(" (", ", mean (")] = ranged(*arm.means[name], form)
+            took[label.replace(" (", ", 95th percentile (")] = ranged(*arm.quantiles[name][1], form)
     if arm.ellipse is not None:
         long, short = arm.ellipse.half_axes
-        cells["landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
+        cells["Landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
     return {
         "name": arm.name, "rows": arm.rows, "flown": arm.flown, "cells": cells, "took": took
     }  # fmt: skip
 
 
 def _factors(found: Results) -> dict[str, list[str]]:
-    """Return the values of every key that arms differ in."""
+    """Return the values of every key in which arms differ."""
     values: dict[str, list[str]] = {}
     for arm in found.manifest["arms"]:
         for key, value in arm["values"].items():
@@ -264,7 +265,7 @@ def _factors(found: Results) -> dict[str, list[str]]:
 
 
 def _worst(found: Results) -> list[dict[str, Any]]:
-    """Return the flights of each arm that came off worst: no verdict first, then hard landings."""
+    """Return the worst flights of each arm: no outcome first, then the hardest landings."""
     table = found.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
@@ -299,7 +300,7 @@ def _timing(found: Results) -> dict[str, Any]:
 
 
 def _ground(found: Results) -> tuple[list[float], list[float], Any] | str | None:
-    """Return a coarse image of the relief that all flights share; the reason if it is missing."""
+    """Return a coarse image of the shared terrain, the reason if it is missing, or None."""
     if not (found.folder / "scenario.toml").is_file() or any(
         key.startswith("terrain") for key in found.manifest["inputs"]
     ):
