@@ -139,9 +139,7 @@ def run(
         if not store.count:
             remove()
             raise
-        said = (
-            f"{error.strerror}. Finished flights are kept. Free disk space and repeat the command"
-        )
+        said = f"{error.strerror}. Finished flights are kept. Free space and repeat the command"
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
         store.abandon()

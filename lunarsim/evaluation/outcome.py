@@ -1,4 +1,4 @@
-"""The figures of one flight, for the results table: from its record and the truth alone."""
+"""Compute the result row of one flight from its record and the truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 
-# Columns that `evaluate` gives and what they hold.
+# Columns that `evaluate` returns, and their kinds.
 COLUMNS: dict[str, str] = {
     "policy": "text",
     "safe": "bool",
@@ -43,21 +43,21 @@ COLUMNS: dict[str, str] = {
     "map_missed": "int",
     "safe_site_in_reach": "bool",
 }
-# Safe cells tried for reachability; they are spread over the mapped ground.
+# Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
 _TRIES = 400
 
 
 def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
-    """Return one row of results: plain numbers, no wall-clock times.
+    """Return one row of results: plain numbers, without wall-clock times.
 
-    Map cells count where the map has observed them; a cell is called safe at p_safe > 0.5.
+    Map counts include observed cells only; a cell is classified safe if p_safe > 0.5.
 
     Parameters
     ----------
     flight
-        The record, as flown or as loaded.
+        Record of the flight.
     truth
-        Exact safety of the world that it was flown in.
+        Exact safety of its world.
     """
     touchdown = flight.verdict.touchdown
     nan = float("nan")
@@ -98,7 +98,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
 
 
 def believed_safe(flight: Flight) -> float:
-    """Return the deciding map's probability of safety at the last site; NaN where it has none."""
+    """Return p_safe of the decision map at the last site; NaN where it observed nothing."""
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
         return float("nan")
@@ -117,7 +117,7 @@ def first_aim(flight: Flight) -> Array:
 
 
 def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
-    """Tell whether the mapped ground held an exactly safe site within reach when first mapped."""
+    """Return whether an exactly safe site was within reach when terrain was first mapped."""
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
         return False

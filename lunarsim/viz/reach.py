@@ -1,4 +1,4 @@
-"""Outlines of where a lander could still land, on a map."""
+"""Draw outlines of the reachable area on a map."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from lunarsim.evaluation.reach import reach_in, rows_of_decisions
 from lunarsim.grid import Grid
 from lunarsim.simulation.flight import Flight
 
-_SIDE = 100  # cells along the longer side
-# White under the line: seen on dark and on bright ground.
+_SIDE = 100  # number of cells along the longer side
+# White under the black line, visible on dark and bright terrain.
 _LINES = (("first", "-"), ("last", ":"))
 
 
 def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, float]) -> list[Any]:
-    """Draw where it could land when a policy was first asked, and last; return what tells so.
+    """Draw the reachable area at the first and last decision; return legend entries.
 
     Parameters
     ----------
     panel
-        A map in the true frame.
+        Axes of a map in the true frame.
     flight
-        The record.
+        Record of the flight.
     extent
-        West, east, south and north of what is drawn, m.
+        West, east, south and north edges of the panel, m.
     """
     rows = rows_of_decisions(flight)
     if rows is None:
@@ -38,9 +38,9 @@ def draw_reach(panel: Any, flight: Flight, extent: tuple[float, float, float, fl
     told = []
     for row, (when, style) in zip(rows, _LINES, strict=True):
         within = reach_in(flight, row, grid.moved(flight.map_error)).reachable
-        # Rounded down: 100 % is all of it.
+        # Rounded down, so that 100 % means the entire map.
         share = f"{np.floor(1000.0 * within.mean()) / 10.0:g} % of this map"
-        label = f"in reach at the {when} decision: {share}"
+        label = f"reachable at the {when} decision: {share}"
         told.append(Line2D([], [], color="black", ls=style, lw=1.6, label=label))
         if within.any() and not within.all():
             for colour, wide in (("white", 3.0), ("black", 1.4)):
