@@ -64,8 +64,8 @@ def rows_of_decisions(flight: Flight) -> tuple[int, int] | None:
 def reach_in(flight: Flight, row: int, grid: Grid) -> Reach:
     """Return where the lander could still land in a row of the trajectory, on a local grid.
 
-    Heights are those of the last map, and the height of the site elsewhere. Terrain outside the
-    sensor's field of view counts as within reach.
+    Heights are those of the last map, and the height of the site elsewhere. Sites that are not
+    visible through the lander's window count as within reach.
     """
     here, site = estimate_in(flight, row), flight.sites[row]
     height = heights_on(grid, flight.hazard_map, float(site[2]))

@@ -1,7 +1,7 @@
-"""One control cycle: vehicle, gyroscopes and attitude loop together, step by step.
+"""Control cycle: vehicle, gyroscopes and attitude loop together, step by step.
 
-The attitude loop runs on the onboard computer at the rate of the gyroscopes. A law that the
-compiled cycle knows is flown by it; any other goes through the same steps in Python.
+The attitude loop runs on the onboard computer at the rate of the gyroscopes. A control law that the
+compiled cycle supports runs there; any other law runs the same steps in Python.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Cycle:
-    """What came of a control cycle.
+    """Result of a control cycle.
 
     Attributes
     ----------
     measurements
-        Of the plant, at its end.
+        Measurements of the plant at the end of the cycle.
     torques
-        Asked for by the attitude loop at each step (n, 3), N m; none with an ideal actuator.
+        Commanded torque of the attitude loop at each step (n, 3), N m; empty with an ideal
+        actuator.
     """
 
     measurements: Measurements
@@ -43,7 +44,7 @@ class Cycle:
 
 
 def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
-    """Move the plant for one control cycle under a command."""
+    """Advance the plant by one control cycle under a command."""
     command = plant.throttled(command)
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
@@ -71,10 +72,10 @@ def _compiled(
 def _driven(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
-    """Fly a vehicle whose thrusters, gimbal and throttle are given orders."""
+    """Fly a vehicle with actuators: thrusters, gimbal and throttle."""
     actuators = plant.actuators
     if actuators is None or not isinstance(loop, JetLoop):
-        raise TypeError("a lander with thrusters is flown by a loop that orders firings")
+        raise TypeError("a lander with thrusters requires an attitude loop that commands firings")
     throttle = actuators.throttled(thrust)
 
     def advance(state: State) -> tuple[State, Array]:
@@ -103,9 +104,9 @@ def _step_by_step(
     imu: Imu,
     advance: Callable[[State], tuple[State, Array]],
 ) -> tuple[Array, Array, Array]:
-    """Return states, increments of the gyroscopes and torques asked for, step by step.
+    """Return states, gyroscope increments and commanded torques, step by step.
 
-    `advance` asks the loop for a torque, and returns the state a step on with that torque.
+    `advance` gets a torque from the loop, and returns the next state and the torque.
     """
     gyros = imu.gyroscopes
     offsets = gyros.offsets(plant.steps)

@@ -1,16 +1,16 @@
-"""Whether a flight can find its place on its prior map, told before it is flown."""
+"""Forecast whether navigation can lock onto the prior map, before a flight."""
 
 from __future__ import annotations
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.navigation.map_information import LockForecast, can_lock
 
-# A lander without a sweep sees about so much of the ground, m.
+# Side of the terrain seen by a lander without a sweep, approximate, m.
 _UNSWEPT = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
-    """Return what the prior map promises for the sweep of a flight; None if none is used."""
+    """Forecast map locking for the sweep of a flight; None if no prior map is used."""
     software = briefing.software
     if briefing.prior_map is None or not software.navigation.uses_prior_map:
         return None

@@ -1,4 +1,4 @@
-"""Collects what happens in a flight, on both sides of the wall."""
+"""Record a flight: trajectory, events, decisions, scans and maps."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from lunarsim.vehicle.touchdown import Verdict
 
 Array = NDArray[np.float64]
 
-# LiDAR returns kept of each scan: enough to draw it.
+# Maximum number of LiDAR returns kept per scan, enough for a figure.
 _KEPT_RETURNS = 4096
-# Least time between two scans kept, s.
+# Minimum time between two recorded scans, s.
 _SCAN_INTERVAL = 0.5
-# Measurements of a sensor closer than this in time are one run, s.
+# Measurements of a sensor closer in time than this form one sequence, s.
 _RUN = 1.0
 
 
 @dataclass
 class Tap:
-    """All messages that crossed the wall in a flight.
+    """All messages between plant and onboard computer in a flight.
 
     Attributes
     ----------
     briefing
-        What the computer was built from.
+        Briefing that the computer was built from.
     exchanges
-        A cycle each: measurements in, command out, torques of the attitude loop (n, 3).
+        For each cycle: measurements, command, torques of the attitude loop (n, 3), N m.
     """
 
     briefing: Briefing | None = None
     exchanges: list[tuple[Measurements, Command, Array]] = field(default_factory=list)
 
     def exchange(self, measurements: Measurements, command: Command, torques: Array) -> None:
-        """Keep one cycle."""
+        """Record the messages of one cycle."""
         self.exchanges.append((measurements, command, torques))
 
 
@@ -54,7 +54,7 @@ class Recorder:
     Parameters
     ----------
     target
-        Where the mission wants to land (3,), m.
+        Target of the mission (3,), m.
     """
 
     def __init__(self, target: Array) -> None:
@@ -96,7 +96,7 @@ class Recorder:
         return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
 
     def measured(self, measurements: Measurements, computer: OnboardComputer, error: Array) -> None:
-        """Note what the computer has just taken in; `error` is that of its position, m."""
+        """Record measurements that the computer has processed; `error` is its position error, m."""
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | Picture):
                 self._pointed(sensor, measurement, computer)
@@ -108,7 +108,7 @@ class Recorder:
     def _pointed(
         self, sensor: str, measurement: LidarScan | Picture, computer: OnboardComputer
     ) -> None:
-        """Note the first of a run of scans or pictures, and keep some returns of scans."""
+        """Record the first of a sequence of scans or images, and returns of scans."""
         time = measurement.time
         seen = {"time": time, "name": "picture", "sensor": sensor, "altitude": computer.altitude}
         if isinstance(measurement, LidarScan):
@@ -119,12 +119,12 @@ class Recorder:
         self._last[sensor] = time
 
     def _keep(self, scan: LidarScan, estimate: Estimate) -> None:
-        """Keep a thinned copy of a scan, as the lander placed it, two a second at the most."""
+        """Keep a thinned copy of a scan in the estimated frame, at most two per second."""
         if self._scans and scan.time < self._scans[-1][0, 3] + _SCAN_INTERVAL - 1e-9:
             return
         points = scan.points(estimate.position, estimate.attitude)
         points = points[np.isfinite(points).all(axis=1)]
-        # Every so many in the detector's order would draw lines that are not on the ground.
+        # A regular subset in detector order would draw artificial lines.
         kept = np.random.default_rng(0).permutation(len(points))[:_KEPT_RETURNS]
         points = points[np.sort(kept)]
         if len(points):
@@ -140,7 +140,7 @@ class Recorder:
         verdict: Verdict,
         ending: dict[str, Any] | None = None,
     ) -> Flight:
-        """Return the record so far; `ending` goes into its last event."""
+        """Return the record so far; `ending` is added to its last event."""
         maps = {
             name: MapRecord(
                 mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.tables()
@@ -178,7 +178,7 @@ def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:
 
 
 def _table(candidates: Candidates | None) -> Array:
-    """Return the sites that the policy chose from last (n, 5)."""
+    """Return the candidate sites of the last decision (n, 5)."""
     if candidates is None:
         return np.zeros((0, 5))
     return np.column_stack((candidates.position, candidates.p_safe, candidates.propellant))

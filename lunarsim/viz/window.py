@@ -1,4 +1,4 @@
-"""The part of a world that the figure of the maps shows."""
+"""Choose the part of a world that the figure of the maps shows."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from lunarsim.world import World
 # West, east, south and north edges, m.
 Bounds = tuple[float, float, float, float]
 
-# A world is shown completely if the mapped part is at least this share of its longer side.
+# If the mapped part is at least this share of the longer side, the complete world is shown.
 _COMPLETE = 0.5
 # Margin around the mapped part, as a share of its width; and around single points, m.
 _MARGIN, _POINT_MARGIN_M = 0.25, 10.0
-# Half side of what is shown around single points of a flight without a map, m.
+# Half side of the figure around single points of a flight without a map, m.
 _HALF_SIDE_M = 50.0
 
 
 def diverts_of(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return where each divert left from and went to (2,), true frame, m.
+    """Return start and end (2,) of each divert in the true frame, m.
 
-    Decisions are recorded in the onboard frame. The error of navigation at their time gives the
-    true points.
+    Decisions are recorded in the onboard frame; the navigation error at their time is subtracted.
     """
     t = flight.trajectory
     found = []
@@ -39,10 +38,10 @@ def diverts_of(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def shown_bounds(flight: Flight, world: World) -> Bounds:
-    """Return the bounds of what is drawn of a flight: its map, sites, diverts and touchdown.
+    """Return the bounds of the figure of a flight: its map, sites, diverts and touchdown.
 
-    A world that is not much larger than the map is shown completely. Only the end of the path
-    lies within the bounds of a larger one.
+    A world that is not much larger than the map is shown completely. In a larger world only the end
+    of the path lies within the bounds.
     """
     west, east, south, north = world.terrain.bounds
     points = [first_aim(flight), flight.positions[-1, :2]]
