@@ -82,7 +82,8 @@ def levels_told(chains: Chains) -> list[dict[str, str]]:
                            level.margins.size - len(level.margins)),
             f"up to {chains.metric}": f"{chains.value_of(level.threshold):.4g}",
             "conditional probability": f"{level.share:.3g}",
-            "variation coefficient": f"{np.sqrt(variance_of(level)):.2f}" if level.share else "–",
+            "coefficient of variation":
+                f"{np.sqrt(variance_of(level)):.2f}" if level.share else "–",
             "acceptance rate": f"{level.taken:.2f}" if number else "–",
             "worlds": str(len(np.unique(level.worlds))),
             "flights without metric": str(level.lost),

@@ -139,7 +139,8 @@ def _share_time(
     phase = t["phase"].astype(int)
     for row in np.flatnonzero(np.diff(phase)) + 1:
         name = _PHASES.get(int(phase[row]), "approach")
-        label = f"start of {name}" if named else None
-        axes.axvline(t["time"][row], color="0.4", lw=0.9, label=label)
+        axes.axvline(
+            t["time"][row], color="0.4", lw=0.9, label=f"start of {name}" if named else None
+        )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")
