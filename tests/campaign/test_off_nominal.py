@@ -63,8 +63,8 @@ def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value", "says"),
-    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kinds"),
-     ("arms", [], "rows of the arms"), ("inputs", None, "no campaign's")],
+    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kind"),
+     ("arms", [], "has rows of arms"), ("inputs", None, "is damaged")],
 )  # fmt: skip
 def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, says):
     run(plan(flights=3), InlineEngine(), tmp_path / "c")
@@ -111,7 +111,7 @@ def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, m
     kept, lost = (load_results(tmp_path / name).table for name in ("kept", "full"))
     told = ["id", "outcome", "safe", "propellant_kg", "divert_m"]
     assert lost.select(told).equals(kept.select(told))
-    assert all("not kept" in error for error in lost["error"].to_pylist())
+    assert all("not written" in error for error in lost["error"].to_pylist())
     assert not list((tmp_path / "full" / "flights").glob("*/0*"))
 
 

@@ -162,14 +162,14 @@ def test_flights_that_lean_are_never_taken_as_even(tmp_path):
         lambda: diff(found, found, 0.05),
         lambda: sensitivities(found, "score"),
     ):
-        with pytest.raises(InputError, match="count alike"):
+        with pytest.raises(InputError, match="equal weights"):
             refused()
     done = CliRunner().invoke(main, ["campaign", "report", str(tmp_path / "c")])
     assert done.exit_code == 0, done.output
     page = (tmp_path / "c" / "report.html").read_text()
     (made,) = rare_shares(found)
     told = f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]'
-    assert told in page and "importance sampling" in page
+    assert told in page and "Importance sampling" in page
     even = flown(tmp_path / "e", 3, method="monte-carlo", importance=None)
     with pytest.raises(InputError, match="method importance"):
         rare_shares(even)

@@ -160,7 +160,7 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
 
 def test_two_writers_at_once_are_refused(tmp_path):
     opened = Store.open(tmp_path / "c", plan())
-    with pytest.raises(InputError, match="no other process"):
+    with pytest.raises(InputError, match="another process"):
         run(plan(), InlineEngine(), tmp_path / "c")
     opened.close("interrupted")
     assert run(plan(), InlineEngine(), tmp_path / "c").complete
@@ -202,7 +202,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
     (tmp_path / "c" / "manifest.json").write_text("{")
-    with pytest.raises(InputError, match=r"manifest\.json in order"):
+    with pytest.raises(InputError, match=r"manifest\.json is damaged"):
         run(plan(flights=2), InlineEngine(), tmp_path / "c")
     (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
     assert kept == {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}

@@ -155,7 +155,7 @@ def test_what_cannot_be_told_is_said(tmp_path, monkeypatch):
         (
             {"correlations": [{"keys": list(KEYS[:2]), "matrix": [[1.0, 0.5], [0.5, 1.0]]}]},
             "correlations",
-            "vary apart",
+            "independent keys",
         ),
     ],
     ids=str,

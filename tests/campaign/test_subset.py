@@ -55,20 +55,20 @@ def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
 
 def test_what_is_even_is_never_taken_from_it(whole_subset, tmp_path):
     found = load_results(whole_subset)
-    with pytest.raises(InputError, match="count alike"):
+    with pytest.raises(InputError, match="equal weights"):
         figures_of(found)
-    with pytest.raises(InputError, match="the spec says what failure is"):
+    with pytest.raises(InputError, match="the spec defines the failure"):
         rare_shares(found, "slope_deg", above=1.0)
     done = CliRunner().invoke(main, ["campaign", "rare", str(whole_subset)])
     (made,) = rare_shares(found)
     assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
-    assert "steps taken" in done.output
+    assert "acceptance rate" in done.output
     done = CliRunner().invoke(
         main, ["campaign", "report", str(whole_subset), "--out", str(tmp_path / "r.html")]
     )
     assert done.exit_code == 0, done.output
     page = (tmp_path / "r.html").read_text()
-    assert "subset simulation" in page and "How near to failure" in page
+    assert "Subset simulation" in page and "Distance from failure" in page
     assert f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]' in page
 
 
@@ -169,7 +169,7 @@ def test_a_metric_with_steps_is_told_of(tmp_path):
     # Of 300 flights none has failed: what Clopper and Pearson say of the 300.
     assert made.value == 0.0 and 0.001 < made.high < 0.2
     done = CliRunner().invoke(main, ["campaign", "rare", str(tmp_path / "c")])
-    assert "does not tell how near failure is" in done.output
+    assert "does not measure the distance from failure" in done.output
 
 
 def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tmp_path):

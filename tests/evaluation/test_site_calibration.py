@@ -171,7 +171,7 @@ def test_without_both_kinds_of_sites_there_is_no_fit():
     with pytest.raises(InputError, match="20 safe and as many unsafe"):
         safe.fitted(LANDER)
     # One flight holds all that is unsafe.
-    with pytest.raises(InputError, match="one flight left out"):
+    with pytest.raises(InputError, match="without any one flight"):
         judged(safe, sites(1, shift=60.0), sites(2))
 
 

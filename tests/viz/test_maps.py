@@ -54,7 +54,7 @@ def drawn(monkeypatch, tmp_path):
 
 
 def _panels(figure):
-    return [axes for axes in figure.axes if axes.get_xlabel() == "east (m)"]
+    return [axes for axes in figure.axes if axes.get_xlabel() == "East (m)"]
 
 
 def _points(panel, marker):
@@ -113,7 +113,7 @@ def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
     arrow = next(text for text in panels[0].texts if isinstance(text, Annotation))
     assert to_rgba(handles["divert"].get_color()) == arrow.arrow_patch.get_edgecolor()
     path = panels[0].lines[0]
-    assert handles["path over the ground"].get_color() == path.get_color()
+    assert handles["ground track"].get_color() == path.get_color()
 
 
 def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
@@ -125,7 +125,7 @@ def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
     safe, seen = truth.safety.safe, truth.safety.observed
     for name, where in (
         ("truly safe at every heading", seen & safe),
-        ("true hazard", seen & ~safe),
+        ("truly unsafe", seen & ~safe),
         ("edge of the terrain", ~seen),
     ):
         assert where.any()
@@ -160,7 +160,7 @@ def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
     assert np.ptp([box.height for box in boxes]) < 1.0
     assert np.ptp([box.y1 for box in boxes]) < 1.0
     (words,) = [text for text in panels[2].texts if "this map" in text.get_text()]
-    assert "calls everything that it saw safe" in words.get_text().replace("\n", " ")
+    assert "classifies all observed terrain safe" in words.get_text().replace("\n", " ")
     inner = words.get_bbox_patch().get_window_extent()
     assert boxes[2].x0 < inner.x0 and inner.x1 < boxes[2].x1
     room = figure.bbox.width / len(panels)
@@ -188,7 +188,7 @@ def test_outlines_of_reach_are_those_of_the_law(flown, drawn):
     assert here.mass == t["estimated_mass"][rows[0]]
     figure = drawn(*flown)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert sum("in reach at the" in word for word in words) == 2
+    assert sum("reachable at the" in word for word in words) == 2
     silent = replace(record, first_map=None)
     assert rows_of_decisions(silent) is None
     words = [text.get_text() for text in drawn(silent, world, truth).legends[0].get_texts()]
