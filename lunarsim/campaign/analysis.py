@@ -28,14 +28,14 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
 
 # Up to this number of arms all pairs are compared; beyond it, each arm with the first.
-_MOST_PAIRED = 8
+_MAX_ALL_PAIRS = 8
 # Fields of the identity that determine the draws of a flight index.
-_DRAWN = ("method", "dispersions", "correlations")
-_TOLD = ("propellant_kg", "divert_m", "duration_s")
+_DRAW_FIELDS = ("method", "dispersions", "correlations")
+_SUMMARY_METRICS = ("propellant_kg", "divert_m", "duration_s")
 
 
 @dataclass(frozen=True)
-class ArmFigures:
+class ArmStatistics:
     """Statistics of one arm.
 
     Attributes
@@ -80,7 +80,7 @@ def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
     return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in found.arms}
 
 
-def figures_of(found: Results) -> list[ArmFigures]:
+def compute_arm_statistics(found: Results) -> list[ArmStatistics]:
     """Compute the statistics of every arm; flights without an outcome are only counted.
 
     Raises
@@ -88,23 +88,23 @@ def figures_of(found: Results) -> list[ArmFigures]:
     InputError
         If the flights have unequal weights (importance sampling).
     """
-    found.check_even("folder")
+    found.check_equal_weights("folder")
     rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
     flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
-    told = [name for name in _TOLD if name in found.manifest["columns"]]
+    metric_names = [name for name in _SUMMARY_METRICS if name in found.manifest["columns"]]
     out = []
     for arm, rows in arm_rows(found).items():
         here = rows & flown
         flown_rows = int(here.sum())
-        here = here & found.apart
+        here = here & found.independent
         count = int(here.sum())
         shares = {
             name: Proportion(int(np.nansum(column(found, name, here))), count)
             for name in metrics(found, "bool")
         }
-        numbers = {name: column(found, name, here) for name in told}
+        numbers = {name: column(found, name, here) for name in metric_names}
         out.append(
-            ArmFigures(
+            ArmStatistics(
                 arm, int(rows.sum()), flown_rows, shares,
                 {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
                 {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
@@ -129,7 +129,7 @@ def _ellipse(found: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
 
 def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
     """Return the pairs of arms to compare: all pairs of a few arms, else each with the first."""
-    if len(arms) <= _MOST_PAIRED:
+    if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
     return [(arms[0], other) for other in arms[1:]]
 
@@ -142,7 +142,7 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
     InputError
         If the metric is not a numeric or boolean column, or the flights have unequal weights.
     """
-    found.check_even("folder")
+    found.check_equal_weights("folder")
     kind = found.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
         raise InputError("metric", metric, suggestion(metric, found.manifest["columns"]))
@@ -150,7 +150,7 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
     flights = int(found.table["flight"].to_numpy().max(initial=-1)) + 1
     values = {}
     for arm, mine in arm_rows(found).items():
-        rows = mine & found.apart
+        rows = mine & found.independent
         values[arm] = np.full(flights, np.nan)
         values[arm][found.table["flight"].to_numpy()[rows]] = column(found, metric, rows)
     made = []
@@ -166,7 +166,7 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ArmComparison:
     """Result of comparing an arm of a second campaign with the same arm of a first.
 
     Attributes
@@ -185,7 +185,9 @@ class Verdict:
     worse: bool
 
 
-def diff(first: Results, second: Results, margin: float, metric: str = "safe") -> list[Verdict]:
+def diff(
+    first: Results, second: Results, margin: float, metric: str = "safe"
+) -> list[ArmComparison]:
     """Compare two campaigns over the same flights, arm by arm.
 
     Parameters
@@ -204,8 +206,8 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
         no such metric.
     """
     for field, found in (("A", first), ("B", second)):
-        found.check_even(field)
-    for name in ("seed", "arms", *_DRAWN):
+        found.check_equal_weights(field)
+    for name in ("seed", "arms", *_DRAW_FIELDS):
         ours, theirs = (_key(found, name) for found in (first, second))
         if ours != theirs:
             raise InputError(
@@ -225,7 +227,7 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
         made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))
     corrected = holm([d.p for d in made])
     return [
-        Verdict(
+        ArmComparison(
             replace(d, corrected=float(p)),
             equivalent=bool(d.low > -margin and d.high < margin),
             worse=bool(p < 0.05 and d.value < 0.0),
@@ -237,12 +239,12 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
 def _key(found: Results, name: str) -> object:
     if name == "arms":
         return found.arms
-    return found.manifest["identity"].get(name) if name in _DRAWN else found.manifest[name]
+    return found.manifest["identity"].get(name) if name in _DRAW_FIELDS else found.manifest[name]
 
 
 def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
     """Return the metric by flight; a flight without an outcome counts as a failure."""
     mine = pc.equal(found.table["arm"], arm).to_numpy(zero_copy_only=False)
-    rows = found.table.filter(pa.array(mine & found.apart))
+    rows = found.table.filter(pa.array(mine & found.independent))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)
     return {flight: bool(value) for flight, value in values}

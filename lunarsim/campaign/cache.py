@@ -34,11 +34,11 @@ Arrays = dict[str, NDArray[Any]]
 # Default limit of the size of the cache, bytes.
 LIMIT = 4 * 2**30
 # Minimum disk space of a file, bytes.
-_BLOCK = 4096
+_DISK_BLOCK_BYTES = 4096
 # The folder size is measured again after 1 / _CHECKS of the limit has been written.
-_CHECKS = 64
+_SIZE_CHECKS_PER_LIMIT = 64
 # A temporary file older than this has no live writer, s.
-_ABANDONED = 3600.0
+_ABANDONED_AFTER_S = 3600.0
 
 
 class CacheWarning(UserWarning):
@@ -92,7 +92,7 @@ class DiskCache:
         self._keep(self._path("mark", key), {"done": np.array(True)})
 
     def _path(self, kind: str, key: str) -> Path:
-        digest = hashlib.sha256(f"{_maker()}\0{kind}\0{key}".encode()).hexdigest()[:40]
+        digest = hashlib.sha256(f"{_environment_key()}\0{kind}\0{key}".encode()).hexdigest()[:40]
         return self.folder / digest[:2] / f"{digest}.npz"
 
     def _keep(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -174,30 +174,30 @@ def _read(path: Path) -> Arrays | None:
 
 def _has_room(store: DiskCache, size: int) -> bool:
     """Return whether an entry fits; evict entries that were not used recently."""
-    left = _until_check.get(store.folder, 0.0) - max(size, _BLOCK)
+    left = _until_check.get(store.folder, 0.0) - max(size, _DISK_BLOCK_BYTES)
     if left < 0.0:
-        free = store.limit - _trimmed(store.folder, store.limit - size, store.since)
-        left = min(free - max(size, _BLOCK), store.limit / _CHECKS)
+        free = store.limit - _evict_entries(store.folder, store.limit - size, store.since)
+        left = min(free - max(size, _DISK_BLOCK_BYTES), store.limit / _SIZE_CHECKS_PER_LIMIT)
         if left < 0.0:
             return False
     _until_check[store.folder] = left
     return True
 
 
-def _trimmed(folder: Path, most: float, since: float) -> float:
+def _evict_entries(folder: Path, max_bytes: float, since: float) -> float:
     """Delete entries not used since a time, oldest first, down to a size; return the size."""
     entries = []
     for path in folder.glob("??/*"):
         with contextlib.suppress(OSError):  # another process may have deleted it
             stat = path.stat()
             if path.suffix == ".part":
-                if time.time() - stat.st_mtime > _ABANDONED:
+                if time.time() - stat.st_mtime > _ABANDONED_AFTER_S:
                     path.unlink()
                 continue
-            entries.append((stat.st_mtime, max(stat.st_size, _BLOCK), path))
+            entries.append((stat.st_mtime, max(stat.st_size, _DISK_BLOCK_BYTES), path))
     total = float(sum(size for _, size, _ in entries))
     for used, size, path in sorted(entries):
-        if total <= most or used >= since:
+        if total <= max_bytes or used >= since:
             break
         with contextlib.suppress(OSError):
             path.unlink()
@@ -206,7 +206,7 @@ def _trimmed(folder: Path, most: float, since: float) -> float:
 
 
 @cache
-def _maker() -> str:
+def _environment_key() -> str:
     """Return what makes results differ between machines: code, packages, processor."""
     import llvmlite.binding as llvm  # noqa: PLC0415  (slow to load)
 

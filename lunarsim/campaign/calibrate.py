@@ -14,12 +14,12 @@ from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError
 from lunarsim.evaluation.site_calibration import (
-    LeftOut,
-    Sites,
-    check_enough,
-    drawn_sites,
-    judged_by_flights_left_out,
-    with_figures,
+    CrossValidation,
+    SiteSamples,
+    check_site_counts,
+    cross_validate,
+    sample_sites,
+    with_quality,
 )
 from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper, GaussianDemMapping
@@ -29,11 +29,11 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
 # The last calibration seed is reserved for the bootstrap intervals.
-_INTERVALS = 2**32 - 1
+_BOOTSTRAP_SEED_INDEX = 2**32 - 1
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class CalibrationResult:
     """Result of a calibration.
 
     Attributes
@@ -47,7 +47,7 @@ class Calibrated:
     """
 
     calibration: ScenarioCalibration
-    left_out: LeftOut
+    left_out: CrossValidation
     maps: int
 
 
@@ -69,7 +69,7 @@ def calibrate(
     jobs: int = 1,
     mapper: str | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Calibrated:
+) -> CalibrationResult:
     """Fit the last calibration stage to flights of a scenario.
 
     Sites are sampled from each map that the scenario's policy uses for a decision. Only cells that
@@ -100,8 +100,8 @@ def calibrate(
     if flights > MAX_FLIGHTS:
         raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
     tasks = [_Task(plain, mapper, seed, i, sites) for i in range(flights)]
-    found: dict[int, list[Sites]] = {}
-    for index, parts in outcomes(_fly, tasks, min(jobs, flights)):
+    found: dict[int, list[SiteSamples]] = {}
+    for index, parts in outcomes(_fly_and_sample, tasks, min(jobs, flights)):
         found[index] = parts
         if progress is not None:
             progress(1)
@@ -110,16 +110,16 @@ def calibrate(
         raise InputError(
             "sites", 0, "no decision map observed any terrain", "Check the LiDAR schedule."
         )
-    everything = Sites.joined(parts)
-    check_enough(everything)
+    everything = SiteSamples.joined(parts)
+    check_site_counts(everything)
     lander = plain.vehicle.make()
-    rng = np.random.default_rng(calibration_seed(seed, _INTERVALS))
-    left_out = judged_by_flights_left_out(everything, flights, lander, rng)
+    rng = np.random.default_rng(calibration_seed(seed, _BOOTSTRAP_SEED_INDEX))
+    left_out = cross_validate(everything, flights, lander, rng)
     fit = replace(
         everything.fitted(lander),
         scenario=scenario.name, mapper=mapper, flights=flights, sites=len(everything), seed=seed,
     )  # fmt: skip
-    return Calibrated(with_figures(fit, left_out), left_out, len(parts))
+    return CalibrationResult(with_quality(fit, left_out), left_out, len(parts))
 
 
 def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
@@ -158,7 +158,7 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
     return name
 
 
-def _fly(task: _Task) -> list[Sites]:
+def _fly_and_sample(task: _Task) -> list[SiteSamples]:
     """Fly one descent under the scenario's policy; return sites of each decision map."""
     scenario = task.scenario
     seed = calibration_seed(task.root, task.flight)
@@ -177,6 +177,6 @@ def _fly(task: _Task) -> list[Sites]:
                 last = drawn
                 evidence = evidence_of(mapper.dem(), mapper.lander, mapper.rocks)
                 truth = simulation.truth
-                found.append(drawn_sites(evidence, truth, error, task.sites, task.flight, rng))
+                found.append(sample_sites(evidence, truth, error, task.sites, task.flight, rng))
         simulation.step()
     return found

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
-from lunarsim.campaign.calibrate import Calibrated
-from lunarsim.evaluation.site_calibration import Figures, Judgement
+from lunarsim.campaign.calibrate import CalibrationResult
+from lunarsim.evaluation.site_calibration import CalibrationComparison, ProbabilityQuality
 
 _HEADINGS = (
     "domain", "p_safe", "sites", "share of\nall sites", "observed\nsafe share", "ECE",
@@ -17,14 +17,14 @@ _HEADINGS = (
 )  # fmt: skip
 
 
-def _groups(found: Calibrated) -> tuple[tuple[str, Judgement], ...]:
+def _groups(found: CalibrationResult) -> tuple[tuple[str, CalibrationComparison], ...]:
     return (
         ("packaged", found.left_out.packaged_domain),
         ("refit", found.left_out.refit_domain),
     )
 
 
-def calibration_table(found: Calibrated) -> Table:
+def calibration_table(found: CalibrationResult) -> Table:
     """Build the table of packaged and refitted calibration per domain, with 95 % intervals."""
     c = found.calibration
     table = Table(
@@ -40,14 +40,19 @@ def calibration_table(found: Calibrated) -> Table:
     return table
 
 
-def _cells(f: Figures) -> tuple[str, ...]:
+def _cells(f: ProbabilityQuality) -> tuple[str, ...]:
     return (
-        str(f.sites), _ranged(f.share, "{:.2f}"), _ranged(f.safe, "{:.3f}"), _ranged(f.ece),
-        _ranged(f.skill, "{:+.3f}"), str(f.sure), _ranged(f.gap, "{:+.4f}"),
-    )  # fmt: skip
+        str(f.sites),
+        _with_interval(f.share, "{:.2f}"),
+        _with_interval(f.safe, "{:.3f}"),
+        _with_interval(f.ece),
+        _with_interval(f.skill, "{:+.3f}"),
+        str(f.sure),
+        _with_interval(f.gap, "{:+.4f}"),
+    )
 
 
-def _ranged(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
+def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
     """Format a value and its interval; "-" if the value is not finite."""
     if not np.isfinite(values[0]):
         return "-"
@@ -55,7 +60,7 @@ def _ranged(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
     return f"{value} [{low}, {high}]"
 
 
-def verdicts(found: Calibrated) -> Iterator[str]:
+def verdicts(found: CalibrationResult) -> Iterator[str]:
     """Yield sentences that say whether the refit is better, and its coefficients."""
     left = found.left_out.refit_domain
     for name, judgement in _groups(found):
@@ -66,7 +71,7 @@ def verdicts(found: Calibrated) -> Iterator[str]:
         word = "better" if judgement.better else ("worse" if gain[2] < 0.0 else "no better")
         yield (
             f"In the {name} domain the refit is {word} than the packaged calibration on "
-            f"held-out flights: the Brier score is lower by {_ranged(gain, '{:+.4f}')}."
+            f"held-out flights: the Brier score is lower by {_with_interval(gain, '{:+.4f}')}."
         )
     if left.refit.skill[0] <= 0.0:
         yield (

@@ -31,8 +31,8 @@ from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.results import load_results
-from lunarsim.campaign.run import Ran
-from lunarsim.campaign.spec import CampaignSpec, Head
+from lunarsim.campaign.run import RunResult
+from lunarsim.campaign.spec import CampaignSettings, CampaignSpec
 from lunarsim.errors import InputError, check_folder
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.parts import resolve
@@ -88,7 +88,7 @@ def policy_name(policy: str | RetargetingPolicy) -> str:
     return name.rpartition(":")[2] if ":" in name else name
 
 
-def law_name(law: str) -> str:
+def guidance_name(law: str) -> str:
     """Return the name of a guidance law for tables and folders."""
     return law.rpartition(":")[2]
 
@@ -102,7 +102,7 @@ def check_request(
     """Raise `InputError` if the arguments of a comparison are not usable."""
     for law in guidance:
         resolve("guidance", law, "--guidance")
-    laws = [law_name(law) for law in guidance]
+    laws = [guidance_name(law) for law in guidance]
     if len(set(laws)) < len(laws):
         raise InputError("--guidance", ",".join(laws), "must name each guidance law once")
     for policy in policies:
@@ -186,13 +186,13 @@ def compare(
     fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
-            spec_here = spec.keeping(records="none", figures=False)
+            spec_here = spec.with_settings(records="none", figures=False)
             return _compare(spec_here, fly, Path(folder), None, by_law)
     return _compare(spec, fly, out, out, by_law)
 
 
 def _compare(
-    spec: CampaignSpec, fly: Callable[..., Ran], folder: Path, out: Path | None, by_law: bool
+    spec: CampaignSpec, fly: Callable[..., RunResult], folder: Path, out: Path | None, by_law: bool
 ) -> CompareResult:
     """Fly into `folder`; write the summary and figures into `out`."""
     ran = fly(spec, out=folder)
@@ -219,15 +219,15 @@ def _spec(
         name = policy_name(policy)
         values: dict[str, Any] = {"policy": policy} if isinstance(policy, str) else {}
         if law is not None:
-            name = law_name(law) if len(policies) == 1 else f"{name}, {law_name(law)}"
+            name = guidance_name(law) if len(policies) == 1 else f"{name}, {guidance_name(law)}"
             values["guidance"] = law
         changed = with_values(scenario, values, "policies") if values else scenario
         arms.append(Arm(name, values, changed, None if isinstance(policy, str) else policy))
-    head = Head(scenario.name, flights, seed, records="all", figures=figures)
+    head = CampaignSettings(scenario.name, flights, seed, records="all", figures=figures)
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
 
-def _result(folder: Path, ran: Ran, by_law: bool) -> CompareResult:
+def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
     found = load_results(folder)  # works without any flight, after an early interrupt
     rows = found.table.to_pylist()
     seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}

@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc, truncnorm
 
-from lunarsim.campaign.subset_settings import Subset
+from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
 from lunarsim.rng import Streams, design_seed, flight_seed
@@ -34,17 +34,17 @@ Array = NDArray[np.float64]
 
 METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance", "subset")
 # Methods whose flights depend on their index only, so that flights can be added later.
-OPEN = ("monte-carlo", "importance")
+EXTENSIBLE_METHODS = ("monte-carlo", "importance")
 # Methods that take the numbers of a flight from the flight's own streams.
-_STREAMED = (*OPEN, "subset")
+_STREAM_METHODS = (*EXTENSIBLE_METHODS, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
-_EDGE = 2.0**-53
-_SCALES = (
+_MIN_PROBABILITY = 2.0**-53
+_SCALE_PROBLEM = (
     "must be from 1 to 8: a smaller scale misses failures on every side, and the flights "
     "cannot reveal it"
 )
 # Minimum probability of a normal distribution between its bounds.
-_LEAST_MASS = 1e-12
+_MIN_BOUNDED_MASS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class TruncatedNormal:
         if not low < high:
             raise InputError("low", self.low, f"must be below high ({self.high})")
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
-        if mass < _LEAST_MASS:
+        if mass < _MIN_BOUNDED_MASS:
             raise InputError("low", self.low, "the bounds must enclose some of the distribution")
 
     def _scores(self) -> tuple[float, float]:
@@ -167,7 +167,7 @@ KINDS: dict[str, type[Distribution]] = {
     "uniform": Uniform,
     "choice": Choice,
 }
-_NEEDED = {
+_REQUIRED_FIELDS = {
     "normal": ("mean", "sigma"),
     "truncated-normal": ("mean", "sigma"),
     "uniform": ("low", "high"),
@@ -190,7 +190,7 @@ def distribution(key: str, table: Any) -> Distribution:
     kind = values.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}.kind", kind, suggestion(str(kind), KINDS))
-    for name in _NEEDED[kind]:
+    for name in _REQUIRED_FIELDS[kind]:
         if name not in values:
             raise InputError(f"{path}.{name}", None, f"kind {kind!r} requires a value")
     of: type = KINDS[kind]
@@ -273,7 +273,7 @@ class Importance:
             for key, value in (table or {}).items():
                 fits = -8.0 <= value <= 8.0 if name == "shifts" else 1.0 <= value <= 8.0
                 if not fits:
-                    expected = "must be from -8 to 8 sigmas" if name == "shifts" else _SCALES
+                    expected = "must be from -8 to 8 sigmas" if name == "shifts" else _SCALE_PROBLEM
                     raise InputError(name, {key: value}, expected)
         shifts, scales = self.shifts or {}, self.scales or {}
         if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):
@@ -326,7 +326,7 @@ class Dispersions:
     seed: int = 1
     flights: int = 1
     importance: Importance | None = None
-    subset: Subset | None = None
+    subset: SubsetSettings | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -401,37 +401,37 @@ class Dispersions:
 
     def draws(self, flight: int) -> dict[str, Any]:
         """Return the values of a flight by key (method subset: the nominal draws)."""
-        return self.at(self._leaning(flight)[0])
+        return self.at(self._weighted_uniforms(flight)[0])
 
     def at(self, numbers: Array) -> dict[str, Any]:
         """Return the values by key at independent numbers in (0, 1) (d,)."""
-        u = dict(zip(self.distributions, _inside(numbers), strict=True))
+        u = dict(zip(self.distributions, _clip_to_open_interval(numbers), strict=True))
         for group in self.correlations:
             scores = group.root @ ndtri([u[key] for key in group.keys])
-            u |= dict(zip(group.keys, _inside(ndtr(scores)), strict=True))
+            u |= dict(zip(group.keys, _clip_to_open_interval(ndtr(scores)), strict=True))
         return {key: law.at(float(u[key])) for key, law in self.distributions.items()}
 
     def weight(self, flight: int) -> float:
         """Return the weight of a flight: 1 except for importance sampling."""
-        return self._leaning(flight)[1]
+        return self._weighted_uniforms(flight)[1]
 
-    def _leaning(self, flight: int) -> tuple[Array, float]:
+    def _weighted_uniforms(self, flight: int) -> tuple[Array, float]:
         """Return a number in (0, 1) for each key (d,), and the flight's weight."""
         u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
         rng = Streams(flight_seed(self.seed, flight)).get("importance")
         nominal = bool(rng.random() < self.importance.nominal_share)
-        leaning, weight = self.importance.drawn(list(self.distributions), u, nominal)
-        return _inside(leaning), weight
+        shifted, weight = self.importance.drawn(list(self.distributions), u, nominal)
+        return _clip_to_open_interval(shifted), weight
 
     def uniforms(self, flight: int) -> Array:
         """Return a uniform number in (0, 1) for each key (d,), before importance sampling."""
-        if self.method in _STREAMED:
+        if self.method in _STREAM_METHODS:
             streams = Streams(flight_seed(self.seed, flight))
             drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
-            return _inside(np.array(drawn))
-        return _inside(self._design[flight])
+            return _clip_to_open_interval(np.array(drawn))
+        return _clip_to_open_interval(self._design[flight])
 
     @cached_property
     def _design(self) -> Array:
@@ -439,7 +439,7 @@ class Dispersions:
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
         if self.method == "saltelli":
-            return _blocks(qmc.Sobol(2 * count, rng=rng).random(self.flights // self.block))
+            return _saltelli_rows(qmc.Sobol(2 * count, rng=rng).random(self.flights // self.block))
         if self.method == "sobol":
             return np.asarray(qmc.Sobol(count, rng=rng).random(self.flights))
         return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
@@ -461,7 +461,7 @@ def world_of(flight: int, block: int) -> int:
     return 2 * number + (place >= block - 2)
 
 
-def _blocks(points: Array) -> Array:
+def _saltelli_rows(points: Array) -> Array:
     """Return the rows of all blocks (n (d + 3), d) from points A and B (n, 2 d)."""
     a, b = np.hsplit(points, 2)
     keys = a.shape[1]
@@ -472,5 +472,5 @@ def _blocks(points: Array) -> Array:
     return np.asarray(rows.reshape(-1, keys))
 
 
-def _inside(u: Array) -> Array:
-    return np.clip(u, _EDGE, 1.0 - _EDGE)
+def _clip_to_open_interval(u: Array) -> Array:
+    return np.clip(u, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.keys import GROUND_TABLES, tables_of
+from lunarsim.campaign.keys import GROUND_TABLES, tables_as_text
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import path_of, typed_values, with_values
 
 # A larger number is probably a mistake in the spec.
-MOST_ARMS = 1000
+MAX_ARMS = 1000
 # Maximum length of a folder name, bytes; file systems allow 255.
-_LONGEST = 240
+_MAX_FOLDER_NAME_BYTES = 240
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Arm:
     policy: RetargetingPolicy | None = None
 
 
-def flattened(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
+def flatten_keys(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
     """Flatten a table whose keys may be dotted, nested or both into dotted keys.
 
     Parameters
@@ -70,7 +70,7 @@ def flattened(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str,
         if isinstance(value, leaf):
             inner = {key: value}
         elif isinstance(value, Mapping) and Mapping not in _as_tuple(leaf):
-            below = flattened(value, f"{path}.{key}", leaf)
+            below = flatten_keys(value, f"{path}.{key}", leaf)
             inner = {f"{key}.{rest}": v for rest, v in below.items()}
         else:
             raise InputError(f"{path}.{key}", value, "must be a list of values")
@@ -102,10 +102,10 @@ def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, A
         if len(set(words)) < len(words):
             raise InputError(f"factors.{key}", list(levels), "must contain each value once")
     count = int(np.prod([float(len(levels)) for levels in factors.values()])) if factors else 1
-    if count > MOST_ARMS:
-        raise InputError("factors", count, f"must give at most {MOST_ARMS} combinations")
+    if count > MAX_ARMS:
+        raise InputError("factors", count, f"must give at most {MAX_ARMS} combinations")
     combinations = itertools.product(*factors.values())
-    return [(_name(values), values) for c in combinations
+    return [(_arm_name(values), values) for c in combinations
             for values in [dict(zip(factors, c, strict=True))]]  # fmt: skip
 
 
@@ -126,7 +126,7 @@ def check_plain(field: str, value: Any) -> None:
         raise InputError(field, value, "must be an integer of at most 64 bits")
 
 
-def _name(values: Mapping[str, Any]) -> str:
+def _arm_name(values: Mapping[str, Any]) -> str:
     """Return a name: the value of a single factor, else key=value of each."""
     if not values:
         return "all"
@@ -148,7 +148,7 @@ def word(value: Any) -> str:
     return json.dumps(value)
 
 
-def listed(tables: Any) -> list[tuple[str, dict[str, Any]]]:
+def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
     """Return name and values of the arms that a spec lists as ``[[arms]]``.
 
     Raises
@@ -175,7 +175,7 @@ def listed(tables: Any) -> list[tuple[str, dict[str, Any]]]:
     return found
 
 
-def arms_of(
+def build_arms(
     scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
 ) -> tuple[Arm, ...]:
     """Build the arms and check their scenarios.
@@ -187,23 +187,24 @@ def arms_of(
     """
     folders = Counter(folder_name(name) for name, _ in combinations)
     for name, _ in combinations:
-        if len(folder_name(name).encode()) > _LONGEST:
+        if len(folder_name(name).encode()) > _MAX_FOLDER_NAME_BYTES:
             raise InputError(
-                where, name, f"must have a name of at most {_LONGEST} bytes for its folder",
+                where, name,
+                f"must have a name of at most {_MAX_FOLDER_NAME_BYTES} bytes for its folder",
                 "Name combinations with [[arms]].",
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
             raise InputError(where, name, "must have a unique name")
-    if len(combinations) > MOST_ARMS:
-        raise InputError(where, len(combinations), f"must be at most {MOST_ARMS} combinations")
+    if len(combinations) > MAX_ARMS:
+        raise InputError(where, len(combinations), f"must be at most {MAX_ARMS} combinations")
     return tuple(Arm(n, values, with_values(scenario, values, where)) for n, values in combinations)
 
 
-def groups_of(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
+def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
     """Return groups of indices of arms that share the same terrain."""
     found: dict[str, list[int]] = {}
     for i, arm in enumerate(arms):
-        found.setdefault(tables_of(arm.scenario, GROUND_TABLES), []).append(i)
+        found.setdefault(tables_as_text(arm.scenario, GROUND_TABLES), []).append(i)
     return tuple(tuple(group) for group in found.values())
 
 
@@ -229,7 +230,9 @@ def parse_over(texts: Sequence[str]) -> dict[str, list[Any]]:
             raise InputError("--over", text, "must be KEY=A,B,C or KEY=LOW:HIGH:COUNT")
         if key in factors:
             raise InputError("--over", text, "must give each key once")
-        factors[key] = _range(text, values) if values.count(":") == 2 else _list(text, values)
+        factors[key] = (
+            _parse_range(text, values) if values.count(":") == 2 else _parse_list(text, values)
+        )
     return factors
 
 
@@ -271,7 +274,7 @@ def split_changes(
     return tuple(kept), of_parts
 
 
-def _range(text: str, values: str) -> list[Any]:
+def _parse_range(text: str, values: str) -> list[Any]:
     low, high, count = (part.strip() for part in values.split(":"))
     try:
         ends, number = (float(low), float(high)), int(count)
@@ -282,19 +285,19 @@ def _range(text: str, values: str) -> list[Any]:
         ) from None
     if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
         raise InputError("--over", text, "must have LOW below HIGH, and a COUNT of 2 or more")
-    if number > MOST_ARMS:
-        raise InputError("--over", text, f"must have a COUNT of at most {MOST_ARMS}")
+    if number > MAX_ARMS:
+        raise InputError("--over", text, f"must have a COUNT of at most {MAX_ARMS}")
     return [float(v) for v in np.linspace(*ends, number)]
 
 
-def _list(text: str, values: str) -> list[Any]:
+def _parse_list(text: str, values: str) -> list[Any]:
     words = [part.strip() for part in values.split(",")]
     if not all(words):
         raise InputError("--over", text, "must not contain an empty value")
-    return [_parsed(part) for part in words]
+    return [_parse_value(part) for part in words]
 
 
-def _parsed(text: str) -> Any:
+def _parse_value(text: str) -> Any:
     """Return a number, true or false, or the text itself."""
     try:
         value = json.loads(text)

@@ -24,7 +24,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-hea
 
 # Differences that do not prevent resuming a campaign. Processors round differently, but only
 # recording this keeps clusters of different machines usable.
-_NO_MATTER = ("python", "cores", "processor")
+_IGNORED_DIFFERENCES = ("python", "cores", "processor")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -51,7 +51,7 @@ def code_digest() -> str:
 def file_digests(data: Any) -> dict[str, str]:
     """Return digests of the existing files that keys ending in ``path`` name."""
     named = [text for key, text in _texts(data) if key.endswith("path") and Path(text).is_file()]
-    return {text: _digest(Path(text)) for text in named}
+    return {text: _file_digest(Path(text)) for text in named}
 
 
 def part_digests(data: Any) -> dict[str, str]:
@@ -73,7 +73,7 @@ def _texts(data: Any) -> Iterator[tuple[str, str]]:
             yield str(key), value
 
 
-def _digest(path: Path) -> str:
+def _file_digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
@@ -83,13 +83,13 @@ def module_digest(name: str) -> dict[str, str]:
     source = getattr(sys.modules.get(name), "__file__", None)
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
-    return {name: _digest(Path(source))}
+    return {name: _file_digest(Path(source))}
 
 
-def differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
     """Return the names of differences between two environments that may change results."""
     names = dict.fromkeys([*there, *here])
-    return [n for n in names if n not in _NO_MATTER and there.get(n) != here.get(n)]
+    return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
 
 
 def environment() -> dict[str, str]:

@@ -8,11 +8,11 @@ from pathlib import Path
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.picklable import check_picklable
-from lunarsim.campaign.flying import check_flyable, plan_of
-from lunarsim.campaign.manifest import manifest_of
-from lunarsim.campaign.run import Ran, run
+from lunarsim.campaign.flying import check_first_flights, plan_of
+from lunarsim.campaign.manifest import matching_manifest
+from lunarsim.campaign.run import RunResult, run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.warming import warm
 from lunarsim.whole_files import write_text_whole
 
@@ -26,7 +26,7 @@ def fly_spec(
     progress: Callable[[int], None] | None = None,
     cache: DiskCache | None = None,
     say: Callable[[str], None] | None = None,
-) -> Ran:
+) -> RunResult:
     """Fly the missing flights of a spec.
 
     Parameters
@@ -48,8 +48,8 @@ def fly_spec(
         belongs to another campaign; nothing has been written then.
     """
     plan = plan_of(spec, out, cache)
-    if manifest_of(out, plan) is None:
-        check_flyable(spec)
+    if matching_manifest(out, plan) is None:
+        check_first_flights(spec)
     if engine.name == "local":
         for arm in spec.arms:
             check_picklable(f"arm {arm.name!r}", arm.policy or arm.scenario)
@@ -57,7 +57,7 @@ def fly_spec(
     if cache is not None and say is not None and engine.name == "local":
         warm(spec, plan, cache, say)
     stop = spec.stop
-    rule = None if stop is None else WidthRule(stop.metric, stop.width, len(spec.arms))
+    rule = None if stop is None else IntervalWidthRule(stop.metric, stop.width, len(spec.arms))
     return run(
         plan, engine, out, rule=rule, time_budget=spec.head.time_budget, retry=retry,
         progress=progress, files=lambda folder: write_files(spec, folder),

@@ -17,7 +17,7 @@ def value_at(scenario: Scenario, key: str) -> Any:
     return at(scenario.to_dict(), path_of(key))
 
 
-def tables_of(scenario: Scenario, tables: tuple[str, ...]) -> str:
+def tables_as_text(scenario: Scenario, tables: tuple[str, ...]) -> str:
     """Return tables as a text that is equal for two scenarios exactly if the tables are."""
     data = scenario.to_dict()
     return repr({name: data.get(name) for name in tables})

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
-from lunarsim.campaign.files import bytes_digest, code_digest, differing, environment
+from lunarsim.campaign.files import bytes_digest, code_digest, environment, environment_differences
 from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
@@ -99,10 +99,10 @@ class _Manifest(_Strict):
 
 
 # Fields that must not change when a campaign is resumed, besides the identity.
-_FIXED = ("name", "seed", "arms", "columns", "inputs")
+_FIXED_FIELDS = ("name", "seed", "arms", "columns", "inputs")
 
 
-def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
+def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
     """Return the manifest of a folder of the same campaign; None for a new or empty folder.
 
     Raises
@@ -134,7 +134,7 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
                 "Or use a new folder.",
             )  # fmt: skip
     planned = json.loads(json.dumps(new_manifest(plan)))
-    there, here = ({key: tables[key] for key in _FIXED} for tables in (manifest, planned))
+    there, here = ({key: tables[key] for key in _FIXED_FIELDS} for tables in (manifest, planned))
     difference = first_difference(manifest["identity"], planned["identity"]) or first_difference(
         there, here
     )
@@ -151,14 +151,14 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
 def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Refuse other packages or another platform, which may give other results."""
     before, now = manifest.get("environment", {}), environment()
-    other = differing(before, now)
+    other = environment_differences(before, now)
     if not other:
         return
-    told = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
+    differences = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
     pins = [f"{n}=={before[n]}" for n in other if n in before and n != "platform"]
     install = f", or first run: pip install {' '.join(pins)}" if pins else ""
     raise InputError(
-        "--out", str(folder), f"was flown with other packages ({'; '.join(told)})",
+        "--out", str(folder), f"was flown with other packages ({'; '.join(differences)})",
         f"Use a new folder{install}.",
     )  # fmt: skip
 

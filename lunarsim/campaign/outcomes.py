@@ -15,7 +15,7 @@ from lunarsim.campaign.plan import Group, Work, row_id
 FLOWN, ERROR, TIMEOUT, KILLED = "flown", "error", "timeout", "killed"
 
 
-class NotKeptError(Exception):
+class RecordNotWrittenError(Exception):
     """A flight has metrics, but its record or figures could not be written.
 
     Parameters
@@ -96,7 +96,7 @@ def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any,
         metrics = function(work.study, group, arm, memory)
     except KeyboardInterrupt:
         raise
-    except NotKeptError as raised:
+    except RecordNotWrittenError as raised:
         # The outcome must be counted even if the disk is full.
         metrics, error, trace = raised.metrics, str(raised), traceback.format_exc()
     except BaseException as raised:  # SystemExit included: other flights must continue

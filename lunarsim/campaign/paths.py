@@ -17,7 +17,7 @@ from lunarsim.campaign.factors import Arm
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.checkpoint import Checkpoint, NoCheckpointError
+from lunarsim.simulation.checkpoint import Checkpoint, CheckpointError
 from lunarsim.simulation.loop import make_policy
 
 
@@ -37,7 +37,7 @@ class Branch:
     decisions: Mapping[int, Decision] = field(default_factory=dict)
 
 
-def path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
+def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
     """Return a class number for each arm; arms that differ only in policy have the same.
 
     An arm that cannot share its path has a class of its own.
@@ -45,28 +45,28 @@ def path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
     seen: dict[str, int] = {}
     found = []
     for number, arm in enumerate(arms):
-        tables = _but_policy(arm)
+        tables = _scenario_without_policy(arm)
         found.append(number if tables is None else seen.setdefault(tables, number))
     return tuple(found)
 
 
-def _but_policy(arm: Arm) -> str | None:
+def _scenario_without_policy(arm: Arm) -> str | None:
     """Return an arm's scenario without its policy as text; None for an external policy.
 
     Draws need no comparison: they are the same for all arms of a group.
     """
-    if arm.policy is not None or not _made_here(arm.scenario):
+    if arm.policy is not None or not _has_packaged_policy(arm.scenario):
         return None
     tables = arm.scenario.to_dict()
     tables.pop("policy", None)
     return repr(tables)
 
 
-def _made_here(scenario: Scenario) -> bool:
+def _has_packaged_policy(scenario: Scenario) -> bool:
     return type(scenario.policy.make()).__module__.partition(".")[0] == "lunarsim"
 
 
-def flown_on(
+def fly_on_shared_path(
     arm: int,
     scenarios: Mapping[int, Scenario],
     begin: Callable[[], Simulation],
@@ -91,7 +91,7 @@ def flown_on(
         simulation = begin()
         others = [i for i in policies if i != arm and i not in branches]
     elif isinstance(branch.at, Simulation):
-        return _as_flown_by(branch.at, scenarios[arm], policies[arm])
+        return _relabelled(branch.at, scenarios[arm], policies[arm])
     else:
         simulation = branch.at.resumed()
         others = [i for i in branch.decisions if i != arm]
@@ -100,7 +100,7 @@ def flown_on(
     _fly(simulation, arm, others, policies, branches)
     for other in others:
         branches[other] = Branch(simulation)
-    return _as_flown_by(simulation, scenarios[arm], policies[arm])
+    return _relabelled(simulation, scenarios[arm], policies[arm])
 
 
 def _fly(
@@ -115,15 +115,15 @@ def _fly(
         if simulation.decision_due:
             seen = simulation.observe()
             said = {i: simulation.ask(policies[i], seen) for i in (arm, *others)}
-            parting = [i for i in others if _apart(said[i], said[arm])]
+            parting = [i for i in others if _differ(said[i], said[arm])]
             for i in parting:
                 others.remove(i)
-            _keep(simulation, {i: said[i] for i in parting}, branches)
+            _store_branches(simulation, {i: said[i] for i in parting}, branches)
             simulation.apply(said[arm])
         simulation.move()
 
 
-def _keep(
+def _store_branches(
     simulation: Simulation, decisions: dict[int, Decision], branches: dict[int, Branch]
 ) -> None:
     """Store the branches where arms diverge; arms with the same decision share one."""
@@ -131,13 +131,13 @@ def _keep(
         return
     try:
         at = Checkpoint(simulation)
-    except NoCheckpointError:
+    except CheckpointError:
         return  # these arms are flown from the start
     while decisions:
         first = next(iter(decisions.values()))
         # An abort never compares equal: its recorded details are not compared.
         alike = {
-            i: said for i, said in decisions.items() if said is first or not _apart(said, first)
+            i: said for i, said in decisions.items() if said is first or not _differ(said, first)
         }
         branch = Branch(at, alike)
         for i in alike:
@@ -145,7 +145,7 @@ def _keep(
             del decisions[i]
 
 
-def _apart(one: Decision, other: Decision) -> bool:
+def _differ(one: Decision, other: Decision) -> bool:
     """Return whether two decisions differ in what is done or recorded."""
     if one.site is None and other.site is None and not (one.abort or other.abort):
         return False  # reasons to keep a site are not recorded
@@ -155,7 +155,7 @@ def _apart(one: Decision, other: Decision) -> bool:
     return not (same and repr(one.details) == repr(other.details))
 
 
-def _as_flown_by(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
+def _relabelled(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
     """Set the scenario and policy that the record of a simulation names."""
     simulation.scenario, simulation.policy = scenario, policy
     return simulation

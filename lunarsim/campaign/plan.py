@@ -55,8 +55,8 @@ class Work:
     study: Any = None
 
 
-class Following(Protocol):
-    """Flights that depend on the results of earlier ones, as `lunarsim.campaign.subset.Chains`.
+class DependentFlights(Protocol):
+    """Flights that depend on earlier results, as `lunarsim.campaign.subset.SubsetChains`.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Following(Protocol):
         """Add existing rows; return flights whose predecessors are missing."""
         ...
 
-    def see(self, flight: int, row: Mapping[str, Any]) -> None:
+    def add(self, flight: int, row: Mapping[str, Any]) -> None:
         """Add the row of a flight."""
         ...
 
@@ -119,7 +119,7 @@ class Plan:
     inputs: Mapping[str, str]
     work: Work
     identity: Mapping[str, Any]
-    chains: Following | None = None
+    chains: DependentFlights | None = None
 
     def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
         """Return the inputs of one flight by key."""

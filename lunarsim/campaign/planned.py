@@ -9,7 +9,7 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.plan import Plan
-from lunarsim.campaign.rows import plain, schema_of
+from lunarsim.campaign.rows import schema_of, to_cell
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
@@ -25,7 +25,7 @@ def write_plan(plan: Plan, path: Path, suffix: str) -> None:
     whole = schema_of(plan.inputs, {})
     schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])
     rows = [
-        row | {key: plain(row.get(key), kind) for key, kind in plan.inputs.items()}
+        row | {key: to_cell(row.get(key), kind) for key, kind in plan.inputs.items()}
         for row in plan.rows()
     ]
     table = pa.Table.from_pylist(rows, schema)

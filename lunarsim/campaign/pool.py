@@ -9,11 +9,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import takewhile
 from typing import TypeVar
 
-import numba  # noqa: F401  (must be loaded for `one_thread` to limit its threads)
+import numba  # noqa: F401  (must be loaded for `limit_to_one_thread` to limit its threads)
 from rich.console import Console
 
 from lunarsim.campaign.engines.picklable import check_picklable
-from lunarsim.campaign.engines.worker import one_thread
+from lunarsim.campaign.engines.worker import limit_to_one_thread
 from lunarsim.console import plain_progress
 
 T = TypeVar("T")
@@ -36,19 +36,19 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
     """
     if jobs == 1:
         for index, task in enumerate(tasks):
-            yield index, _done(function, task)
+            yield index, _run_task(function, task)
         return
     check_picklable("tasks", (function, tasks[:1]))
     # OpenGL contexts and Numba's thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=one_thread)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=limit_to_one_thread)
     try:
         waiting: dict[Future[R], int] = {}
         queue = iter(enumerate(tasks))
 
         def fill() -> None:
             for index, task in queue:
-                waiting[pool.submit(_done, function, task)] = index
+                waiting[pool.submit(_run_task, function, task)] = index
                 if len(waiting) >= 2 * jobs:
                     break
 
@@ -67,7 +67,7 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         raise
 
 
-def _done(function: Callable[[T], R], task: T) -> R:
+def _run_task(function: Callable[[T], R], task: T) -> R:
     """Run a task and free the reference cycles that it leaves; flights leave 0.4 GB."""
     try:
         return function(task)

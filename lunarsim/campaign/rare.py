@@ -19,15 +19,19 @@ from lunarsim.campaign.analysis import arm_rows, column
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import WEIGHT
 from lunarsim.campaign.results import Results
-from lunarsim.campaign.subset_share import FEW, chains_of, share_of
+from lunarsim.campaign.subset_share import (
+    MIN_EFFECTIVE_FAILURES,
+    chains_of,
+    estimate_failure_probability,
+)
 from lunarsim.errors import InputError, suggestion
-from lunarsim.evaluation.comparisons import greatest_share
+from lunarsim.evaluation.comparisons import share_upper_bound
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class RareShare:
+class RareFailureEstimate:
     """Failure share of one arm.
 
     Attributes
@@ -40,7 +44,7 @@ class RareShare:
         Failure share under the nominal dispersions, and its 95 % interval.
     worth
         Number of plain Monte Carlo flights with the same standard error; NaN without failures.
-    told_by
+    effective_failures
         Effective number of failures (Kish): 1 if a single one outweighs all others. With method
         subset the number of worlds in the last level.
     """
@@ -53,17 +57,17 @@ class RareShare:
     low: float
     high: float
     worth: float
-    told_by: float
+    effective_failures: float
 
     @property
     def few(self) -> bool:
         """Whether too few flights failed for an accurate interval."""
-        return not self.told_by >= FEW
+        return not self.effective_failures >= MIN_EFFECTIVE_FAILURES
 
 
 def rare_shares(
     found: Results, metric: str = "safe", above: float | None = None, below: float | None = None
-) -> list[RareShare]:
+) -> list[RareFailureEstimate]:
     """Estimate the failure share of every arm.
 
     Parameters
@@ -81,7 +85,7 @@ def rare_shares(
     InputError
         If the campaign has another method, or metric and limits do not fit together.
     """
-    if not found.is_leaning:
+    if not found.has_unequal_weights:
         raise InputError(
             "folder", str(found.folder), "must be a campaign of method importance or subset"
         )
@@ -89,7 +93,7 @@ def rare_shares(
         if metric != "safe" or above is not None or below is not None:
             expected = "must be omitted: with method subset the spec defines the failure"
             raise InputError("--metric", metric, expected)
-        return [_of_subset(found)]
+        return [_subset_failure_share(found)]
     kinds = {n: kind for n, kind in found.manifest["columns"].items() if kind != "text"}
     if metric not in kinds:
         raise InputError("--metric", metric, suggestion(metric, kinds))
@@ -106,40 +110,44 @@ def rare_shares(
         failed = values < 0.5
     flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
     good = flown & np.isfinite(values)
-    most = 1.0 / float(found.manifest["identity"]["importance"]["nominal_share"])
+    max_weight = 1.0 / float(found.manifest["identity"]["importance"]["nominal_share"])
     out = []
     for arm, rows in arm_rows(found).items():
         here = rows & good
-        value, low, high, worth = weighted_share(failed[here], weights[here], most)
+        value, low, high, worth = estimate_weighted_share(failed[here], weights[here], max_weight)
         left_out = int(rows.sum() - here.sum())
         flights, failures = int(here.sum()), int(failed[here].sum())
-        told_by = _told_by(weights[here & failed])
-        out.append(RareShare(arm, flights, failures, left_out, value, low, high, worth, told_by))
+        effective_failures = _effective_sample_size(weights[here & failed])
+        out.append(
+            RareFailureEstimate(
+                arm, flights, failures, left_out, value, low, high, worth, effective_failures
+            )
+        )
     return out
 
 
-def _of_subset(found: Results) -> RareShare:
+def _subset_failure_share(found: Results) -> RareFailureEstimate:
     """Return the failure share of a subset simulation; NaN while it is not complete."""
     chains = chains_of(found)
-    lost = sum(level.lost for level in chains.levels)
+    missing_count = sum(level.missing_count for level in chains.levels)
     failures = sum(int((level.margins <= 0.0).sum()) for level in chains.levels[-1:])
-    flights, (arm,), nan = len(found.table) - lost, found.arms, float("nan")
+    flights, (arm,), nan = len(found.table) - missing_count, found.arms, float("nan")
     if chains.stop is None:
-        return RareShare(arm, flights, failures, lost, nan, nan, nan, nan, nan)
-    made = share_of(chains.levels)
+        return RareFailureEstimate(arm, flights, failures, missing_count, nan, nan, nan, nan, nan)
+    made = estimate_failure_probability(chains.levels)
     worth = (1.0 - made.value) / made.value / made.variation**2 if made.value else nan
-    return RareShare(
-        arm, flights, failures, lost, made.value, made.low, made.high, worth, made.worlds
+    return RareFailureEstimate(
+        arm, flights, failures, missing_count, made.value, made.low, made.high, worth, made.worlds
     )
 
 
-def _told_by(weights: Array) -> float:
+def _effective_sample_size(weights: Array) -> float:
     """Return the effective sample size of weights (Kish 1965); 0 for none."""
     return float(weights.sum() ** 2 / (weights**2).sum()) if len(weights) else 0.0
 
 
-def weighted_share(
-    hits: NDArray[np.bool_], weights: Array, most: float
+def estimate_weighted_share(
+    hits: NDArray[np.bool_], weights: Array, max_weight: float
 ) -> tuple[float, float, float, float]:
     """Return the weighted share of hits, its 95 % interval, and the equivalent number of draws.
 
@@ -151,7 +159,7 @@ def weighted_share(
     ----------
     hits, weights
         Hit (boolean) and weight of each draw (n,).
-    most
+    max_weight
         Maximum weight that a draw can have.
     """
     count = len(hits)
@@ -159,14 +167,14 @@ def weighted_share(
     if not count:
         return nan, nan, nan, nan
     if not hits.any():
-        return 0.0, 0.0, min(1.0, most * greatest_share(0, count)), nan
+        return 0.0, 0.0, min(1.0, max_weight * share_upper_bound(0, count)), nan
     each = weights * hits
     value = float(each.mean())
     error = float(each.std(ddof=1)) / np.sqrt(count) if count > 1 else np.inf
     wide = float(np.exp(ndtri(0.975) * error / value))
     worth = value * (1.0 - value) / error**2 if error > 0.0 else nan
     high = value * wide
-    if _told_by(weights[hits]) < FEW:
-        heavy = int((hits & (weights >= 0.5 * most)).sum())
-        high = max(high, most * greatest_share(heavy, count))
+    if _effective_sample_size(weights[hits]) < MIN_EFFECTIVE_FAILURES:
+        heavy = int((hits & (weights >= 0.5 * max_weight)).sum())
+        high = max(high, max_weight * share_upper_bound(heavy, count))
     return value, value / wide, min(1.0, high), float(worth)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 
-def from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
+def resolve_paths(given: Any, folder: Path, *, named: bool = False) -> Any:
     """Return tables whose relative paths start from a folder.
 
     Parameters
@@ -21,13 +21,13 @@ def from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
     """
     if isinstance(given, Mapping):
         return {
-            key: from_folder(
+            key: resolve_paths(
                 value, folder, named=(named and key == "values") or _names_file(str(key))
             )
             for key, value in given.items()
         }
     if isinstance(given, list):
-        return [from_folder(value, folder, named=named) for value in given]
+        return [resolve_paths(value, folder, named=named) for value in given]
     return str((folder / given).resolve()) if named and isinstance(given, str) else given
 
 

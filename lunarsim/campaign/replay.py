@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 
-from lunarsim.campaign.flying import fly_whole, plan_of
+from lunarsim.campaign.flying import fly_with_simulation, plan_of
 from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.results import Results, load_results
 from lunarsim.campaign.spec import CampaignSpec
@@ -18,7 +18,7 @@ from lunarsim.simulation import Flight, Simulation
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayResult:
     """A flight flown again.
 
     Attributes
@@ -40,7 +40,7 @@ class Replayed:
     differences: list[tuple[str, Any, Any]] | None
 
 
-def replay(folder: str | Path, flight: str) -> Replayed:
+def replay(folder: str | Path, flight: str) -> ReplayResult:
     """Fly one flight of a campaign again, in this process.
 
     Parameters
@@ -63,11 +63,11 @@ def replay(folder: str | Path, flight: str) -> Replayed:
             "Campaigns with policy objects have none and cannot be replayed.",
         )  # fmt: skip
     spec = CampaignSpec.load(spec_file)
-    index, arm = _parsed(flight, int(found.manifest["flights"]), len(spec.arms))
+    index, arm = _parse_flight_id(flight, int(found.manifest["flights"]), len(spec.arms))
     plan = plan_of(spec)
     study = plan.work.study
     group = Group(index, (arm,), _draws(plan, found, index))
-    record, simulation, row = fly_whole(study, group, arm, {})
+    record, simulation, row = fly_with_simulation(study, group, arm, {})
     rows = found.table.filter(pc.equal(found.table["id"], flight)).to_pylist()
     recorded = rows[0] if rows else None
     differences = None
@@ -75,9 +75,9 @@ def replay(folder: str | Path, flight: str) -> Replayed:
         differences = [
             (name, recorded[name], value)
             for name, value in row.items()
-            if not _same(recorded.get(name), value)
+            if not _are_equal(recorded.get(name), value)
         ]
-    return Replayed(record, simulation, row, recorded, differences)
+    return ReplayResult(record, simulation, row, recorded, differences)
 
 
 def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
         ) from None  # fmt: skip
 
 
-def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:
+def _parse_flight_id(flight: str, flights: int, arms: int) -> tuple[int, int]:
     index, _, arm = flight.partition("-")
     if not (index.isdecimal() and arm.isdecimal() and int(index) < flights and int(arm) < arms):
         raise InputError(
@@ -103,7 +103,7 @@ def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:
     return int(index), int(arm)
 
 
-def _same(a: Any, b: Any) -> bool:
+def _are_equal(a: Any, b: Any) -> bool:
     if isinstance(a, float) and isinstance(b, float) and math.isnan(a):
         return math.isnan(b)
     return bool(a == b)

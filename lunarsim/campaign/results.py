@@ -28,11 +28,11 @@ from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_whole
 
 # Columns that have a value in every row.
-_ALWAYS = ("id", "flight", "arm")
+_REQUIRED_COLUMNS = ("id", "flight", "arm")
 # Number of attempts to read a part that may change meanwhile.
-_TRIES = 3
+_READ_ATTEMPTS = 3
 # Number of recent rows that the rate is computed from.
-_RECENT = 200
+_RATE_ROWS = 200
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Results:
         return int(self.manifest["flights"]) * len(self.arms)
 
     @property
-    def is_leaning(self) -> bool:
+    def has_unequal_weights(self) -> bool:
         """Whether flights have unequal weights (method importance or subset)."""
         return WEIGHT in self.manifest["inputs"] or self.is_subset
 
@@ -75,7 +75,7 @@ class Results:
         return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
-    def apart(self) -> NDArray[np.bool_]:
+    def independent(self) -> NDArray[np.bool_]:
         """Mask of the rows of independent flights (n,).
 
         All rows, except in a Saltelli design, whose blocks fly two worlds repeatedly: there the
@@ -88,9 +88,9 @@ class Results:
         place = self.table["flight"].to_numpy() % block
         return np.asarray((place == 0) | (place == block - 1))
 
-    def check_even(self, field: str) -> None:
+    def check_equal_weights(self, field: str) -> None:
         """Raise `InputError` naming `field` if flights have unequal weights."""
-        if self.is_leaning:
+        if self.has_unequal_weights:
             raise InputError(
                 field, str(self.folder), "must be a campaign whose flights have equal weights",
                 "For importance sampling and subset simulation use: lunarsim campaign rare.",
@@ -171,10 +171,12 @@ def _parts(
     tables = []
     for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
-            data = _whole_bytes(folder, path, manifest)
+            data = _verified_bytes(folder, path, manifest)
             check_expanded(data)
             table = pq.read_table(pa.BufferReader(data), columns=columns, schema=schema)
-            if any(table[name].null_count for name in _ALWAYS if name in table.column_names):
+            if any(
+                table[name].null_count for name in _REQUIRED_COLUMNS if name in table.column_names
+            ):
                 raise ValueError("a row has no id, flight or arm")
             tables.append(table)
         except FileNotFoundError:
@@ -187,13 +189,13 @@ def _parts(
     return empty if columns is None else empty.select(columns)
 
 
-def _whole_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
+def _verified_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
     """Return the bytes of a part, whose digest must match the manifest.
 
     A mismatch is read again, because a running campaign may be changing both files.
     """
     name = str(path.relative_to(folder))
-    for _ in range(_TRIES):
+    for _ in range(_READ_ATTEMPTS):
         data = bounded_bytes(path)
         digest = bytes_digest(data)
         if manifest.get("parts", {}).get(name, digest) == digest:
@@ -225,7 +227,7 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
 
 
 @dataclass(frozen=True)
-class Status:
+class CampaignStatus:
     """Progress of a campaign.
 
     Attributes
@@ -256,7 +258,7 @@ class Status:
         return (self.wanted - self.done) / self.rate if self.rate > 0.0 else float("nan")
 
 
-def status_of(folder: str | Path) -> Status:
+def status_of(folder: str | Path) -> CampaignStatus:
     """Return the progress of a campaign; it may be running.
 
     Raises
@@ -269,12 +271,12 @@ def status_of(folder: str | Path) -> Status:
     if state == "running":
         state = "flying" if _is_locked(found.folder) else "killed"
     ended = np.sort(np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64))
-    recent = ended[np.isfinite(ended)][-_RECENT:]
+    recent = ended[np.isfinite(ended)][-_RATE_ROWS:]
     rate = float("nan")
     if len(recent) > 1:
         span = (time.time() if state == "flying" else recent[-1]) - recent[0]
         rate = float((len(recent) - 1) / span) if span > 0.0 else rate
-    return Status(
+    return CampaignStatus(
         str(found.manifest["name"]), state, len(found.table), found.wanted,
         dict(Counter(found.table["outcome"].to_pylist())), rate,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from lunarsim.received_folders import MAX_FILE_BYTES
 Row = tuple[dict[str, Any], dict[str, Any]]
 # Kinds of columns and their Arrow types.
 KINDS = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
-_OF = {"bool": bool, "int": int, "float": float, "text": str}
+_PYTHON_TYPES = {"bool": bool, "int": int, "float": float, "text": str}
 TIMING = pa.schema(
     [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
      ("worker", pa.string()), ("tries", pa.int64())]
@@ -79,27 +79,27 @@ def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
         "flight": done.flight,
         "arm": plan.arms[done.arm][0],
         "seed": plan.seed,
-        **{key: plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
+        **{key: to_cell(inputs.get(key), kind) for key, kind in plan.inputs.items()},
         "outcome": done.outcome,
-        **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
-        "error": _writable(done.error),
-        "traceback": _writable(done.traceback),
+        **{key: _convert_metric(metrics.get(key), kind) for key, kind in plan.columns.items()},
+        "error": _escape_non_utf8(done.error),
+        "traceback": _escape_non_utf8(done.traceback),
         "campaign": plan.name,
         "version": lunarsim.__version__,
         "code": code_digest(),
     }
 
 
-def _typed(value: Any, kind: str) -> Any:
+def _convert_metric(value: Any, kind: str) -> Any:
     """Convert a metric to the Python type of its column."""
-    return None if value is None else _OF[kind](value)
+    return None if value is None else _PYTHON_TYPES[kind](value)
 
 
-def _writable(text: str) -> str:
+def _escape_non_utf8(text: str) -> str:
     """Escape characters that UTF-8 cannot encode; file names may contain them."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def plain(value: Any, kind: str) -> Any:
+def to_cell(value: Any, kind: str) -> Any:
     """Convert an input to a cell of its column; lists and mixtures become JSON texts."""
     return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value

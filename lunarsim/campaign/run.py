@@ -15,7 +15,7 @@ from typing import Any
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import Group, Plan
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.whole_files import remover_of_new
 
@@ -23,7 +23,7 @@ COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupte
 
 
 @dataclass(frozen=True)
-class Ran:
+class RunResult:
     """Result of a run of a campaign.
 
     Attributes
@@ -56,27 +56,27 @@ class Ran:
         return self.state in (COMPLETE, STOPPED)
 
 
-class Halt:
+class StopRequest:
     """Flag that is set by an interrupt (SIGINT) or a termination request (SIGTERM)."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.is_requested = False
 
     def __call__(self) -> bool:
         """Return whether to stop at once."""
-        return self.asked
+        return self.is_requested
 
     @contextlib.contextmanager
     def on_signals(self, engine: Engine) -> Iterator[None]:
         """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`."""
-        if threading.current_thread() is not threading.main_thread() or not engine.asks_to_halt:
+        if threading.current_thread() is not threading.main_thread() or not engine.polls_halt:
             yield
             return
 
         def take(number: int, frame: FrameType | None) -> None:
-            if self.asked:
+            if self.is_requested:
                 raise KeyboardInterrupt
-            self.asked = True
+            self.is_requested = True
 
         old = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -91,12 +91,12 @@ def run(
     engine: Engine,
     out: Path,
     *,
-    rule: WidthRule | None = None,
+    rule: IntervalWidthRule | None = None,
     time_budget: float | None = None,
     retry: bool = False,
     progress: Callable[[int], None] | None = None,
     files: Callable[[Path], None] | None = None,
-) -> Ran:
+) -> RunResult:
     """Fly the missing flights of a plan.
 
     Parameters
@@ -118,37 +118,39 @@ def run(
     OSError
         If the folder cannot be written to. A new folder without a finished flight is removed.
     """
-    store, remove = _opened(out, plan, retry)
-    halt = Halt()
+    store, remove = _open_store(out, plan, retry)
+    halt = StopRequest()
     before = store.count
     try:
         if files is not None:
             files(out)
         store.save_manifest(engine=engine.name)
         if plan.chains is not None:
-            _shown_to_chains(plan, store)
+            _resume_chains(plan, store)
             before = store.count
         elif rule is not None:
-            _shown(rule, store, plan)
+            _replay_rows(rule, store, plan)
         if progress is not None and before:
             progress(before)
-        flown, failed, in_time, lost = _fly(plan, engine, store, halt, rule, time_budget, progress)
-        state = _closed(store, plan, rule, in_time)
+        flown, failed, in_time, lost = _fly_groups(
+            plan, engine, store, halt, rule, time_budget, progress
+        )
+        state = _close_store(store, plan, rule, in_time)
     except OSError as error:
-        store.abandon()
+        store.release()
         if not store.count:
             remove()
             raise
         said = f"{error.strerror}. Finished flights are kept. Free space and repeat the command"
         raise OSError(error.errno, said, error.filename or str(out)) from error
     except BaseException:
-        store.abandon()
+        store.release()
         raise
     flights = int(store.manifest["flights"])
-    return Ran(state, flown, before, failed, flights, tuple(store.notes), lost)
+    return RunResult(state, flown, before, failed, flights, tuple(store.notes), lost)
 
 
-def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
+def _open_store(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
     """Open the store of a folder; return it with a function that removes a new folder."""
     is_new = not out.is_dir() or not any(out.iterdir())
     remove = remover_of_new(out) if is_new else lambda: None
@@ -159,12 +161,12 @@ def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], Non
         raise
 
 
-def _fly(
+def _fly_groups(
     plan: Plan,
     engine: Engine,
     store: Store,
-    halt: Halt,
-    rule: WidthRule | None,
+    halt: StopRequest,
+    rule: IntervalWidthRule | None,
     time_budget: float | None,
     progress: Callable[[int], None] | None,
 ) -> tuple[int, int, bool, str]:
@@ -176,7 +178,7 @@ def _fly(
 
     def groups() -> Iterator[Group | None]:
         nonlocal in_time
-        for group in _missing(plan, store):
+        for group in _missing_groups(plan, store):
             if time_budget is not None and time.monotonic() - began > time_budget:
                 in_time = False
                 return
@@ -193,9 +195,9 @@ def _fly(
                 if done.outcome == FLOWN and done.error:
                     not_kept.append(done.error)
                 if plan.chains is not None:
-                    plan.chains.see(done.flight, row)
+                    plan.chains.add(done.flight, row)
                 if rule is not None:
-                    rule.see(done.flight, done.arm, row)
+                    rule.add(done.flight, done.arm, row)
                 if progress is not None:
                     progress(1)
                 if rule is not None and rule.stop is not None:
@@ -204,7 +206,7 @@ def _fly(
     return flown, failed, in_time, lost
 
 
-def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
+def _missing_groups(plan: Plan, store: Store) -> Iterator[Group | None]:
     """Yield flights without a row, in order; None while all wait for running flights."""
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)
@@ -218,34 +220,34 @@ def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
                 yield Group(flight, arms, draws)
 
 
-def _shown(rule: WidthRule, store: Store, plan: Plan) -> None:
+def _replay_rows(rule: IntervalWidthRule, store: Store, plan: Plan) -> None:
     names = {name: i for i, (name, _) in enumerate(plan.arms)}
     for row in store.rows():
-        rule.see(row["flight"], names[row["arm"]], row)
+        rule.add(row["flight"], names[row["arm"]], row)
 
 
-def _shown_to_chains(plan: Plan, store: Store) -> None:
+def _resume_chains(plan: Plan, store: Store) -> None:
     """Add existing rows to the chains; delete rows whose predecessors are missing."""
     assert plan.chains is not None
     orphans = plan.chains.resume(store.rows())
     if orphans:
-        store.forget({(flight, 0) for flight in orphans})
+        store.delete_rows({(flight, 0) for flight in orphans})
         store.notes.append(
             f"{len(orphans)} flights depend on flights that are missing; they are flown again."
         )
 
 
-def _closed(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+def _close_store(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
     """Close the folder, truncated at the last flight of a stopped campaign; return the state."""
-    state = _state(store, plan, rule, in_time)
+    state = _final_state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
     if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:
-        store.cut(by.stop)
+        store.truncate(by.stop)
     store.close(state)
     return state
 
 
-def _state(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+def _final_state(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
     if rule is not None and rule.stop is not None:
         return STOPPED
     ended = plan.chains is not None and plan.chains.stop is not None

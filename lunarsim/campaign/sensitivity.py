@@ -26,10 +26,10 @@ Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 
 # Additional factor of a Saltelli design: rocks, noise, navigation errors.
-WORLD = "world and noise"
+WORLD_FACTOR = "world and noise"
 # Minimum number of flights of an arm, and maximum number of rows for PAWN.
-_LEAST, _MOST = 50, 1000
-_TENTHS = 10
+_MIN_FLIGHTS, _MAX_PAWN_ROWS = 50, 1000
+_PAWN_BINS = 10
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) ->
         If SALib is not installed, the campaign has no dispersions, flights have unequal weights,
         or the metric is not numeric.
     """
-    found.check_even("folder")
+    found.check_equal_weights("folder")
     identity = found.manifest["identity"]
     keys = list(identity.get("dispersions", {}))
     if not keys:
@@ -126,14 +126,14 @@ def _sobol(
     """Compute Sobol indices from complete blocks; omit blocks with a missing value."""
     from SALib.analyze import sobol  # noqa: PLC0415
 
-    names = (*keys, WORLD)
+    names = (*keys, WORLD_FACTOR)
     block = len(keys) + 3
     blocks = np.full((int(flights.max(initial=-1)) // block + 1, block), np.nan)
     blocks[flights // block, flights % block] = values
     whole = blocks[np.isfinite(blocks).all(axis=1)]
     told = Sensitivity(
         arm, metric, "sobol", whole.size, len(values) - whole.size, names, {},
-        why_not=_why_not(whole.ravel()),
+        why_not=_reason_without_indices(whole.ravel()),
     )  # fmt: skip
     if told.why_not:
         return told
@@ -159,12 +159,19 @@ def _pawn(
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
     told = Sensitivity(
-        arm, metric, "pawn", len(y), len(values) - len(y), tuple(keys), {}, why_not=_why_not(y)
+        arm,
+        metric,
+        "pawn",
+        len(y),
+        len(values) - len(y),
+        tuple(keys),
+        {},
+        why_not=_reason_without_indices(y),
     )
     if told.why_not:
         return told
-    if len(y) > _MOST:
-        some = np.sort(rng.choice(len(y), _MOST, replace=False))
+    if len(y) > _MAX_PAWN_ROWS:
+        some = np.sort(rng.choice(len(y), _MAX_PAWN_ROWS, replace=False))
         inputs, y = inputs[some], y[some]
     inputs = _ranks(inputs, rng)
     value = _pawn_medians(inputs, y)
@@ -199,12 +206,12 @@ def _pawn_medians(inputs: Array, values: Array) -> Array:
 
     names = [f"x{i}" for i in range(inputs.shape[1])]
     problem = {"num_vars": len(names), "names": names}
-    return np.asarray(pawn.analyze(problem, inputs, values, S=_TENTHS)["median"])
+    return np.asarray(pawn.analyze(problem, inputs, values, S=_PAWN_BINS)["median"])
 
 
-def _why_not(values: Array) -> str:
-    if len(values) < _LEAST:
-        return f"only {len(values)} flights can be used, fewer than {_LEAST}"
+def _reason_without_indices(values: Array) -> str:
+    if len(values) < _MIN_FLIGHTS:
+        return f"only {len(values)} flights can be used, fewer than {_MIN_FLIGHTS}"
     return "" if np.ptp(values) > 0.0 else f"all flights have the value {values[0]:g}"
 
 

@@ -34,19 +34,26 @@ import tomli_w
 from pydantic import ValidationError
 
 from lunarsim.campaign.dispersions import (
+    EXTENSIBLE_METHODS,
     KINDS,
-    OPEN,
     Choice,
     Correlation,
     Dispersions,
     Importance,
     distribution,
 )
-from lunarsim.campaign.factors import Arm, arms_of, check_plain, flattened, listed, product
+from lunarsim.campaign.factors import (
+    Arm,
+    build_arms,
+    check_plain,
+    flatten_keys,
+    parse_arms,
+    product,
+)
 from lunarsim.campaign.files import file_digests, module_digest, part_digests
 from lunarsim.campaign.plan import MAX_FLIGHTS
-from lunarsim.campaign.relative_paths import from_folder
-from lunarsim.campaign.subset_settings import Subset
+from lunarsim.campaign.relative_paths import resolve_paths
+from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import allowed, quantity, settings_of
@@ -57,12 +64,12 @@ from lunarsim.scenario.files import read_toml
 from lunarsim.scenario.layout import CHOSEN
 
 # Number of draws whose extremes are checked against the scenario before the first flight.
-_TRIED = 1000
+_MAX_CHECKED_DRAWS = 1000
 RECORDS = ("none", "failures", "all")
 
 
 @dataclass(frozen=True)
-class Head:
+class CampaignSettings:
     """Top-level keys of a campaign spec.
 
     Attributes
@@ -113,7 +120,7 @@ class Head:
 
 
 @dataclass(frozen=True)
-class Stop:
+class StopSettings:
     """Rule that stops a campaign once an interval is narrow enough.
 
     Attributes
@@ -155,11 +162,11 @@ class CampaignSpec:
         Lists of values by key whose combinations are the arms; empty if the arms are listed.
     """
 
-    head: Head
+    head: CampaignSettings
     scenario: Scenario
     arms: tuple[Arm, ...]
     dispersions: Dispersions
-    stop: Stop | None = None
+    stop: StopSettings | None = None
     factors: Mapping[str, list[Any]] = field(default_factory=dict)
 
     @classmethod
@@ -190,13 +197,13 @@ class CampaignSpec:
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
         if folder is not None:
-            paths = {name: from_folder(tables[name], folder) for name in _WITH_PATHS}
+            paths = {name: resolve_paths(tables[name], folder) for name in _WITH_PATHS}
             tables |= paths
-        head = _made("", Head, rest)
+        head = _build("", CampaignSettings, rest)
         scenario = _scenario(tables["scenario"], folder)
         factors, arms = _arms(scenario, tables["factors"], tables["arms"])
-        dispersions = dispersions_of(tables, head.method, head.seed, head.flights)
-        stop = None if tables["stop"] is None else _made("stop", Stop, tables["stop"])
+        dispersions = build_dispersions(tables, head.method, head.seed, head.flights)
+        stop = None if tables["stop"] is None else _build("stop", StopSettings, tables["stop"])
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
                 "stop", head.method, "requires method monte-carlo",
@@ -244,17 +251,19 @@ class CampaignSpec:
         texts: dict[str, list[Any]] = {
             key: list(law.values) for key, law in laws.items() if isinstance(law, Choice)
         }
-        _check_apart(laws, texts, "dispersions")
+        _check_no_overlap(laws, texts, "dispersions")
         for arm in self.arms:
-            _check_apart(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
+            _check_no_overlap(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
         set_by_arms = {key: value for arm in self.arms for key, value in arm.values.items()}
         for name in laws:
             for key, value in set_by_arms.items():
-                if _overlap(_steps(name, texts.get(name, [0.0])), _steps(key, [value])):
+                if _overlap(_key_path(name, texts.get(name, [0.0])), _key_path(key, [value])):
                     raise InputError(
                         f"dispersions.{name}", name, f"must not be set by arms too (as {key})"
                     )
-        drawn = [self.dispersions.draws(i) for i in range(min(self.head.flights, _TRIED))]
+        drawn = [
+            self.dispersions.draws(i) for i in range(min(self.head.flights, _MAX_CHECKED_DRAWS))
+        ]
         for key in laws:
             values = [one[key] for one in drawn]
             for value in _extremes(values):
@@ -267,11 +276,11 @@ class CampaignSpec:
         data = self.to_dict()
         for key in ("time_limit_s", "time_budget_s", "figures", "records"):
             data.pop(key, None)
-        if self.head.method in OPEN and self.stop is None:
+        if self.head.method in EXTENSIBLE_METHODS and self.stop is None:
             data.pop("flights")
-        return data | self._made_from()
+        return data | self._dependencies()
 
-    def _made_from(self) -> dict[str, Any]:
+    def _dependencies(self) -> dict[str, Any]:
         """Return digests of the files and external code that the flights depend on."""
         found: dict[str, str] = {}
         for arm in self.arms:
@@ -292,18 +301,18 @@ class CampaignSpec:
         if self.factors:
             out["factors"] = dict(self.factors)
         else:
-            out["arms"] = [{"name": arm.name, "set": _set(arm)} for arm in self.arms]
+            out["arms"] = [{"name": arm.name, "set": _arm_values(arm)} for arm in self.arms]
         laws = self.dispersions.distributions
         if laws:
-            out["dispersions"] = {key: _law(law) for key, law in laws.items()}
+            out["dispersions"] = {key: _distribution_table(law) for key, law in laws.items()}
         if self.dispersions.correlations:
             out["correlations"] = [
                 {"keys": list(c.keys), "matrix": [list(row) for row in c.matrix]}
                 for c in self.dispersions.correlations
             ]
-        leaning = self.dispersions.importance
-        if leaning is not None:
-            values = {f.name: _plain(getattr(leaning, f.name)) for f in fields(leaning)}
+        importance = self.dispersions.importance
+        if importance is not None:
+            values = {f.name: _plain(getattr(importance, f.name)) for f in fields(importance)}
             out["importance"] = {k: v for k, v in values.items() if v is not None}
         subset = self.dispersions.subset
         if subset is not None:
@@ -317,7 +326,7 @@ class CampaignSpec:
         """Return the spec as TOML."""
         return tomli_w.dumps(self.to_dict())
 
-    def keeping(self, **values: Any) -> CampaignSpec:
+    def with_settings(self, **values: Any) -> CampaignSpec:
         """Return the spec with other top-level keys; do not change flights or seed."""
         return replace(self, head=replace(self.head, **values))
 
@@ -329,7 +338,9 @@ _TABLES = (
 _WITH_PATHS = ("factors", "arms", "dispersions")
 
 
-def dispersions_of(tables: Mapping[str, Any], method: str, seed: int, flights: int) -> Dispersions:
+def build_dispersions(
+    tables: Mapping[str, Any], method: str, seed: int, flights: int
+) -> Dispersions:
     """Build the dispersions from the tables of a spec or of a manifest's identity.
 
     Raises
@@ -337,17 +348,17 @@ def dispersions_of(tables: Mapping[str, Any], method: str, seed: int, flights: i
     InputError
         For the first wrong field.
     """
-    laws = flattened_laws(tables.get("dispersions") or {})
+    laws = parse_distributions(tables.get("dispersions") or {})
     correlations = tuple(
-        _made(f"correlations.{i}", Correlation, table)
+        _build(f"correlations.{i}", Correlation, table)
         for i, table in enumerate(_list(tables.get("correlations")))
     )
-    leaning, subset = _importance(tables.get("importance")), tables.get("subset")
-    near = None if subset is None else _made("subset", Subset, subset)
-    return Dispersions(laws, correlations, method, seed, flights, leaning, near)
+    importance, subset = _importance(tables.get("importance")), tables.get("subset")
+    near = None if subset is None else _build("subset", SubsetSettings, subset)
+    return Dispersions(laws, correlations, method, seed, flights, importance, near)
 
 
-def flattened_laws(table: Any) -> dict[str, Any]:
+def parse_distributions(table: Any) -> dict[str, Any]:
     """Return distributions by key from a table whose keys may be dotted or nested.
 
     Raises
@@ -358,7 +369,7 @@ def flattened_laws(table: Any) -> dict[str, Any]:
     if not isinstance(table, Mapping):
         raise InputError("dispersions", table, "must be a table")
     found = {}
-    for key, value in _laws(table):
+    for key, value in _distribution_tables(table):
         if key in found:
             raise InputError(f"dispersions.{key}", value, "must be given once")
         found[key] = distribution(key, value)
@@ -372,24 +383,26 @@ def _importance(table: Any) -> Importance | None:
     if not isinstance(table, Mapping):
         raise InputError("importance", table, "must be a table")
     flat = {
-        name: flattened(value, f"importance.{name}", (int, float)) if name in _LEAN else value
+        name: flatten_keys(value, f"importance.{name}", (int, float))
+        if name in _IMPORTANCE_TABLES
+        else value
         for name, value in table.items()
     }
-    made: Importance = _made("importance", Importance, flat)
+    made: Importance = _build("importance", Importance, flat)
     return made
 
 
-_LEAN = ("shifts", "scales")
+_IMPORTANCE_TABLES = ("shifts", "scales")
 
 
-def _laws(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+def _distribution_tables(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
     """Return the key and table of each distribution: a table with a text `kind`, or a non-table."""
     found = []
     for key, value in table.items():
         name = f"{before}{key}"
         inner = isinstance(value, Mapping) and not isinstance(value.get("kind"), str)
         deeper = inner and value and all(isinstance(v, Mapping) for v in value.values())
-        found += _laws(value, f"{name}.") if deeper else [(name, value)]
+        found += _distribution_tables(value, f"{name}.") if deeper else [(name, value)]
     return found
 
 
@@ -400,9 +413,9 @@ def _arms(
         given = len(arms) if isinstance(arms, list) else arms
         raise InputError("arms", given, "must not be combined with [factors]")
     if arms is not None:
-        return {}, arms_of(scenario, listed(arms), "arms")
-    levels = flattened(factors or {}, "factors", list)
-    return levels, arms_of(scenario, product(levels), "factors")
+        return {}, build_arms(scenario, parse_arms(arms), "arms")
+    levels = flatten_keys(factors or {}, "factors", list)
+    return levels, build_arms(scenario, product(levels), "factors")
 
 
 def _scenario(given: Any, folder: Path | None) -> Scenario:
@@ -423,7 +436,7 @@ def _list(given: Any) -> list[Any]:
     return given
 
 
-def _made(path: str, of: type, table: Any) -> Any:
+def _build(path: str, of: type, table: Any) -> Any:
     """Build and check a part of the spec from its table."""
     if not isinstance(table, Mapping):
         raise InputError(path, table, "must be a table")
@@ -442,18 +455,18 @@ def _made(path: str, of: type, table: Any) -> Any:
         raise error.renamed(before + error.field) from None
 
 
-def _keys(head: Head) -> dict[str, Any]:
+def _keys(head: CampaignSettings) -> dict[str, Any]:
     suffix = {"time_limit": "_s", "time_budget": "_s"}
     return {f.name + suffix.get(f.name, ""): getattr(head, f.name) for f in fields(head)}
 
 
-def _set(arm: Arm) -> dict[str, Any]:
+def _arm_values(arm: Arm) -> dict[str, Any]:
     """Return an arm's values; a policy object is represented by its `repr`."""
     values: dict[str, Any] = _plain(arm.values)
     return values if arm.policy is None else values | {"policy object": repr(arm.policy)}
 
 
-def _law(law: Any) -> dict[str, Any]:
+def _distribution_table(law: Any) -> dict[str, Any]:
     kind = next(name for name, of in KINDS.items() if of is type(law))
     values = {f.name: getattr(law, f.name) for f in fields(law)}
     return {"kind": kind} | {k: _plain(v) for k, v in values.items() if v is not None}
@@ -465,7 +478,7 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def _steps(key: str, values: Sequence[Any]) -> tuple[str, ...]:
+def _key_path(key: str, values: Sequence[Any]) -> tuple[str, ...]:
     """Split a key into steps; a part's table alone, with text values, means its kind."""
     texts = all(isinstance(value, str) for value in values)
     return path_of(key, "" if texts else values)
@@ -476,10 +489,10 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
     return longer[: len(shorter)] == shorter
 
 
-def _check_apart(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
+def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
     """Refuse two keys of which one contains the other: the result would depend on their order."""
     for a, b in itertools.combinations(keys, 2):
-        if _overlap(_steps(a, values.get(a, [0.0])), _steps(b, values.get(b, [0.0]))):
+        if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
             raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from lunarsim.evaluation.sequences import share_sequence
 
 
-class WidthRule:
+class IntervalWidthRule:
     """Stops at the first flight after which the confidence sequences of all arms are narrow enough.
 
     The rule evaluates consecutive flights from 0, so the stopping index does not depend on the
@@ -36,7 +36,7 @@ class WidthRule:
         self._waiting: dict[int, dict[int, bool]] = {}
         self._next = 0
 
-    def see(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
+    def add(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
         """Add the row of a flight, in any order."""
         if self.stop is not None:
             return

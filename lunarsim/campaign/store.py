@@ -30,7 +30,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.files import bytes_digest, write_json
-from lunarsim.campaign.manifest import manifest_of, new_manifest, with_digest
+from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
@@ -41,9 +41,9 @@ from lunarsim.whole_files import write_text_whole, write_whole
 # Approximate number of rows of a part.
 PART_ROWS = 5000
 # Number of rows converted to Python objects at a time, which limits memory.
-_AT_ONCE = 500
+_ROWS_PER_BATCH = 500
 # Minimum time between two fsyncs of the journal, s.
-_SYNC = 1.0
+_FSYNC_INTERVAL_S = 1.0
 
 
 class Store:
@@ -91,14 +91,14 @@ class Store:
             If the folder holds other data, another campaign or results of other code, or if
             another process is writing there. Nothing has been changed then.
         """
-        manifest = manifest_of(folder, plan)
+        manifest = matching_manifest(folder, plan)
         # Creating the first array makes pyarrow load pandas; do it before interrupts are deferred.
         pa.array([], pa.int64())
         folder.mkdir(parents=True, exist_ok=True)
-        store = cls(folder, plan, _locked(folder), manifest or new_manifest(plan))
+        store = cls(folder, plan, _lock_folder(folder), manifest or new_manifest(plan))
         try:
             store.manifest["flights"] = plan.flights
-            store._take(retry)
+            store._load(retry)
             # The manifest comes first: it identifies the folder as a campaign.
             store.save_manifest(state="running")
             (folder / "results").mkdir(exist_ok=True)
@@ -109,20 +109,20 @@ class Store:
             raise
         return store
 
-    def _take(self, retry: bool) -> None:
+    def _load(self, retry: bool) -> None:
         """Load the stored rows: parts first, then the journal, whose rows are never older."""
         for old in self.folder.rglob(".*.part"):
             old.unlink()
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
-            self._take_part(path, retry)
+            self._load_part(path, retry)
         path = self.folder / "journal.jsonl"
         if path.exists():
-            self._take_journal(path, retry)
+            self._load_journal(path, retry)
             self._write_journal()
         for part in [p for p in self._open if self._is_full(p)]:
             self._write_part(part)
 
-    def _take_part(self, path: Path, retry: bool) -> None:
+    def _load_part(self, path: Path, retry: bool) -> None:
         try:
             number = int(path.stem.removeprefix("part-"))
             part = self._read_part(path)
@@ -136,7 +136,7 @@ class Store:
             )
             return
         kept = {
-            key: _line(row)
+            key: _journal_line(row)
             for key, row in part.items()
             if key[0] < self.plan.flights and not (retry and row[0]["outcome"] != FLOWN)
         }
@@ -183,7 +183,7 @@ class Store:
         check_expanded(data)
         return pa.BufferReader(data)
 
-    def _forget_digests(self, part: int) -> None:
+    def _drop_digests(self, part: int) -> None:
         """Remove the digests of a part that is about to change."""
         known = [self._parts().pop(self._name(kind, part), None) for kind in ("results", "timing")]
         if any(known):
@@ -196,9 +196,9 @@ class Store:
         """Load the rows of a full part into memory again."""
         self._full.remove(part)
         rows = self._read_part(self._path("results", part))
-        self._open[part] = {key: _line(row) for key, row in rows.items()}
+        self._open[part] = {key: _journal_line(row) for key, row in rows.items()}
 
-    def _take_journal(self, path: Path, retry: bool) -> None:
+    def _load_journal(self, path: Path, retry: bool) -> None:
         lines = bounded_bytes(path).split(b"\n")
         for i, line in enumerate(lines):
             if not line:
@@ -222,7 +222,7 @@ class Store:
             if part in self._full:
                 # The flight was flown again, but its part still has the failed row.
                 self._reopen(part)
-            self._open.setdefault(part, {})[flight, arm] = _line((row, timing))
+            self._open.setdefault(part, {})[flight, arm] = _journal_line((row, timing))
 
     # --- what is there --------------------------------------------------------------------
 
@@ -265,7 +265,7 @@ class Store:
     def add(self, done: Finished) -> dict[str, Any]:
         """Store a finished flight durably; return its row."""
         row = row_of(self.plan, done)
-        line = _line((row, done.timing()))
+        line = _journal_line((row, done.timing()))
         self._append(line + "\n")
         part = self._part(done.flight)
         self._open.setdefault(part, {})[done.flight, done.arm] = line
@@ -278,7 +278,7 @@ class Store:
         try:
             self._journal.write(line)
             self._journal.flush()
-            if time.monotonic() - self._synced > _SYNC:
+            if time.monotonic() - self._synced > _FSYNC_INTERVAL_S:
                 os.fsync(self._journal.fileno())
                 self._synced = time.monotonic()
         except OSError as error:
@@ -287,13 +287,13 @@ class Store:
     def _write_part(self, part: int) -> None:
         """Write a part; if it is full, remove its rows from the journal."""
         lines = [self._open[part][key] for key in sorted(self._open[part])]
-        self._forget_digests(part)
+        self._drop_digests(part)
         if not lines:
             for kind in ("results", "timing"):
                 self._path(kind, part).unlink(missing_ok=True)
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
-            table = _table(lines, column, schema)
+            table = _column_table(lines, column, schema)
             write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
             data = self._path(kind, part).read_bytes()
             self._parts()[self._name(kind, part)] = bytes_digest(data)
@@ -313,7 +313,7 @@ class Store:
             self._journal.close()
             self._journal = path.open("a", encoding="utf-8")
 
-    def cut(self, flights: int) -> None:
+    def truncate(self, flights: int) -> None:
         """Delete the rows from flight number `flights` on, where the campaign stopped."""
         self.manifest["flights"] = flights
         for part in sorted(self._full | set(self._open)):
@@ -323,7 +323,7 @@ class Store:
                 self._reopen(part)
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
 
-    def forget(self, rows: Set[tuple[int, int]]) -> None:
+    def delete_rows(self, rows: Set[tuple[int, int]]) -> None:
         """Delete rows (by flight and arm) from disk too, before new ones replace them."""
         for part in sorted(self._full | set(self._open)):
             first, last = self._flights(part).start, self._flights(part).stop
@@ -353,7 +353,7 @@ class Store:
         finally:
             self._release()
 
-    def abandon(self) -> None:
+    def release(self) -> None:
         """Release the folder as it is; finished flights are in the journal or in parts."""
         self._release()
 
@@ -376,18 +376,18 @@ def _check_types(row: Any, timing: Any, schema: pa.Schema) -> None:
     pa.Table.from_pylist([timing], TIMING)
 
 
-def _line(row: Row) -> str:
+def _journal_line(row: Row) -> str:
     """Return a row and its times as a line of the journal, without the newline."""
     return json.dumps(list(row))
 
 
-def _table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
+def _column_table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
     """Return the rows (column 0) or times (column 1) of lines, in batches to limit memory."""
     tables = [
         pa.Table.from_pylist(
-            [json.loads(line)[column] for line in lines[at : at + _AT_ONCE]], schema
+            [json.loads(line)[column] for line in lines[at : at + _ROWS_PER_BATCH]], schema
         )
-        for at in range(0, len(lines), _AT_ONCE)
+        for at in range(0, len(lines), _ROWS_PER_BATCH)
     ]
     return pa.concat_tables(tables).combine_chunks()
 
@@ -396,7 +396,7 @@ def _write_table(table: pa.Table, path: Path) -> None:
     pq.write_table(table, path, compression="zstd", write_page_checksum=True)
 
 
-def _locked(folder: Path) -> IO[str]:
+def _lock_folder(folder: Path) -> IO[str]:
     """Lock a folder until the process ends or the returned file is closed.
 
     Raises

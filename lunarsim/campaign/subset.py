@@ -33,16 +33,16 @@ Row = Mapping[str, Any]
 LEVEL, CHAIN, WORLD = "level", "chain", "world"
 # Scale s of the first chains, and target acceptance rate (Papaioannou et al. 2015, section 4.2);
 # the scale of each level follows from the acceptance rate of the level before.
-_SCALE, _TAKEN = 0.6, 0.44
+_INITIAL_SCALE, _TARGET_ACCEPTANCE = 0.6, 0.44
 # If more than this share of the flights that should not be kept reach the threshold, the metric is
 # discrete and the level is no progress. (Repeated states always add a few flights.)
-_MOST_MORE = 0.45
+_MAX_EXCESS_SHARE = 0.45
 # Margin of a flight exactly at the failure limit: not a failure.
-_LEAST = float(np.nextafter(0.0, 1.0))
+_MARGIN_AT_LIMIT = float(np.nextafter(0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class Level:
+class SubsetLevel:
     """Result of one level.
 
     Attributes
@@ -57,9 +57,9 @@ class Level:
         Maximum margin in the chains of the next level; 0 for the last level.
     share
         Share of the states at or below the threshold.
-    taken
+    acceptance_rate
         Acceptance rate of the steps; NaN for the first level.
-    lost
+    missing_count
         Number of flights without a margin: without an outcome or without a touchdown.
     """
 
@@ -67,11 +67,11 @@ class Level:
     worlds: NDArray[np.int64]
     threshold: float
     share: float
-    taken: float
-    lost: int
+    acceptance_rate: float
+    missing_count: int
 
 
-class Chains:
+class SubsetChains:
     """Markov chains of a subset simulation, and the flights that can start next.
 
     A flight depends on the root seed, its index and the rows of earlier flights of its own chain
@@ -88,7 +88,7 @@ class Chains:
         Complete levels.
     stop
         Number of flights of the complete campaign, once it is known.
-    stuck
+    is_stalled
         Whether the campaign ended because too many flights of a level had equal margins.
     """
 
@@ -105,7 +105,7 @@ class Chains:
     @property
     def most(self) -> int:
         """Number of flights if all levels are flown."""
-        return self._first(self._settings.levels)
+        return self._first_flight(self._settings.levels)
 
     @property
     def states(self) -> list[list[int]]:
@@ -114,10 +114,10 @@ class Chains:
 
     def reset(self) -> None:
         """Delete all rows."""
-        self.levels: list[Level] = []
+        self.levels: list[SubsetLevel] = []
         self.stop: int | None = None
-        self.stuck = False
-        self._scale = _SCALE
+        self.is_stalled = False
+        self._scale = _INITIAL_SCALE
         # By flight: margin, normal scores, index of the world.
         self._margins: dict[int, float] = {}
         self.scores: dict[int, Array] = {}
@@ -129,11 +129,11 @@ class Chains:
 
     # --- which flight is which ------------------------------------------------------------
 
-    def _first(self, level: int) -> int:
+    def _first_flight(self, level: int) -> int:
         """Return the first flight of a level."""
         return 0 if level == 0 else self.flights + (level - 1) * (self.flights - self.chains)
 
-    def _place(self, flight: int) -> tuple[int, int, int]:
+    def _locate(self, flight: int) -> tuple[int, int, int]:
         """Return level, step and chain of a flight; flights of the first level have step 0."""
         if flight < self.flights:
             return 0, 0, flight
@@ -149,7 +149,7 @@ class Chains:
         LookupError
             If the flights that it depends on have not been added.
         """
-        level, step, chain = self._place(flight)
+        level, step, chain = self._locate(flight)
         if flight not in self.scores:
             self._draw(flight, level, step, chain)
         place = {LEVEL: level, CHAIN: chain if level else None, WORLD: self._worlds[flight]}
@@ -170,9 +170,9 @@ class Chains:
 
     # --- what has been flown --------------------------------------------------------------
 
-    def see(self, flight: int, row: Row) -> None:
+    def add(self, flight: int, row: Row) -> None:
         """Add the row of a flight whose draws were requested."""
-        level, _, chain = self._place(flight)
+        level, _, chain = self._locate(flight)
         if flight in self._margins or level != len(self.levels):
             return
         self._margins[flight] = self._margin(row)
@@ -183,7 +183,7 @@ class Chains:
             self._waiting.append(flight + self.chains)
         self._left -= 1
         if not self._left:
-            self._close()
+            self._close_level()
 
     def _margin(self, row: Row) -> float:
         """Return the distance of a flight from failure; infinity if it has no metric."""
@@ -192,9 +192,9 @@ class Chains:
             return np.inf
         above, below = self._settings.above, self._settings.below
         margin = float(value) - below if above is None else above - float(value)  # type: ignore[operator]
-        return margin or _LEAST  # a flight at the limit is not a failure
+        return margin or _MARGIN_AT_LIMIT  # a flight at the limit is not a failure
 
-    def _close(self) -> None:
+    def _close_level(self) -> None:
         """Record a complete level and start the next."""
         number = len(self.levels)
         states = np.array(self._states)
@@ -204,19 +204,23 @@ class Chains:
         threshold = max(0.0, float(margins.ravel()[order[-1]]))
         kept = float(np.mean(margins <= threshold))
         keep = self._settings.keep
-        self.stuck = threshold > 0.0 and kept > keep + _MOST_MORE * (1.0 - keep)
-        last = threshold == 0.0 or self.stuck or number == self._settings.levels - 1
+        self.is_stalled = threshold > 0.0 and kept > keep + _MAX_EXCESS_SHARE * (1.0 - keep)
+        last = threshold == 0.0 or self.is_stalled or number == self._settings.levels - 1
         if last:
             threshold, kept = 0.0, float(np.mean(margins <= 0.0))
-        first, end = self._first(number), self._first(number + 1)
-        taken = float(np.mean(states[:, 1:] != states[:, :-1])) if number else np.nan
-        lost = sum(self._margins[i] == np.inf for i in range(first, end))
-        self.levels.append(Level(margins, worlds, threshold, kept, taken, lost))
+        first, end = self._first_flight(number), self._first_flight(number + 1)
+        acceptance_rate = float(np.mean(states[:, 1:] != states[:, :-1])) if number else np.nan
+        missing_count = sum(self._margins[i] == np.inf for i in range(first, end))
+        self.levels.append(
+            SubsetLevel(margins, worlds, threshold, kept, acceptance_rate, missing_count)
+        )
         if last:
             self.stop = end
             return
         if number:
-            self._scale = min(1.0, self._scale * float(np.exp(taken - _TAKEN)))
+            self._scale = min(
+                1.0, self._scale * float(np.exp(acceptance_rate - _TARGET_ACCEPTANCE))
+            )
         if kept * margins.size > self.chains:
             # Sample the seeds from all states at or below the threshold: taking the closest ones
             # would not follow the conditional distribution.
@@ -247,7 +251,7 @@ class Chains:
             if any(drawn[key] != row.get(key) for key in self._compared):
                 orphans.append(flight)
             else:
-                self.see(flight, row)
+                self.add(flight, row)
         return orphans
 
     def value_of(self, margin: float) -> float:

@@ -9,11 +9,11 @@ from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import quantity
 
 # Minimum number of chains per level; fewer do not show the spread between chains.
-_FEWEST_CHAINS = 10
+_MIN_CHAINS = 10
 
 
 @dataclass(frozen=True)
-class Subset:
+class SubsetSettings:
     """Settings of subset simulation.
 
     Attributes
@@ -61,7 +61,7 @@ class Subset:
 
     def check_flights(self, flights: int) -> None:
         """Raise `InputError` if a level does not consist of complete chains, or of too few."""
-        least = _FEWEST_CHAINS * self.steps
+        least = _MIN_CHAINS * self.steps
         if flights % self.steps or flights < least:
             up = max(least, -(-flights // self.steps) * self.steps)
             raise InputError(

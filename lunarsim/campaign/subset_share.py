@@ -19,18 +19,18 @@ import numpy as np
 from scipy.special import ndtri
 
 from lunarsim.campaign.results import Results
-from lunarsim.campaign.spec import dispersions_of
-from lunarsim.campaign.subset import Chains, Level
+from lunarsim.campaign.spec import build_dispersions
+from lunarsim.campaign.subset import SubsetChains, SubsetLevel
 from lunarsim.errors import InputError
-from lunarsim.evaluation.comparisons import greatest_share
+from lunarsim.evaluation.comparisons import share_upper_bound
 
 # With fewer failures of equal weight, or fewer worlds among them, the interval is approximate and
 # is widened.
-FEW = 20
+MIN_EFFECTIVE_FAILURES = 20
 
 
 @dataclass(frozen=True)
-class SubsetShare:
+class SubsetEstimate:
     """Failure probability of a subset simulation.
 
     Attributes
@@ -50,7 +50,7 @@ class SubsetShare:
     worlds: int
 
 
-def chains_of(found: Results) -> Chains:
+def chains_of(found: Results) -> SubsetChains:
     """Rebuild the chains of a campaign of method subset from its rows.
 
     Raises
@@ -61,8 +61,8 @@ def chains_of(found: Results) -> Chains:
     identity = found.manifest["identity"]
     if identity.get("method") != "subset":
         raise InputError("folder", str(found.folder), "must be a campaign of method subset")
-    laws = dispersions_of(identity, "subset", int(identity["seed"]), int(identity["flights"]))
-    chains = Chains(laws)
+    laws = build_dispersions(identity, "subset", int(identity["seed"]), int(identity["flights"]))
+    chains = SubsetChains(laws)
     orphans = chains.resume(found.table.to_pylist())
     if orphans and found.manifest["state"] == "complete":
         raise InputError(
@@ -72,30 +72,30 @@ def chains_of(found: Results) -> Chains:
     return chains
 
 
-def levels_told(chains: Chains) -> list[dict[str, str]]:
+def levels_told(chains: SubsetChains) -> list[dict[str, str]]:
     """Return a row of table cells, by heading, for each complete level."""
-    told = []
+    rows = []
     for number, level in enumerate(chains.levels):
-        told.append({
+        rows.append({
             "level": str(number),
             "flights": str(level.margins.size if number == 0 else
                            level.margins.size - len(level.margins)),
             f"up to {chains.metric}": f"{chains.value_of(level.threshold):.4g}",
             "conditional probability": f"{level.share:.3g}",
             "coefficient of variation":
-                f"{np.sqrt(variance_of(level)):.2f}" if level.share else "–",
-            "acceptance rate": f"{level.taken:.2f}" if number else "–",
+                f"{np.sqrt(level_variance(level)):.2f}" if level.share else "–",
+            "acceptance rate": f"{level.acceptance_rate:.2f}" if number else "–",
             "worlds": str(len(np.unique(level.worlds))),
-            "flights without metric": str(level.lost),
+            "flights without metric": str(level.missing_count),
         })  # fmt: skip
-    return told
+    return rows
 
 
-def how_it_ended(chains: Chains) -> str:
+def how_it_ended(chains: SubsetChains) -> str:
     """Return a remark on how the campaign ended, or ""."""
     if chains.stop is None:
         return f"Not complete: level {len(chains.levels)} is running."
-    if chains.stuck:
+    if chains.is_stalled:
         return (
             f"The levels ended early: too many flights of a level have the same {chains.metric}, "
             "which therefore does not measure the distance from failure."
@@ -105,60 +105,62 @@ def how_it_ended(chains: Chains) -> str:
     return ""
 
 
-def share_of(levels: Sequence[Level]) -> SubsetShare:
+def estimate_failure_probability(levels: Sequence[SubsetLevel]) -> SubsetEstimate:
     """Estimate the failure probability from complete levels, including the last."""
     *before, last = levels
     reached = float(np.prod([level.share for level in before]))
-    spread = sum(np.sqrt(variance_of(level)) for level in before)
+    spread = sum(np.sqrt(level_variance(level)) for level in before)
     failed = last.margins <= 0.0
     if not failed.any():
         # Conservative: the chains of the last level count as single flights.
-        high = reached * _wide(spread) * greatest_share(0, len(last.margins))
-        high = max(high, _share_that_many_reach(levels))
-        return SubsetShare(0.0, 0.0, min(1.0, high), np.inf, 0)
+        high = reached * _interval_factor(spread) * share_upper_bound(0, len(last.margins))
+        high = max(high, _reached_share_bound(levels))
+        return SubsetEstimate(0.0, 0.0, min(1.0, high), np.inf, 0)
     if not before:
         # Nominal, independent flights: two-sided Clopper-Pearson interval.
         hits, count = int(failed.sum()), failed.size
-        low = 1.0 - greatest_share(count - hits, count, 0.975)
-        high = greatest_share(hits, count, 0.975)
-        spread = float(np.sqrt(variance_of(last)))
-        return SubsetShare(last.share, low, high, spread, len(np.unique(last.worlds)))
-    value, spread = reached * last.share, float(spread + np.sqrt(variance_of(last)))
-    wide, worlds = _wide(spread), len(np.unique(last.worlds))
-    high = max(value * wide, _share_that_many_reach(levels))
-    return SubsetShare(value, value / wide, min(1.0, high), spread, worlds)
+        low = 1.0 - share_upper_bound(count - hits, count, 0.975)
+        high = share_upper_bound(hits, count, 0.975)
+        spread = float(np.sqrt(level_variance(last)))
+        return SubsetEstimate(last.share, low, high, spread, len(np.unique(last.worlds)))
+    value, spread = reached * last.share, float(spread + np.sqrt(level_variance(last)))
+    wide, worlds = _interval_factor(spread), len(np.unique(last.worlds))
+    high = max(value * wide, _reached_share_bound(levels))
+    return SubsetEstimate(value, value / wide, min(1.0, high), spread, worlds)
 
 
-def _share_that_many_reach(levels: Sequence[Level]) -> float:
+def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
     """Return an upper bound of the probability to reach the last level with many worlds.
 
     0 if the last level itself has many: its own variation is then sufficient.
     """
     reached, spread, most = 1.0, 0.0, 1.0
     for level in levels[:-1]:
-        if len(np.unique(level.worlds)) < FEW:
+        if len(np.unique(level.worlds)) < MIN_EFFECTIVE_FAILURES:
             return most
-        reached, spread = reached * level.share, spread + float(np.sqrt(variance_of(level)))
-        most = reached * _wide(spread)
-    return most if len(np.unique(levels[-1].worlds)) < FEW else 0.0
+        reached, spread = reached * level.share, spread + float(np.sqrt(level_variance(level)))
+        most = reached * _interval_factor(spread)
+    return most if len(np.unique(levels[-1].worlds)) < MIN_EFFECTIVE_FAILURES else 0.0
 
 
-def _wide(variation: float) -> float:
+def _interval_factor(variation: float) -> float:
     """Return the factor of a 95 % interval of a log-normal estimate."""
     return float(np.exp(ndtri(0.975) * np.sqrt(np.log1p(variation**2))))
 
 
-def variance_of(level: Level) -> float:
+def level_variance(level: SubsetLevel) -> float:
     """Return the squared coefficient of variation of a level's conditional probability."""
     near = level.margins <= level.threshold
     share, count = float(near.mean()), near.size
     even = (1.0 - share) / (share * count)
     sums = np.zeros(int(level.worlds.max()) + 1)
     np.add.at(sums, level.worlds, near - share)
-    return max(even * (1.0 + _alike(near, share)), float(np.sum((sums / (count * share)) ** 2)))
+    return max(
+        even * (1.0 + _chain_correlation(near, share)), float(np.sum((sums / (count * share)) ** 2))
+    )
 
 
-def _alike(near: np.ndarray, share: float) -> float:
+def _chain_correlation(near: np.ndarray, share: float) -> float:
     """Return the correlation factor gamma of the states of a chain (eq. 29), at least 0."""
     steps = near.shape[1]
     whole = share * (1.0 - share)

@@ -14,7 +14,7 @@ from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.spec import CampaignSpec
 
 # Additional time limit for compilation, s.
-_COMPILING = 900.0
+_COMPILATION_TIME_S = 900.0
 
 
 def warm(spec: CampaignSpec, plan: Plan, cache: DiskCache, say: Callable[[str], None]) -> None:
@@ -34,7 +34,7 @@ def warm(spec: CampaignSpec, plan: Plan, cache: DiskCache, say: Callable[[str], 
     """
     cold = {}
     for i, arm in enumerate(spec.arms):
-        parts = "kernels " + repr(_without_numbers(arm.scenario.to_dict()))
+        parts = "kernels " + repr(_texts_and_flags(arm.scenario.to_dict()))
         if parts not in cold and not cache.has_mark(parts):
             cold[parts] = i
     if not cold:
@@ -42,7 +42,7 @@ def warm(spec: CampaignSpec, plan: Plan, cache: DiskCache, say: Callable[[str], 
     say(f"Compiling kernels, once per machine and code version: {len(cold)} flights.")
     began = time.perf_counter()
     study = replace(plan.work.study, out=None, records="none", figures=False)
-    limit = None if spec.head.time_limit is None else spec.head.time_limit + _COMPILING
+    limit = None if spec.head.time_limit is None else spec.head.time_limit + _COMPILATION_TIME_S
     group = Group(0, tuple(cold.values()), plan.draws(0))
     work = replace(plan.work, study=study)
     try:
@@ -56,10 +56,10 @@ def warm(spec: CampaignSpec, plan: Plan, cache: DiskCache, say: Callable[[str], 
     say(f"Kernels are ready after {time.perf_counter() - began:.0f} s.")
 
 
-def _without_numbers(table: Any) -> Any:
+def _texts_and_flags(table: Any) -> Any:
     """Return tables with texts and flags only: numbers do not select kernels."""
     if isinstance(table, Mapping):
-        return {k: _without_numbers(v) for k, v in sorted(table.items())}
+        return {k: _texts_and_flags(v) for k, v in sorted(table.items())}
     if isinstance(table, list | tuple):
         return len(table)
     return table if isinstance(table, bool | str) else None

@@ -17,9 +17,9 @@ from scipy.stats import beta, binom, binomtest, bootstrap, norm, ttest_1samp
 Array = NDArray[np.float64]
 
 # Bootstrap resamples; the cost grows with resamples times values.
-_DRAWS = 2000
+_RESAMPLES = 2000
 # Above this number of values the normal interval is as good as a bootstrap.
-_MOST_BOOTSTRAPPED = 20_000
+_MAX_BOOTSTRAP_VALUES = 20_000
 
 
 @dataclass(frozen=True)
@@ -124,10 +124,12 @@ def mean_bootstrap(
         return float("nan"), float("nan")
     if np.ptp(x) == 0.0:
         return float(x[0]), float(x[0])
-    if len(x) > _MOST_BOOTSTRAPPED:
+    if len(x) > _MAX_BOOTSTRAP_VALUES:
         half = float(norm.ppf(0.5 + 0.5 * level) * x.std(ddof=1) / np.sqrt(len(x)))
         return float(x.mean()) - half, float(x.mean()) + half
-    found = bootstrap((x,), np.mean, n_resamples=_DRAWS, confidence_level=level, batch=200, rng=rng)
+    found = bootstrap(
+        (x,), np.mean, n_resamples=_RESAMPLES, confidence_level=level, batch=200, rng=rng
+    )
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
@@ -208,6 +210,6 @@ def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
     )  # fmt: skip
 
 
-def greatest_share(count: int, total: int, level: float = 0.95) -> float:
+def share_upper_bound(count: int, total: int, level: float = 0.95) -> float:
     """Return the Clopper-Pearson upper bound of a share: about 3 / n for 0 of n."""
     return 1.0 if count >= total else float(beta.ppf(level, count + 1, total - count))

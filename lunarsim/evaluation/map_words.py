@@ -8,7 +8,7 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
 
 # Threshold of p_safe: if all cells are above it, the map classifies everything safe.
-_SAFE = 0.5
+_SAFE_THRESHOLD = 0.5
 
 
 def map_words(hazard_map: HazardMap | None) -> str | None:
@@ -24,9 +24,9 @@ def map_words(hazard_map: HazardMap | None) -> str | None:
     seen = hazard_map.p_safe[hazard_map.observed]
     low, high = float(np.min(seen)), float(np.max(seen))
     words = None
-    if low > _SAFE:
+    if low > _SAFE_THRESHOLD:
         words = f"classifies all observed terrain safe: p_safe {low:.2f} to {high:.2f}"
-    elif high <= _SAFE:
+    elif high <= _SAFE_THRESHOLD:
         words = f"classifies no observed terrain safe: p_safe {low:.2f} to {high:.2f}"
     elif hazard_map.in_domain is not None and not hazard_map.in_domain[hazard_map.observed].any():
         words = "is outside its calibrated domain"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
-from lunarsim.evaluation.reach import cost_from
+from lunarsim.evaluation.reach import divert_cost_from
 from lunarsim.simulation.flight import Flight
 from lunarsim.vehicle.touchdown import ABORTED, least_margin
 from lunarsim.world.truth import Truth
@@ -44,7 +44,7 @@ COLUMNS: dict[str, str] = {
     "safe_site_in_reach": "bool",
 }
 # Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
-_TRIES = 400
+_MAX_TESTED_SITES = 400
 
 
 def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "duration_s": flight.duration,
         "divert_m": flight.divert_distance,
         "decisions": len(flight.decisions),
-        "target_exactly_safe": bool(truth.safe_at(first_aim(flight))),
+        "target_exactly_safe": bool(truth.safe_at(initial_aim_point(flight))),
         "touchdown_x_m": float(touchdown.position[0]) if touchdown else nan,
         "touchdown_y_m": float(touchdown.position[1]) if touchdown else nan,
         "touchdown_exactly_safe": bool(
@@ -85,7 +85,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "tip_margin": touchdown.tip_margin if touchdown else nan,
         "touchdown_margin": least_margin(truth.lander, touchdown) if touchdown else nan,
     }
-    row["p_safe"] = believed_safe(flight)
+    row["p_safe"] = predicted_p_safe(flight)
     quality = MapQuality.none()
     if flight.hazard_map is not None:
         quality = map_quality(flight.hazard_map, truth, flight.map_error)
@@ -97,7 +97,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
     }
 
 
-def believed_safe(flight: Flight) -> float:
+def predicted_p_safe(flight: Flight) -> float:
     """Return p_safe of the decision map at the last site; NaN where it observed nothing."""
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
@@ -106,7 +106,7 @@ def believed_safe(flight: Flight) -> float:
     return float(m.p_safe[row, col]) if m.observed[row, col] else float("nan")
 
 
-def first_aim(flight: Flight) -> Array:
+def initial_aim_point(flight: Flight) -> Array:
     """Return the true point (2,), m, that the lander aimed at before any divert."""
     t = flight.trajectory
     row = -1
@@ -123,8 +123,8 @@ def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
         return False
     xy = m.grid.centres()[m.observed]
     spots = xy[truth.safe_at(xy - flight.map_error[:2])]
-    spots = spots[:: max(1, len(spots) // _TRIES)]
+    spots = spots[:: max(1, len(spots) // _MAX_TESTED_SITES)]
     if len(spots) == 0:
         return False
     sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
-    return bool(cost_from(flight, first, sites).feasible.any())
+    return bool(divert_cost_from(flight, first, sites).feasible.any())

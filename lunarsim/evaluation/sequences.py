@@ -40,23 +40,23 @@ def share_sequence(count: int, total: int, level: float = 0.95) -> tuple[float, 
     mixed = _log_beta(count + 0.5, failures + 0.5) - _log_beta(0.5, 0.5)
     limit = mixed + math.log(1.0 - level)
 
-    def kept(p: float) -> bool:
+    def is_kept(p: float) -> bool:
         likelihood = count * math.log(p) if count else 0.0
         return likelihood + (failures * math.log1p(-p) if failures else 0.0) > limit
 
     middle = count / total
-    low = 0.0 if count == 0 else _edge(kept, middle, 0.0)
-    high = 1.0 if failures == 0 else _edge(kept, middle, 1.0)
+    low = 0.0 if count == 0 else _find_boundary(is_kept, middle, 0.0)
+    high = 1.0 if failures == 0 else _find_boundary(is_kept, middle, 1.0)
     return low, high
 
 
-def _edge(kept: Callable[[float], bool], inside: float, outside: float) -> float:
+def _find_boundary(is_kept: Callable[[float], bool], inside: float, outside: float) -> float:
     """Return the boundary between kept and rejected shares by bisection."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (inside + outside)
         if middle in (inside, outside):
             break
-        if kept(middle):
+        if is_kept(middle):
             inside = middle
         else:
             outside = middle

@@ -27,12 +27,12 @@ from lunarsim.world.truth import Truth
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_SURE = 0.95
+_CONFIDENT_P = 0.95
 _RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class Sites:
+class SiteSamples:
     """Sites of maps (n,), by column.
 
     Attributes
@@ -69,7 +69,7 @@ class Sites:
         return len(self.safe)
 
     @classmethod
-    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> Sites:
+    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> SiteSamples:
         """Collect the sites of a map.
 
         Parameters
@@ -101,13 +101,13 @@ class Sites:
         )
 
     @classmethod
-    def joined(cls, parts: list[Sites]) -> Sites:
+    def joined(cls, parts: list[SiteSamples]) -> SiteSamples:
         """Concatenate sites of at least one part."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
-    def at(self, where: BoolArray) -> Sites:
+    def at(self, where: BoolArray) -> SiteSamples:
         """Return the sites of a mask (n,)."""
-        return Sites(*(getattr(self, f.name)[where] for f in fields(self)))
+        return SiteSamples(*(getattr(self, f.name)[where] for f in fields(self)))
 
     def domain(self) -> Domain:
         """Return the domain that the sites cover.
@@ -137,20 +137,20 @@ class Sites:
         InputError
             If there are not enough safe and unsafe sites.
         """
-        check_enough(self)
+        check_site_counts(self)
         domain = self.domain()
         s = self.at(self.inside(domain))
         return ScenarioCalibration.fit(s.log_odds, s.safe, s.known, domain, lander, measured())
 
 
-def drawn_sites(
+def sample_sites(
     evidence: Evidence,
     truth: Truth,
     error: ArrayLike,
     count: int,
     flight: int,
     rng: np.random.Generator,
-) -> Sites:
+) -> SiteSamples:
     """Sample sites of a map at random, where the map has observed and the truth is known.
 
     Parameters
@@ -169,11 +169,11 @@ def drawn_sites(
     sites = np.flatnonzero(evidence.observed & truth.known_at(xy))
     where = np.zeros(grid.shape, np.bool_)
     where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
-    return Sites.of(evidence, where, truth.safe_at(xy), flight)
+    return SiteSamples.of(evidence, where, truth.safe_at(xy), flight)
 
 
 @dataclass(frozen=True)
-class Figures:
+class ProbabilityQuality:
     """Quality of safety probabilities; arrays hold value and ends of the 95 % interval (3,).
 
     Attributes
@@ -208,7 +208,7 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class CalibrationComparison:
     """Comparison of the packaged and refitted probability on the same sites.
 
     Attributes
@@ -220,8 +220,8 @@ class Judgement:
         interval (3,).
     """
 
-    packaged: Figures
-    refit: Figures
+    packaged: ProbabilityQuality
+    refit: ProbabilityQuality
     gain: Array
 
     @property
@@ -231,7 +231,7 @@ class Judgement:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class CrossValidation:
     """Cross-validated quality of a refit: each flight is evaluated by a fit to the others.
 
     Attributes
@@ -240,13 +240,13 @@ class LeftOut:
         Comparison on the sites where the packaged regressions apply, and in the refit's domain.
     """
 
-    packaged_domain: Judgement
-    refit_domain: Judgement
+    packaged_domain: CalibrationComparison
+    refit_domain: CalibrationComparison
 
 
-def judged_by_flights_left_out(
-    sites: Sites, flights: int, lander: Lander, rng: np.random.Generator
-) -> LeftOut:
+def cross_validate(
+    sites: SiteSamples, flights: int, lander: Lander, rng: np.random.Generator
+) -> CrossValidation:
     """Cross-validate a refit: evaluate each flight by a fit to all others.
 
     Parameters
@@ -275,11 +275,13 @@ def judged_by_flights_left_out(
     drawn = rng.multinomial(flights, np.full(flights, 1.0 / flights), _RESAMPLES)
     weights = np.vstack((np.ones(flights), drawn)).astype(np.float64)
     claimed = sites.known & sites.agreed
-    groups = (_judgement(sites, before, after, where, weights) for where in (claimed, inside))
-    return LeftOut(*groups)
+    groups = (
+        _compare_probabilities(sites, before, after, where, weights) for where in (claimed, inside)
+    )
+    return CrossValidation(*groups)
 
 
-def check_enough(sites: Sites) -> None:
+def check_site_counts(sites: SiteSamples) -> None:
     """Raise `InputError` if there are too few sites for a fit in and outside the domain."""
     safe, known = sites.safe, sites.known
     if not (enough(safe[known]) or enough(safe[~known])):
@@ -291,29 +293,32 @@ def check_enough(sites: Sites) -> None:
         )  # fmt: skip
 
 
-def _judgement(
-    sites: Sites, before: Array, after: Array, where: BoolArray, weights: Array
-) -> Judgement:
+def _compare_probabilities(
+    sites: SiteSamples, before: Array, after: Array, where: BoolArray, weights: Array
+) -> CalibrationComparison:
     """Compare two probabilities (n,) on the sites of a mask (n,)."""
     flights = weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
     gain = _per_flight(sites.flight[where], (score[0] - score[1])[where], flights)
     with np.errstate(invalid="ignore"):
         gains = (weights @ gain) / (weights @ _per_flight(sites.flight[where], None, flights))
-    return Judgement(
-        _figures(sites, before, where, weights), _figures(sites, after, where, weights),
+    return CalibrationComparison(
+        _compute_quality(sites, before, where, weights),
+        _compute_quality(sites, after, where, weights),
         _interval(gains),
-    )  # fmt: skip
+    )
 
 
-def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figures:
+def _compute_quality(
+    sites: SiteSamples, p: Array, where: BoolArray, weights: Array
+) -> ProbabilityQuality:
     """Compute the quality of probabilities (n,) on the sites of a mask (n,).
 
     The first row of `weights` (samples, flights) is ones; the others count resampled flights.
     """
     flights = weights.shape[1]
     s, p = sites.at(where), p[where]
-    sure = p > _SURE
+    sure = p > _CONFIDENT_P
 
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
@@ -333,7 +338,7 @@ def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figure
         gap = total(p - s.safe, sure) / total(None, sure)
         share = number / (weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
-    return Figures(
+    return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
         int(sure.sum()), _interval(gap),
     )  # fmt: skip
@@ -362,7 +367,7 @@ def _unbiased(samples: Array) -> Array:
     return np.array([value, max(low - added, 0.0), max(high - added, 0.0)])
 
 
-def with_figures(refit: ScenarioCalibration, left_out: LeftOut) -> ScenarioCalibration:
+def with_quality(refit: ScenarioCalibration, left_out: CrossValidation) -> ScenarioCalibration:
     """Return a calibration that contains its cross-validated quality."""
     groups = {
         "packaged_domain": left_out.packaged_domain,

@@ -113,16 +113,16 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             "propellant_median_kg": float(np.median(column("propellant_kg"))),
             "propellant_p95_kg": float(np.percentile(column("propellant_kg"), 95)),
             "divert_median_m": float(np.median(column("divert_m"))),
-            "vertical_speed_max_m_s": _peak(column("vertical_speed_m_s")),
-            "horizontal_speed_max_m_s": _peak(column("horizontal_speed_m_s")),
-            "tilt_max_deg": _peak(column("tilt_deg")),
+            "vertical_speed_max_m_s": _finite_max(column("vertical_speed_m_s")),
+            "horizontal_speed_max_m_s": _finite_max(column("horizontal_speed_m_s")),
+            "tilt_max_deg": _finite_max(column("tilt_deg")),
             "precision": quality.precision,
             "recall": quality.recall,
         }
     return summary
 
 
-def _peak(values: np.ndarray) -> float:
+def _finite_max(values: np.ndarray) -> float:
     """Return the maximum finite value, or NaN."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if finite.size else float("nan")

@@ -20,12 +20,20 @@ from numpy.typing import NDArray
 from lunarsim.simulation.loop import Simulation
 
 # Packages whose objects hold all of their state.
-_KNOWN = {"lunarsim", "numpy", "scipy", "filterpy"}
+_TRUSTED_PACKAGES = {"lunarsim", "numpy", "scipy", "filterpy"}
 # Modules of the standard library whose objects refer to resources outside the process.
-_OUTSIDE = {"ctypes", "mmap", "multiprocessing", "socket", "subprocess", "threading", "weakref"}
+_EXTERNAL_MODULES = {
+    "ctypes",
+    "mmap",
+    "multiprocessing",
+    "socket",
+    "subprocess",
+    "threading",
+    "weakref",
+}
 
 
-class NoCheckpointError(Exception):
+class CheckpointError(Exception):
     """The simulation contains an object that cannot be copied reliably."""
 
 
@@ -39,7 +47,7 @@ class Checkpoint:
 
     Raises
     ------
-    NoCheckpointError
+    CheckpointError
         If the simulation contains an object that cannot be copied reliably.
     """
 
@@ -51,7 +59,7 @@ class Checkpoint:
         try:
             _Writer(file, self._shared).dump(simulation)
         except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
-            raise NoCheckpointError(str(error)) from error
+            raise CheckpointError(str(error)) from error
         self._data = file.getbuffer()
 
     def resumed(self) -> Simulation:
@@ -64,17 +72,19 @@ class Checkpoint:
 class _Writer(pickle.Pickler):
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file, protocol=5)
-        self._places = {id(one): place for place, one in enumerate(shared)}
+        self._shared_index = {id(one): place for place, one in enumerate(shared)}
         # First array seen for each owner of memory that is not itself an array.
         self._owners: dict[int, NDArray[Any]] = {}
 
     def persistent_id(self, one: Any) -> int | None:
         """Return the index of a shared object; refuse objects of unknown packages."""
         if isinstance(one, type):
-            room = one.__module__.partition(".")[0]
-            if room not in _KNOWN and (room in _OUTSIDE or room not in sys.stdlib_module_names):
+            package = one.__module__.partition(".")[0]
+            if package not in _TRUSTED_PACKAGES and (
+                package in _EXTERNAL_MODULES or package not in sys.stdlib_module_names
+            ):
                 raise pickle.PicklingError(f"{one.__module__}.{one.__qualname__}")
-        return self._places.get(id(one))
+        return self._shared_index.get(id(one))
 
     def reducer_override(self, one: Any) -> Any:
         """Pickle an array view so that it still shares memory with its base."""
@@ -94,10 +104,10 @@ class _Writer(pickle.Pickler):
             raise pickle.PicklingError("view of an array that is not contiguous")
         offset = one.__array_interface__["data"][0] - root.__array_interface__["data"][0]
         known = (one.shape, one.dtype, offset, one.strides, one.flags.writeable)
-        return _view, (root, *known)
+        return _rebuild_view, (root, *known)
 
 
-def _view(
+def _rebuild_view(
     root: NDArray[Any], shape: tuple[int, ...], dtype: Any, offset: int, strides: tuple[int, ...],
     writeable: bool,
 ) -> NDArray[Any]:  # fmt: skip

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cycle:
+class ControlCycleResult:
     """Result of a control cycle.
 
     Attributes
@@ -43,21 +43,31 @@ class Cycle:
     torques: Array
 
 
-def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
+def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycleResult:
     """Advance the plant by one control cycle under a command."""
     command = plant.throttled(command)
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
-        return Cycle(plant.moved(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3)))
+        return ControlCycleResult(
+            plant.adopt_motion(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3))
+        )
     name, imu = next(iter(plant.imus.items()))
-    fly = _driven if plant.actuators else _compiled if loop.compiled else _stepped
+    fly = (
+        _fly_with_actuators
+        if plant.actuators
+        else _fly_compiled
+        if loop.compiled
+        else _fly_in_python
+    )
     history, increments, torques = fly(plant, loop, imu, command.thrust)
-    measurements = plant.moved(history, {name: increments}, command.tasks, abort=command.abort)
-    return Cycle(measurements, torques)
+    measurements = plant.adopt_motion(
+        history, {name: increments}, command.tasks, abort=command.abort
+    )
+    return ControlCycleResult(measurements, torques)
 
 
-def _compiled(
+def _fly_compiled(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     d, gyros = plant.dynamics, imu.gyroscopes
@@ -69,7 +79,7 @@ def _compiled(
     return history, increments, torques
 
 
-def _driven(
+def _fly_with_actuators(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     """Fly a vehicle with actuators: thrusters, gimbal and throttle."""
@@ -85,20 +95,20 @@ def _driven(
             actuators.order(loop.on_times, loop.gimbal)
         return actuators.advance(plant.dynamics, state, throttle), torque
 
-    return _step_by_step(plant, loop, imu, advance)
+    return _fly_stepwise(plant, loop, imu, advance)
 
 
-def _stepped(
+def _fly_in_python(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     def advance(state: State) -> tuple[State, Array]:
         torque = loop.torque()
         return plant.dynamics.advance(state, thrust, torque), torque
 
-    return _step_by_step(plant, loop, imu, advance)
+    return _fly_stepwise(plant, loop, imu, advance)
 
 
-def _step_by_step(
+def _fly_stepwise(
     plant: Plant,
     loop: AttitudeLoop,
     imu: Imu,

@@ -66,13 +66,13 @@ COLUMNS: dict[str, str] = {
     "lost": "1 while navigation reports that it is lost",
 }
 # Frames of the recorded positions, as in `lunarsim.frames`.
-_TRUE, _LOCAL = (
+_TRUE_FRAME, _LOCAL_FRAME = (
     "true ENU: origin at the centre of the terrain, at its mean elevation",
     "local ENU, the frame of the onboard maps; subtract a map's navigation_error_m for true ENU",
 )
 FRAMES: dict[str, str] = {
-    "position, velocity, target, verdict": _TRUE,
-    "estimated, site, decisions, scans, candidates, maps": _LOCAL,
+    "position, velocity, target, verdict": _TRUE_FRAME,
+    "estimated, site, decisions, scans, candidates, maps": _LOCAL_FRAME,
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")
 _CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
@@ -80,7 +80,7 @@ _LAYERS = {
     "p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2",
     "eligible": "1", "value": "1", "in_domain": "1",
 }  # fmt: skip
-_TRUE_OR_FALSE = ("observed", "eligible", "in_domain")
+_BOOLEAN_LAYERS = ("observed", "eligible", "in_domain")
 
 
 @dataclass(frozen=True)
@@ -106,15 +106,15 @@ class MapRecord:
         m = self.hazard_map
         rounded = replace(
             m,
-            p_safe=_rounded(m.p_safe),
-            elevation=None if m.elevation is None else _rounded(m.elevation),
-            variance=None if m.variance is None else _rounded(m.variance),
-            value=None if m.value is None else _rounded(m.value),
+            p_safe=_round_layer(m.p_safe),
+            elevation=None if m.elevation is None else _round_layer(m.elevation),
+            variance=None if m.variance is None else _round_layer(m.variance),
+            value=None if m.value is None else _round_layer(m.value),
         )
         object.__setattr__(self, "hazard_map", rounded)
 
 
-def _rounded(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
     """Round a layer to 16 significant bits, which compress much better.
 
     The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
@@ -244,7 +244,7 @@ class Flight:
         for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
             data = getattr(self, name)
             cloud = {column: data[:, i] for i, column in enumerate(columns)}
-            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL})
+            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL_FRAME})
             _save_table(placed, folder / f"{name}.parquet")
         for old in (folder / "maps").glob("*"):
             old.unlink()  # map of an earlier flight in this folder
@@ -350,7 +350,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     layers = {
         layer: (
             ("y", "x"),
-            data.astype(np.int8) if layer in _TRUE_OR_FALSE else data,
+            data.astype(np.int8) if layer in _BOOLEAN_LAYERS else data,
             {"units": unit},
         )
         for layer, unit in _LAYERS.items()
@@ -375,7 +375,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
 
 def _load_map(name: str, folder: Path) -> MapRecord:
     path = folder / "maps" / f"{name}.nc"
-    grid, layers, error = read_layers(folder, path, list(_LAYERS), _TRUE_OR_FALSE)
+    grid, layers, error = read_layers(folder, path, list(_LAYERS), _BOOLEAN_LAYERS)
     tables = {
         table.name.removeprefix(f"{name}.").removesuffix(".parquet"): read_columns(folder, table)
         for table in sorted(path.parent.glob(f"{name}.*.parquet"))

@@ -242,12 +242,12 @@ def read_layers(
     import h5py  # noqa: PLC0415  (loads slowly)
 
     with reading(path), h5py.File(_inside(folder, path)) as file:
-        found = {name: _own_dataset(file, name) for name in names if name in file}
+        found = {name: _local_dataset(file, name) for name in names if name in file}
         shape = found["p_safe"].shape
         for name, layer in found.items():
             if layer.shape != shape or layer.dtype.kind not in "fi":
                 raise ValueError(f"layer {name} is {layer.dtype} of shape {layer.shape}")
-        if shape != tuple(_own_dataset(file, name).size for name in "yx"):
+        if shape != tuple(_local_dataset(file, name).size for name in "yx"):
             raise ValueError(f"layers of shape {shape} do not fit the axes y and x")
         if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
             raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
@@ -264,7 +264,7 @@ def read_layers(
         return grid, layers, error
 
 
-def _own_dataset(file: Any, name: str) -> Any:
+def _local_dataset(file: Any, name: str) -> Any:
     """Return a dataset of an HDF5 file; refuse links and data in other files."""
     import h5py  # noqa: PLC0415  (loads slowly)
 

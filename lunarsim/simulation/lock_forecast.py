@@ -6,7 +6,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.navigation.map_information import LockForecast, can_lock
 
 # Side of the terrain seen by a lander without a sweep, approximate, m.
-_UNSWEPT = 40.0
+_DEFAULT_SWEEP_M = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
@@ -15,7 +15,7 @@ def lock_forecast(briefing: Briefing) -> LockForecast | None:
     if briefing.prior_map is None or not software.navigation.uses_prior_map:
         return None
     sizes = [float(getattr(part, "size", 0.0)) for part in software.tasking.values()]
-    swept = max(sizes, default=0.0) or _UNSWEPT
+    swept = max(sizes, default=0.0) or _DEFAULT_SWEEP_M
     east, north = (float(v) for v in briefing.target[:2])
     sigma = max(briefing.start.position_sigma, briefing.prior_map.grid.posting)
     return can_lock(briefing.prior_map, (east, north), swept, sigma)

@@ -257,9 +257,9 @@ class Simulation:
         self._measurements = measurements
         c = self.computer
         c.update(measurements)
-        self.recorder.measured(measurements, c, self.navigation_error)
+        self.recorder.record_measurements(measurements, c, self.navigation_error)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
-        self.recorder.row(self.time, self.state, c.estimate, c.site, left, c.phase)
+        self.recorder.add_row(self.time, self.state, c.estimate, c.site, left, c.phase)
 
     @one_blas_thread()
     def decide(self) -> None:
@@ -309,10 +309,10 @@ class Simulation:
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
             verdict=self.verdict or Verdict(False, ("unfinished",), None),
-            ending=self._spent(),
+            ending=self._ending_details(),
         )
 
-    def _spent(self) -> dict[str, Any]:
+    def _ending_details(self) -> dict[str, Any]:
         """Return values of thrusters, slosh and legs for the last event; empty without them."""
         actuators, rest = self.plant.actuators, self.plant.rest
         told: dict[str, Any] = {} if rest is None else rest.told()

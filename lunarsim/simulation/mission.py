@@ -43,19 +43,19 @@ def draw_target(target: MissionTarget, terrain: Terrain, lander: Lander, streams
     west, east, south, north = terrain.bounds
     reach = np.abs(target.scatter)
     low, high = target.position - reach, target.position + reach
-    room = lander.leg_radius + lander.pad_diameter
+    margin = lander.leg_radius + lander.pad_diameter
     if (
-        low[0] < west + room
-        or high[0] > east - room
-        or low[1] < south + room
-        or high[1] > north - room
+        low[0] < west + margin
+        or high[0] > east - margin
+        or low[1] < south + margin
+        or high[1] > north - margin
     ):
         raise InputError(
             "target.position_m",
             target.position,
             f"must be within the map with its scatter of {target.scatter} m: "
-            f"east {west + room:.0f} to {east - room:.0f}, "
-            f"north {south + room:.0f} to {north - room:.0f} m",
+            f"east {west + margin:.0f} to {east - margin:.0f}, "
+            f"north {south + margin:.0f} to {north - margin:.0f} m",
         )
     # The mission knows the terrain elevation at its site, but not the rocks.
     elevation = float(Terrain(terrain.relief).elevation(xy))
@@ -124,7 +124,7 @@ def _as_estimate(state: State) -> Estimate:
     )
 
 
-def steered(state: State, briefing: Briefing) -> State:
+def trimmed_start_state(state: State, briefing: Briefing) -> State:
     """Return a start with the attitude and thrust that guidance commands there."""
     software, lander = briefing.software, briefing.lander
     braking = software.braking
@@ -145,7 +145,9 @@ def steered(state: State, briefing: Briefing) -> State:
     return replace(state, attitude=command.attitude, thrust=command.thrust)
 
 
-def told(state: State, knowledge: StartKnowledge, rng: np.random.Generator) -> StartEstimate:
+def perturbed_start_estimate(
+    state: State, knowledge: StartKnowledge, rng: np.random.Generator
+) -> StartEstimate:
     """Return the computer's estimate of the start: the truth with random errors."""
     drawn = rng.standard_normal((3, 3))
     turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
@@ -197,7 +199,9 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         gravity=world.moon or UniformGravity(scenario.gravity_m_s2),
         target=target,
         heading=start.heading,
-        start=told(planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
+        start=perturbed_start_estimate(
+            planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)
+        ),
         time_to_go=time_to_go,
         sun=world.light.direction,
         rocks=scenario.expected_rocks.make(),
@@ -205,12 +209,12 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         step=clock.step,
         cycle=clock.cycle,
     )
-    state = steered(state, upright)
+    state = trimmed_start_state(state, upright)
     knowledge = (
         StartKnowledge() if scenario.start_knowledge is None else scenario.start_knowledge.make()
     )
     rng = streams.get("navigation")
-    believed = told(state, knowledge, rng)
+    start_estimate = perturbed_start_estimate(state, knowledge, rng)
     # The elevation of the terrain at the target is known only with an error.
-    known = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
-    return state, replace(upright, start=believed, target=known)
+    known_target = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
+    return state, replace(upright, start=start_estimate, target=known_target)

@@ -17,9 +17,9 @@ from lunarsim.world.truth import Truth
 Array = NDArray[np.float64]
 
 # Maximum number of sites tested for reachability, nearest first.
-_TRIES = 64
+_MAX_TESTED_SITES = 64
 # Clearance in standard deviations of the expected miss; 0.95 of all misses are smaller.
-_ROOM = 2.5
+_CLEARANCE_SIGMAS = 2.5
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class TruthOracle:
         grid = truth.safety.grid
         clearance = truth.clearance
         here = observation.site - error
-        room = max(self.room, _ROOM * observation.expected_miss)
+        room = max(self.room, _CLEARANCE_SIGMAS * observation.expected_miss)
         row, col = (int(v) for v in grid.cell(here[:2]))
         if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= room:
             return Decision.keep("truly safe")
@@ -76,7 +76,7 @@ class TruthOracle:
         xy = grid.centre_of(cells[:, 0], cells[:, 1])
         distance = np.hypot(xy[:, 0] - here[0], xy[:, 1] - here[1])
         order = np.argsort(distance, kind="stable")
-        order = order[:: max(1, len(order) // _TRIES)]
+        order = order[:: max(1, len(order) // _MAX_TESTED_SITES)]
         z = truth.elevation[cells[order, 0], cells[order, 1]].astype(np.float64)
         sites = np.column_stack((xy[order], z)) + error
         cost = cost_of(sites)

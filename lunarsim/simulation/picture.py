@@ -22,7 +22,7 @@ from lunarsim.whole_files import write_whole
 from lunarsim.world import World
 
 # Maximum altitude of the camera above the terrain, m.
-_HIGHEST = 1e6
+_MAX_ALTITUDE_M = 1e6
 
 
 def camera_state(
@@ -47,8 +47,8 @@ def camera_state(
     ground = float(world.terrain.elevation(target))
     if not np.isfinite(ground):
         raise InputError("target.position_m", target, "must be a point with known elevation")
-    if not 0.0 < altitude < _HIGHEST:
-        raise InputError("--altitude", altitude, f"must be above 0 and below {_HIGHEST:g} m")
+    if not 0.0 < altitude < _MAX_ALTITUDE_M:
+        raise InputError("--altitude", altitude, f"must be above 0 and below {_MAX_ALTITUDE_M:g} m")
     if not np.isfinite(heading):
         raise InputError("--heading", float(np.rad2deg(heading)), "must be a finite angle in deg")
     if not 0.0 <= off_nadir < np.deg2rad(85.0):
@@ -67,7 +67,7 @@ def camera_state(
     return State(position, np.zeros(3), attitude, np.zeros(3), 1.0)
 
 
-def metered(camera: Camera, world: World, state: State) -> float:
+def auto_exposure(camera: Camera, world: World, state: State) -> float:
     """Return the exposure (s) for which all but the brightest 0.5 % stay below 0.9 full well."""
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
@@ -117,7 +117,7 @@ def take_picture(
         camera, world, scenario.target.position_m, altitude,
         np.deg2rad(off_nadir_deg), np.deg2rad(heading_deg),
     )  # fmt: skip
-    camera = replace(camera, exposure=exposure or metered(camera, world, state))
+    camera = replace(camera, exposure=exposure or auto_exposure(camera, world, state))
     photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
     if truth is not None:
         write_whole(truth, partial(_save_truth, photo))

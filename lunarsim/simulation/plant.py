@@ -31,9 +31,9 @@ from lunarsim.world import World
 Array = NDArray[np.float64]
 
 # Pad contacts are computed only below this height above the highest terrain, m.
-_CONTACT_HEIGHT = 40.0
+_MAX_CONTACT_HEIGHT_M = 40.0
 # Height above the highest terrain (m) and climb rate (m/s) that complete an abort.
-_CLEAR_HEIGHT, _CLEAR_SPEED = 50.0, 5.0
+_ABORT_CLEAR_HEIGHT_M, _ABORT_CLIMB_SPEED_M_S = 50.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class Plant:
             raise wrong_result(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
         return found
 
-    def moved(
+    def adopt_motion(
         self,
         history: Array,
         gyroscopes: Mapping[str, Array],
@@ -192,13 +192,13 @@ class Plant:
         samples: list[tuple[str, object]] = []
         for name, imu in self.imus.items():
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
-            sensed = imu.sense(*self.unpulled(rows), self.time, angle)
+            sensed = imu.sense(*self.gravity_free_states(rows), self.time, angle)
             samples.append((name, sensed))
-        self._judge(touched is not None, abort)
+        self._evaluate_outcome(touched is not None, abort)
         measured = self.measure(tasks if self.verdict is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
-    def unpulled(self, rows: Array) -> tuple[Array, float, float]:
+    def gravity_free_states(self, rows: Array) -> tuple[Array, float, float]:
         """Return states, step and downward gravity from which an inertial unit senses.
 
         In a gravity field that varies, the velocity gained from gravity is removed from the states,
@@ -212,7 +212,7 @@ class Plant:
         out[1:, 3:6] -= np.cumsum(step * moon.felt(middle[:, :3], middle[:, 3:]), axis=0)
         return out, step, 0.0
 
-    def _judge(self, touched: bool, abort: bool) -> None:
+    def _evaluate_outcome(self, touched: bool, abort: bool) -> None:
         """Set the landing outcome if the flight is over."""
         terrain = self.world.terrain
         if touched and self.legs is not None:
@@ -230,11 +230,13 @@ class Plant:
     def _clear(self) -> bool:
         """Whether the lander climbs, well above all terrain."""
         height = self.world.height(self.state.position) - self._high
-        return bool(height > _CLEAR_HEIGHT and self.state.velocity[2] > _CLEAR_SPEED)
+        return bool(
+            height > _ABORT_CLEAR_HEIGHT_M and self.state.velocity[2] > _ABORT_CLIMB_SPEED_M_S
+        )
 
     def _first_contact(self, history: Array) -> int | None:
         """Return the first step at which a pad touches the terrain, or None."""
-        if self.world.height(history[-1, :3]) - self._high > _CONTACT_HEIGHT:
+        if self.world.height(history[-1, :3]) - self._high > _MAX_CONTACT_HEIGHT_M:
             return None
         mounted = self.lander.pads - com_of(self.lander, float(history[0, 13]))
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)

@@ -52,7 +52,7 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
             ax.legend(loc="best")
     _draw_differences(axes[7], rows, names)
     limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
-    _draw_shifts(axes[8], rows, names, limits)
+    _draw_limit_differences(axes[8], rows, names, limits)
     _draw_maps(axes[9], rows, names)
     shown = [literal(name) for name in names]
     for i, ax in enumerate(axes):
@@ -152,7 +152,7 @@ def paired(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float6
     return shift[np.isfinite(shift)]
 
 
-def _draw_shifts(
+def _draw_limit_differences(
     ax: Any, rows: Rows, names: list[str], limits: dict[str, tuple[str, float]]
 ) -> None:
     """Draw paired differences of speeds and tilt from the first policy, relative to their limits.

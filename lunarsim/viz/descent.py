@@ -15,15 +15,15 @@ from lunarsim.simulation.flight import Flight
 from lunarsim.viz.style import COLOURS, end_of, new_figure, save
 
 # If an event occurs more often, only the first is drawn.
-_MOST_MARKS = 8
+_MAX_MARKS = 8
 # Events that are marked: label, marker and colour.
-_MARKED = {
+_EVENT_STYLES = {
     "scan": ("LiDAR scan", "s", COLOURS[2]),
     "picture": ("first camera image", "o", COLOURS[3]),
     "lock": ("lock onto the map", "^", COLOURS[4]),
 }
-_LOST = ("navigation lost", "X", "black")
-_DIVERT = ("divert", "D", COLOURS[1])
+_LOST_STYLE = ("navigation lost", "X", "black")
+_DIVERT_STYLE = ("divert", "D", COLOURS[1])
 # Names of the phases in the trajectory.
 _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 
@@ -38,7 +38,7 @@ def draw_descent(flight: Flight, path: Path) -> None:
         width_ratios=[1.0, 1.15],
     )
     lander = Scenario.world_of(flight.scenario).vehicle.make()
-    marks = _marks(flight)
+    marks = _event_marks(flight)
     _draw_profile(axes["profile"], flight, marks)
     _draw_events(axes["events"], marks)
     _draw_speed_and_tilt(axes["speed"], axes["tilt"], flight)
@@ -51,22 +51,22 @@ def draw_descent(flight: Flight, path: Path) -> None:
     save(figure, path)
 
 
-def _marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
+def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
     """Return label, marker, colour and times of each kind of event."""
     found = []
-    for name, (label, marker, colour) in _MARKED.items():
+    for name, (label, marker, colour) in _EVENT_STYLES.items():
         times = [float(e["time"]) for e in flight.events if e["name"] == name]
-        if len(times) > _MOST_MARKS:
+        if len(times) > _MAX_MARKS:
             found.append((f"first of {len(times)}: {label}", marker, colour, times[:1]))
         elif times:
             found.append((label, marker, colour, times))
     lost = np.asarray(flight.trajectory["lost"], dtype=bool)
     begins = np.flatnonzero(lost & ~np.concatenate(([False], lost[:-1])))
     if len(begins):
-        found.append((*_LOST, flight.trajectory["time"][begins].tolist()))
+        found.append((*_LOST_STYLE, flight.trajectory["time"][begins].tolist()))
     diverts = [float(d["time"]) for d in flight.decisions]
     if diverts:
-        found.append((*_DIVERT, diverts))
+        found.append((*_DIVERT_STYLE, diverts))
     return found
 
 
@@ -133,7 +133,7 @@ def _share_time(
     axes.set_xlim(0.0, t["time"][-1])
     axes.grid(alpha=0.3)
     for label, _, colour, times in marks:
-        for i, time in enumerate(times if label == _DIVERT[0] else ()):
+        for i, time in enumerate(times if label == _DIVERT_STYLE[0] else ()):
             name = label if named and i == 0 else None
             axes.axvline(time, color=colour, lw=0.9, ls=":", label=name)
     phase = t["phase"].astype(int)

@@ -9,14 +9,14 @@ from lunarsim.simulation.flight import Flight
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.viz.maps import draw_maps
-from lunarsim.viz.window import shown_bounds
+from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
 
 def truth_shown(flight: Flight, world: World, lander: Lander) -> Truth:
     """Return the exact safety of the part of the world that ``maps.png`` shows."""
-    return Truth.of(world, lander, bounds=shown_bounds(flight, world))
+    return Truth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
 def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:

@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 # Cell size, m, and half side of the figure in radii of the legs.
 _POSTING = 0.04
-_REACH = 2.2
-_BROKEN = COLOURS[1]
+_HALF_SIDE_IN_LEG_RADII = 2.2
+_VIOLATION_COLOUR = COLOURS[1]
 
 
 def draw_footprint(flight: Flight, world: World, path: Path) -> None:
@@ -43,11 +43,11 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     assert touchdown is not None
     lander = Scenario.world_of(flight.scenario).vehicle.make()
     middle = touchdown.position[:2]
-    grid = Grid.centred(middle, 2.0 * _REACH * lander.leg_radius, _POSTING)
+    grid = Grid.centred(middle, 2.0 * _HALF_SIDE_IN_LEG_RADII * lander.leg_radius, _POSTING)
     ground = world.terrain.raster(grid).astype(np.float64)
     pads = _pads(lander, touchdown)
-    heights = _under(grid, ground, pads, 0.5 * lander.pad_diameter)
-    above = _above(grid, ground, heights, pads)
+    heights = _pad_elevations(grid, ground, pads, 0.5 * lander.pad_diameter)
+    above = _height_above_pads(grid, ground, heights, pads)
 
     figure = new_figure(11, 5.6)
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
@@ -59,11 +59,11 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     left.add_patch(Polygon(pads, fill=False, ec="black", lw=1.4))
     for pad in pads:
         left.add_patch(Circle(pad, 0.5 * lander.pad_diameter, fc="white", ec="black", lw=1.2))
-    touches = _touching(left, grid, above, pads, lander.belly_clearance)
+    touches = _mark_belly_contact(left, grid, above, pads, lander.belly_clearance)
     left.plot(*middle, "+", color="black", ms=9)
-    told = "; red: touches the belly" if touches else ""
-    map_axes(left, f"Terrain under the lander, true frame{told}")
-    _limits(right, touchdown, lander)
+    remark = "; red: touches the belly" if touches else ""
+    map_axes(left, f"Terrain under the lander, true frame{remark}")
+    _draw_limits(right, touchdown, lander)
     figure.suptitle(end_of(flight))
     save(figure, path)
 
@@ -77,14 +77,14 @@ def _pads(lander: Lander, touchdown: Touchdown) -> Array:
     )
 
 
-def _under(grid: Grid, ground: Array, pads: Array, radius: float) -> Array:
+def _pad_elevations(grid: Grid, ground: Array, pads: Array, radius: float) -> Array:
     """Return the maximum terrain elevation under each pad (legs,), m."""
     x, y = np.meshgrid(grid.x, grid.y)
     found = [ground[np.hypot(x - px, y - py) <= radius + 0.5 * _POSTING] for px, py in pads]
     return np.array([np.nanmax(heights, initial=np.nanmin(ground)) for heights in found])
 
 
-def _above(grid: Grid, ground: Array, heights: Array, pads: Array) -> Array:
+def _height_above_pads(grid: Grid, ground: Array, heights: Array, pads: Array) -> Array:
     """Return terrain above the worst plane through three pads (rows, cols), m.
 
     With four legs, both candidate planes contain the diagonal with the higher pads. The worst plane
@@ -117,7 +117,7 @@ def _inside(grid: Grid, pads: Array) -> Any:
     return Outline(pads).contains_points(cells).reshape(grid.shape)
 
 
-def _touching(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
+def _mark_belly_contact(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float) -> bool:
     """Mark terrain in the polygon of the legs above the belly; return whether there is any."""
     high = _inside(grid, pads) & (above > clearance)
     if high.any():
@@ -125,7 +125,7 @@ def _touching(axes: Any, grid: Grid, above: Array, pads: Array, clearance: float
     return bool(high.any())
 
 
-def _limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:
+def _draw_limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:
     """Draw each metric as a share of its limit, with both values as text."""
     rows = [
         ("Slope", np.rad2deg(touchdown.slope), np.rad2deg(lander.slope_limit), "deg"),
@@ -138,7 +138,7 @@ def _limits(axes: Any, touchdown: Touchdown, lander: Lander) -> None:
         ("Tipping energy", 1.0 - touchdown.tip_margin, 1.0, "(normalised)"),
     ]
     share = np.array([value / limit for _, value, limit, _ in rows])
-    colours = [_BROKEN if s > 1.0 else COLOURS[0] for s in share]
+    colours = [_VIOLATION_COLOUR if s > 1.0 else COLOURS[0] for s in share]
     place = np.arange(len(rows))
     axes.barh(place, np.clip(share, 0.0, 2.0), height=0.45, color=colours)
     for i, (_, value, limit, unit) in enumerate(rows):

@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from lunarsim.evaluation.map_words import words_on_maps
-from lunarsim.evaluation.outcome import first_aim
+from lunarsim.evaluation.outcome import initial_aim_point
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
-from lunarsim.viz.window import diverts_of, shown_bounds
+from lunarsim.viz.window import divert_segments, map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
@@ -32,11 +32,11 @@ _CANDIDATE: dict[str, Any] = {
     "ms": 5,
     "mew": 0.8,
 }
-_DIVERT = COLOURS[3]
+_DIVERT_COLOUR = COLOURS[3]
 # Characters per line that fit a panel, for tall and for other terrain.
-_LETTERS = {True: 34, False: 60}
+_LINE_LENGTH = {True: 34, False: 60}
 # Maximum number of cells along a side of a raster, above the pixels of a panel.
-_MOST_CELLS = 1500
+_MAX_CELLS = 1500
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
@@ -44,12 +44,12 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     t = flight.trajectory
     axes.plot(t["position_x"], t["position_y"], color=COLOURS[1], lw=1.5)
     # Two colours, visible on dark and bright terrain.
-    axes.plot(*first_aim(flight), "x", color="white", ms=10, mew=4)
-    axes.plot(*first_aim(flight), "x", color="black", ms=8, mew=2)
-    for start, goal in diverts_of(flight):
+    axes.plot(*initial_aim_point(flight), "x", color="white", ms=10, mew=4)
+    axes.plot(*initial_aim_point(flight), "x", color="black", ms=8, mew=2)
+    for start, goal in divert_segments(flight):
         axes.annotate(
             "", goal, start, zorder=6,
-            arrowprops={"arrowstyle": "-|>", "color": _DIVERT, "lw": 1.6, "shrinkA": 0,
+            arrowprops={"arrowstyle": "-|>", "color": _DIVERT_COLOUR, "lw": 1.6, "shrinkA": 0,
                         "shrinkB": 0, "mutation_scale": 11},
         )  # fmt: skip
     end = flight.positions[-1]
@@ -61,7 +61,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
     All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
-    They show the part of the world that `lunarsim.viz.window.shown_bounds` returns.
+    They show the part of the world that `lunarsim.viz.window.map_figure_bounds` returns.
 
     Parameters
     ----------
@@ -72,18 +72,18 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     path
         PNG file to write.
     """
-    bounds = west, east, south, north = shown_bounds(flight, world)
+    bounds = west, east, south, north = map_figure_bounds(flight, world)
     tall = (north - south) > 1.25 * (east - west)
     figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
-    truth = truth.within(bounds, _MOST_CELLS)
+    truth = truth.within(bounds, _MAX_CELLS)
     grid = truth.safety.grid
     shade = hillshade(truth.elevation, grid.posting)
     for panel in panels:
         show(panel, shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     _draw_truth(figure, panels[0], panels[1], truth)
-    _draw_map(figure, panels[2], flight, _LETTERS[tall])
-    _draw_measured(figure, panels[3], flight)
+    _draw_map(figure, panels[2], flight, _LINE_LENGTH[tall])
+    _draw_measurements(figure, panels[3], flight)
     outlines = draw_reach(panels[2], flight, bounds)
     for panel in panels:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
@@ -91,7 +91,7 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
         panel.set_ylim(south, north)
         # Align panels with and without a colour bar at the top.
         panel.set_anchor("N")
-        panel.set_title(fill(panel.get_title(), _LETTERS[tall]))
+        panel.set_title(fill(panel.get_title(), _LINE_LENGTH[tall]))
     if tall:
         for panel in panels[1:]:
             panel.set_ylabel("")
@@ -103,23 +103,23 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
 def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
     grid = truth.safety.grid
     tint = show(left, truth.elevation, grid, cmap="cividis", alpha=0.45)
-    _bar(figure, tint, left, "Elevation (m)")
+    _add_colour_bar(figure, tint, left, "Elevation (m)")
     map_axes(left, "True terrain")
     classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
     palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
     drawn = show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
-    bar = _bar(figure, drawn, right, "Safety at every heading")
+    bar = _add_colour_bar(figure, drawn, right, "Safety at every heading")
     bar.set_ticks([0.0, 1.0, 2.0], labels=["edge", "unsafe", "safe"])
     map_axes(right, "Exact safety (truth)")
 
 
-def _draw_map(figure: Any, panel: Any, flight: Flight, letters: int) -> None:
+def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None:
     """Draw the decision map and the candidate sites."""
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
-        _bar(figure, image, panel, "Probability of safety")
+        _add_colour_bar(figure, image, panel, "Probability of safety")
         _hatch_bounds(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
@@ -127,13 +127,14 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, letters: int) -> None:
     words = words_on_maps(flight).get(flight.decided_on)
     if words is not None:
         said = panel.text(
-            0.5, 0.97, fill(f"this map {words}", letters), transform=panel.transAxes, ha="center",
-            va="top", fontsize=8, bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2}, zorder=9,
+            0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,
+            ha="center", va="top", fontsize=8, zorder=9,
+            bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2},
         )  # fmt: skip
         said.set_in_layout(False)
 
 
-def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
+def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
     """Draw a colour bar below its panel, so that it is not read as the axis of the next one."""
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
@@ -150,7 +151,7 @@ def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
         hatched.set(edgecolor="0.8", linewidth=0.0)
 
 
-def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
+def _draw_measurements(figure: Any, panel: Any, flight: Flight) -> None:
     """Draw LiDAR returns, or the rocks that a mapper tracks."""
     titles = []
     dx, dy, dz = flight.map_error
@@ -160,7 +161,7 @@ def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
         dots = panel.scatter(
             points[:, 0] - dx, points[:, 1] - dy, c=points[:, 2] - dz, s=1.2, cmap="plasma", lw=0
         )
-        _bar(figure, dots, panel, "Measured elevation (m)")
+        _add_colour_bar(figure, dots, panel, "Measured elevation (m)")
     for record in flight.maps.values():
         rocks = record.tables.get("rocks")
         if rocks is None:
@@ -184,7 +185,7 @@ def _legend() -> list[Any]:
         Line2D([], [], color=COLOURS[1], label="ground track"),
         Line2D([], [], ls="", marker="x", color="black", mew=2, label="initial aim point"),
         Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
-        Line2D([], [], color=_DIVERT, marker=">", label="divert"),
+        Line2D([], [], color=_DIVERT_COLOUR, marker=">", label="divert"),
         Line2D([], [], label="candidate site", **_CANDIDATE),
         Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="outside calibrated domain"),
         Patch(color="#56B4E9", label="truly safe at every heading"),

@@ -11,7 +11,7 @@ from lunarsim.grid import Grid
 from lunarsim.viz.style import hillshade, literal, map_axes, new_figure, save, show
 from lunarsim.world.terrain import Terrain
 
-_MOST_POSTS = 1200
+_MAX_POSTS = 1200
 
 
 def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
@@ -21,7 +21,7 @@ def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     of a terrain with more than 1200 posts per side.
     """
     g = terrain.relief.grid
-    step = -(-max(g.rows, g.cols) // _MOST_POSTS)
+    step = -(-max(g.rows, g.cols) // _MAX_POSTS)
     z = terrain.relief.z[::step, ::step].astype(np.float64)
     grid = Grid(g.x0, g.y0, g.posting * step, *z.shape)
     gy, gx = np.gradient(z, grid.posting)

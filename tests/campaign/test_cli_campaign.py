@@ -20,7 +20,7 @@ from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
 from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.scenario import Scenario
@@ -166,7 +166,7 @@ def test_tables_of_the_report_in_markdown(swept, tmp_path):
 @pytest.mark.parametrize("flights", [12, 200], ids=["to the end", "stopped"])
 def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
     """Also of one that met its last flight first: it would have stopped, had it been narrow."""
-    rule = WidthRule("safe", 0.5, 2)
+    rule = IntervalWidthRule("safe", 0.5, 2)
     watched = replace(plan(flights=flights), identity={"stop": {"metric": "safe", "width": 0.5}})
     assert fly(watched, InlineEngine(), tmp_path / "c", rule=rule).state == (
         "complete" if flights == 12 else "stopped"

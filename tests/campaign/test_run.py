@@ -19,7 +19,7 @@ from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results, status_of
 from lunarsim.campaign.run import run
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
 from lunarsim.evaluation.sequences import share_sequence
@@ -113,7 +113,7 @@ def test_a_million_rows_are_not_held_in_memory(tmp_path, monkeypatch):
         opened.add(Finished(i, 0, FLOWN, {"safe": True, "x": i / 7, "steps": i, "name": "n"}))
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    opened.abandon()
+    opened.release()
     line = len((tmp_path / "c" / "journal.jsonl").read_text()) / 1000
     assert held / 1000 < 1.5 * line + 400
 
@@ -140,8 +140,8 @@ def test_a_jump_of_the_clock_does_not_matter_to_a_time_budget(tmp_path, monkeypa
 
 @pytest.mark.parametrize("engine", [InlineEngine(), LocalEngine(2)], ids=["inline", "local"])
 def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, engine):
-    def rule() -> WidthRule:
-        return WidthRule("safe", 0.5, 2)
+    def rule() -> IntervalWidthRule:
+        return IntervalWidthRule("safe", 0.5, 2)
 
     ran = run(plan(flights=200), engine, tmp_path / "c", rule=rule())
     assert ran.state == "stopped" and ran.complete
@@ -149,7 +149,9 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
     safe = np.array(found.table["safe"].to_pylist()).reshape(-1, 2)
 
     def width(flights: int) -> float:
-        intervals = [share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)]
+        intervals = [
+            share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)
+        ]
         return max(high - low for low, high in intervals)
 
     assert width(ran.flights) <= 0.5 < min(width(n) for n in range(1, ran.flights))

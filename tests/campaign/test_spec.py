@@ -251,9 +251,11 @@ def test_keys_of_a_swept_part_hold_for_the_kinds_that_are_swept():
         ("rocks.cover=0.1", "policy=safest"), {"guidance.gamma": 1.5, "mappers.dem.cell_m": [1]}
     )  # fmt: skip
     for text in ("guidance=apollo", "guidance.kind=apollo", "mappers.dem.kind=quadtree"):
-        with pytest.raises(InputError, match=f"--set: must not set a key that --over sets, got '{text}'"):
+        with pytest.raises(
+            InputError, match=f"--set: must not set a key that --over sets, got '{text}'"
+        ):
             split_changes([text], swept)
-    with pytest.raises(InputError, match="--set: .*got 'a'"):
+    with pytest.raises(InputError, match=r"--set: .*got 'a'"):
         split_changes(["a"], swept)
 
 

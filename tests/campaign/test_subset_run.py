@@ -106,7 +106,7 @@ def test_failed_flights_flown_again_take_what_followed_from_them_along(tmp_path)
     run(planned("linear"), InlineEngine(), tmp_path / "d")
     whole, again = (chains_of(load_results(f)).levels for f in (tmp_path / "d", folder))
     # One flight in ten still has no slope in the folder, unlike in the whole one.
-    assert len(again) >= 3 and again[0].lost == 30 and whole[0].lost == 0
+    assert len(again) >= 3 and again[0].missing_count == 30 and whole[0].missing_count == 0
     table = load_results(folder).table.to_pandas()
     assert table["flight"].tolist() == list(range(len(table)))
     assert set(table["outcome"]) == {"flown"}

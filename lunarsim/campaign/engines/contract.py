@@ -16,13 +16,13 @@ class Engine(Protocol):
     ----------
     name
         Name in the manifest.
-    asks_to_halt
+    polls_halt
         Whether the engine polls `halt` while flights are running. Otherwise an interrupt must be
         raised as an exception.
     """
 
     name: str
-    asks_to_halt: bool
+    polls_halt: bool
 
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]

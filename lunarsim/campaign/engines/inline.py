@@ -14,12 +14,12 @@ class InlineEngine:
 
     Attributes
     ----------
-    name, asks_to_halt
+    name, polls_halt
         Attributes of the `Engine` interface.
     """
 
     name = "inline"
-    asks_to_halt = False
+    polls_halt = False
 
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]

@@ -29,53 +29,53 @@ def check_picklable(field: str, value: object) -> None:
     """
     kind = value if isinstance(value, str) else type(value).__qualname__
     sent = io.BytesIO()
-    sender = _Sender(sent)
+    sender = _NamePickler(sent)
     try:
         sender.dump(value)
-        found = _Recorder(io.BytesIO(sent.getvalue()))
+        found = _NameUnpickler(io.BytesIO(sent.getvalue()))
         found.load()
     except Exception as error:  # pickling hooks may raise anything
         said = str(error).split("\n")[0]
         raise InputError(
             field, kind, f"must be an object that can be pickled ({said})", "Use jobs = 1."
         ) from None
-    of_main = found.of_main + sender.of_main
-    if of_main and not _main_can_be_loaded():
+    main_names = found.main_names + sender.main_names
+    if main_names and not _is_main_importable():
         raise InputError(
             field, kind,
-            f"{of_main[0]} is defined in a notebook or an interactive session, which "
+            f"{main_names[0]} is defined in a notebook or an interactive session, which "
             "worker processes cannot import", "Move it into a module file, or use jobs = 1.",
         )  # fmt: skip
 
 
-class _Sender(pickle.Pickler):
+class _NamePickler(pickle.Pickler):
     """Pickles and collects the names in texts such as ``__main__:Mine``, as in scenarios."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
-        self.of_main: list[str] = []
+        self.main_names: list[str] = []
 
     def persistent_id(self, value: Any) -> None:
         """Collect the name of a text; the value is pickled as usual."""
         if isinstance(value, str) and value.startswith("__main__:"):
-            self.of_main.append(value.partition(":")[2])
+            self.main_names.append(value.partition(":")[2])
 
 
-class _Recorder(pickle.Unpickler):
+class _NameUnpickler(pickle.Unpickler):
     """Loads a pickle and collects the names that it takes from the module ``__main__``."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
-        self.of_main: list[str] = []
+        self.main_names: list[str] = []
 
     def find_class(self, module: str, name: str) -> Any:
         """Return a class or function by its name."""
         if module == "__main__":
-            self.of_main.append(name)
+            self.main_names.append(name)
         return super().find_class(module, name)
 
 
-def _main_can_be_loaded() -> bool:
+def _is_main_importable() -> bool:
     """Return whether a spawned process can load the ``__main__`` module of this process."""
     data = get_preparation_data("worker")
     path = data.get("init_main_from_path")

@@ -14,20 +14,20 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from lunarsim.campaign.engines.worker import one_thread
-from lunarsim.campaign.files import code_digest, differing, environment
+from lunarsim.campaign.engines.worker import limit_to_one_thread
+from lunarsim.campaign.files import code_digest, environment, environment_differences
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, function_of
 from lunarsim.campaign.plan import Group, Work
 from lunarsim.errors import InputError
 
 # Maximum time until an interrupt is noticed, s.
-_TICK = 0.2
+_POLL_INTERVAL_S = 0.2
 # Maximum number of starts of a group whose worker or node is lost.
-TRIES = 3
+MAX_ATTEMPTS = 3
 # Queued groups per core of the cluster.
-_WINDOW = 2
+_QUEUED_GROUPS_PER_CORE = 2
 # Time limit for the connection to an address, s.
-_ANSWER = 5.0
+_CONNECT_TIMEOUT_S = 5.0
 
 
 class RayEngine:
@@ -44,7 +44,7 @@ class RayEngine:
 
     Attributes
     ----------
-    name, asks_to_halt
+    name, polls_halt
         Attributes of the `Engine` interface.
 
     Raises
@@ -54,11 +54,11 @@ class RayEngine:
     """
 
     name = "ray"
-    asks_to_halt = True
+    polls_halt = True
 
     def __init__(self, address: str | None, jobs: int, time_limit: float | None = None) -> None:
         if address is not None:
-            _check_answers(address)
+            _check_reachable(address)
         try:
             import ray  # noqa: PLC0415  (an extra)
         except ImportError:
@@ -81,14 +81,14 @@ class RayEngine:
         ray = self._ray
         ours = not ray.is_initialized()
         if ours:
-            self._join()
+            self._connect()
         try:
-            yield from self._flown(work, iter(groups), halt)
+            yield from self._run_groups(work, iter(groups), halt)
         finally:
             if ours and not halt():
                 ray.shutdown()
 
-    def _join(self) -> None:
+    def _connect(self) -> None:
         more = {"num_cpus": self.jobs, "include_dashboard": False} if self.address is None else {}
         try:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
@@ -101,13 +101,13 @@ class RayEngine:
                 f"must be a running Ray cluster of the same version ({said})",
             ) from None  # fmt: skip
 
-    def _flown(
+    def _run_groups(
         self, work: Work, groups: Iterator[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         ray = self._ray
-        task = ray.remote(num_cpus=1, max_retries=TRIES - 1)(fly_group)
-        shared, made_by = ray.put(work), this_node()
-        window = _WINDOW * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        task = ray.remote(num_cpus=1, max_retries=MAX_ATTEMPTS - 1)(fly_group)
+        shared, made_by = ray.put(work), node_environment()
+        window = _QUEUED_GROUPS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: dict[Any, Group] = {}
         again: list[Group] = []
         try:
@@ -119,38 +119,46 @@ class RayEngine:
                     pending[task.remote(shared, group, self.time_limit, made_by)] = group
                 if not pending:
                     return
-                for reference in ray.wait(list(pending), num_returns=1, timeout=_TICK)[0]:
+                for reference in ray.wait(list(pending), num_returns=1, timeout=_POLL_INTERVAL_S)[
+                    0
+                ]:
                     group = pending.pop(reference)
                     try:
                         yield from self.check_node(ray.get(reference))
                     except ray.exceptions.RayError as error:
-                        yield from self._lost(group, again, str(error))
-            yield from self._heard_last(pending)
+                        yield from self._retry_lost(group, again, str(error))
+            yield from self._drain_messages(pending)
         finally:
             for reference in pending:
                 with contextlib.suppress(Exception):
                     ray.cancel(reference, force=True)
 
-    def _lost(self, group: Group, again: list[Group], said: str) -> Iterator[Finished]:
+    def _retry_lost(self, group: Group, again: list[Group], said: str) -> Iterator[Finished]:
         """Fly the arms of a lost group separately; record a single arm as killed."""
         if len(group.arms) > 1:
             again += [replace(group, arms=(arm,)) for arm in group.arms]
             return
-        error = f"The process of the flight ended {TRIES} times ({said.strip().splitlines()[0]})."
+        reason = said.strip().splitlines()[0]
+        error = f"The process of the flight ended {MAX_ATTEMPTS} times ({reason})."
         yield Finished(
-            group.flight, group.arms[0], KILLED, error=error, tries=TRIES, finished=time.time()
+            group.flight,
+            group.arms[0],
+            KILLED,
+            error=error,
+            tries=MAX_ATTEMPTS,
+            finished=time.time(),
         )
 
-    def _heard_last(self, pending: dict[Any, Group]) -> Iterator[Finished]:
+    def _drain_messages(self, pending: dict[Any, Group]) -> Iterator[Finished]:
         ray = self._ray
         ready = ray.wait(list(pending), num_returns=len(pending), timeout=0)[0] if pending else []
         for reference in ready:
             with contextlib.suppress(ray.exceptions.RayError):
                 yield from self.check_node(ray.get(reference))
 
-    def check_node(self, came: list[Finished] | OtherNode) -> list[Finished]:
+    def check_node(self, came: list[Finished] | NodeMismatch) -> list[Finished]:
         """Return the flights of a node; refuse a node with other code or packages."""
-        if isinstance(came, OtherNode):
+        if isinstance(came, NodeMismatch):
             raise InputError(
                 "--address", self.address,
                 f"node {came.who} has other code or packages: {came.has}",
@@ -160,7 +168,7 @@ class RayEngine:
 
 
 @dataclass(frozen=True)
-class OtherNode:
+class NodeMismatch:
     """Node that may give other results than this machine.
 
     Attributes
@@ -175,7 +183,7 @@ class OtherNode:
 
 def fly_group(
     work: Work, group: Group, time_limit: float | None, made_by: Mapping[str, str]
-) -> list[Finished] | OtherNode:
+) -> list[Finished] | NodeMismatch:
     """Fly a group on a worker of the cluster; return its finished flights.
 
     Parameters
@@ -185,19 +193,19 @@ def fly_group(
     made_by
         Code and packages recorded in the rows. A node with others does not fly.
     """
-    here, who = this_node(), f"{socket.gethostname()}:{os.getpid()}"
-    other = differing(made_by, here)
+    here, who = node_environment(), f"{socket.gethostname()}:{os.getpid()}"
+    other = environment_differences(made_by, here)
     if other:
-        told = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
-        return OtherNode(who, ", ".join(told))
+        differences = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
+        return NodeMismatch(who, ", ".join(differences))
     function = function_of(work)
-    one_thread()
+    limit_to_one_thread()
     memory: dict[Any, Any] = {}
     found = []
     for arm in group.arms:
-        with _limited(time_limit):
+        with _flight_time_limit(time_limit):
             done = attempt(function, work, group, arm, memory)
-        if done.error.startswith(f"{__name__}.{_TooLongError.__name__}"):
+        if done.error.startswith(f"{__name__}.{_FlightTimeoutError.__name__}"):
             error = f"The flight exceeded the time limit of {time_limit:g} s."
             done = replace(done, outcome=TIMEOUT, error=error, traceback="")
         found.append(replace(done, worker=who))
@@ -205,12 +213,12 @@ def fly_group(
 
 
 @cache
-def this_node() -> dict[str, str]:
+def node_environment() -> dict[str, str]:
     """Return the code digest and package versions of this process."""
     return {"lunarsim": f"code {code_digest()}"} | environment()
 
 
-class _TooLongError(BaseException):
+class _FlightTimeoutError(BaseException):
     """The flight exceeded its time limit."""
 
 
@@ -238,14 +246,14 @@ def _children(process: int) -> list[int]:
 
 
 @contextlib.contextmanager
-def _limited(seconds: float | None) -> Iterator[None]:
-    """Raise `_TooLongError` in the enclosed code when the time is over."""
+def _flight_time_limit(seconds: float | None) -> Iterator[None]:
+    """Raise `_FlightTimeoutError` in the enclosed code when the time is over."""
     if seconds is None:
         yield
         return
 
     def over(number: int, frame: FrameType | None) -> None:
-        raise _TooLongError
+        raise _FlightTimeoutError
 
     old = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)
@@ -256,11 +264,11 @@ def _limited(seconds: float | None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, old)
 
 
-def _check_answers(address: str) -> None:
+def _check_reachable(address: str) -> None:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
         raise InputError("--address", address, "must be HOST:PORT of a running Ray cluster")
     try:
-        socket.create_connection((host, int(port)), timeout=_ANSWER).close()
+        socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
         raise InputError("--address", address, f"does not respond ({error})") from None

@@ -20,43 +20,43 @@ READY, BEGAN, ENDED, DONE = "ready", "began", "ended", "done"
 _PR_SET_PDEATHSIG = 1
 
 
-def serve(work: Work, orders: Connection, lifeline: Connection, parent: int) -> None:
+def run_worker(work: Work, connection: Connection, lifeline: Connection, parent: int) -> None:
     """Fly groups until the connection closes.
 
     Parameters
     ----------
     work
         Function and settings that all flights share.
-    orders
+    connection
         Connection that receives groups and sends messages.
     lifeline
         Connection without messages; it closes when the parent ends.
     parent
         Process id of the parent.
     """
-    _end_with(parent, lifeline)
+    _end_with_parent(parent, lifeline)
     # A keyboard interrupt reaches all processes; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     function = function_of(work)
-    one_thread()
-    orders.send((READY, None))
+    limit_to_one_thread()
+    connection.send((READY, None))
     fresh = True
     while True:
         try:
-            group = orders.recv()
+            group = connection.recv()
         except EOFError:
             return
         memory: dict[Any, Any] = {}
         for arm in group.arms:
-            orders.send((BEGAN, arm))
-            orders.send((ENDED, attempt(function, work, group, arm, memory)))
+            connection.send((BEGAN, arm))
+            connection.send((ENDED, attempt(function, work, group, arm, memory)))
         memory.clear()
-        _swept(fresh)
+        _collect_garbage(fresh)
         fresh = False
-        orders.send((DONE, None))
+        connection.send((DONE, None))
 
 
-def _swept(first: bool) -> None:
+def _collect_garbage(first: bool) -> None:
     """Free reference cycles that flights leave, about 70 MB each.
 
     Objects loaded by the first group are frozen, which makes later collections cheap.
@@ -66,7 +66,7 @@ def _swept(first: bool) -> None:
         gc.freeze()
 
 
-def one_thread() -> None:
+def limit_to_one_thread() -> None:
     """Limit a worker to one thread, because the processes share the cores."""
     if "numba" in sys.modules:
         sys.modules["numba"].set_num_threads(1)
@@ -76,7 +76,7 @@ def one_thread() -> None:
         threadpoolctl.threadpool_limits(1)
 
 
-def _end_with(parent: int, lifeline: Connection) -> None:
+def _end_with_parent(parent: int, lifeline: Connection) -> None:
     """Make this process end with its parent."""
     if sys.platform == "linux":
         # The operating system kills it at once, even within a long compiled kernel.

@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
-from lunarsim.campaign.rare import RareShare
+from lunarsim.campaign.analysis import ArmStatistics, arm_rows, column
+from lunarsim.campaign.rare import RareFailureEstimate
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
-from lunarsim.campaign.subset import Chains
+from lunarsim.campaign.subset import SubsetChains
 from lunarsim.evaluation.comparisons import Difference, Ellipse
 from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
 from lunarsim.evaluation.statistics import Proportion
@@ -25,9 +25,9 @@ from lunarsim.evaluation.statistics import Proportion
 # Palette of Okabe and Ito for colour-blind readers; its grey is visible on both themes.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8c8c8c")
 # Maximum number of scatter points per arm, which browsers still move smoothly.
-_MOST_POINTS = 4000
+_MAX_POINTS = 4000
 # Maximum number of points of a line per level.
-_MOST_STEPS = 200
+_MAX_LINE_POINTS = 200
 Plot = dict[str, Any]
 
 
@@ -55,7 +55,7 @@ def _literal(value: Any) -> Any:
     return html.escape(value, quote=False) if isinstance(value, str) else value
 
 
-def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, float]]) -> Plot:
+def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
     """Plot the share of safe landings of each arm with its interval; omit arms without one."""
     traces = []
     for i, arm in enumerate(figures):
@@ -80,7 +80,7 @@ def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, flo
 
 def landings_plot(
     found: Results,
-    figures: list[ArmFigures],
+    figures: list[ArmStatistics],
     ground: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
@@ -100,7 +100,7 @@ def landings_plot(
     for i, arm in enumerate(figures):
         for good, symbol in ((True, "circle"), (False, "x")):
             rows = np.flatnonzero(rows_of[arm.name] & np.isfinite(xs) & ((safe > 0.5) == good))
-            rows = rows[:: max(1, -(-len(rows) // _MOST_POINTS))]
+            rows = rows[:: max(1, -(-len(rows) // _MAX_POINTS))]
             traces.append({
                 "type": "scatter", "mode": "markers", "x": _numbers(xs[rows]),
                 "y": _numbers(ys[rows]), "text": names[rows].tolist(),
@@ -138,7 +138,7 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
     )
 
 
-def reliability_plot(found: Results, figures: list[ArmFigures]) -> Plot | None:
+def reliability_plot(found: Results, figures: list[ArmStatistics]) -> Plot | None:
     """Plot the observed share of exactly safe touchdown sites against predicted p_safe."""
     if "p_safe" not in found.manifest["columns"]:
         return None
@@ -204,7 +204,7 @@ def differences_plot(made: list[Difference]) -> Plot:
     return _plot("differences", "Paired differences", said, traces, layout)
 
 
-def rare_plot(made: list[RareShare]) -> Plot:
+def rare_plot(made: list[RareFailureEstimate]) -> Plot:
     """Plot the failure share of each arm with its interval."""
     traces = [
         {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
@@ -222,7 +222,7 @@ def rare_plot(made: list[RareShare]) -> Plot:
     return _plot("shares", "Failure share", said, traces, layout)
 
 
-def levels_plot(chains: Chains) -> Plot | None:
+def levels_plot(chains: SubsetChains) -> Plot | None:
     """Plot the distribution of the failure metric, level by level."""
     traces: list[Plot] = []
     reached = 1.0
@@ -230,7 +230,7 @@ def levels_plot(chains: Chains) -> Plot | None:
         margins = np.sort(level.margins, axis=None)
         shares = reached * np.arange(1, margins.size + 1) / margins.size
         known = np.isfinite(margins) & (margins >= level.threshold)
-        at = np.flatnonzero(known)[:: max(1, int(known.sum()) // _MOST_STEPS)]
+        at = np.flatnonzero(known)[:: max(1, int(known.sum()) // _MAX_LINE_POINTS)]
         reached *= level.share
         traces.append({
             "type": "scatter", "mode": "lines", "name": f"level {number}",

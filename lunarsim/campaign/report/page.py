@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 import lunarsim
-from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
-from lunarsim.campaign.rare import RareShare, rare_shares
+from lunarsim.campaign.analysis import ArmStatistics, column, compute_arm_statistics, differences
+from lunarsim.campaign.rare import RareFailureEstimate, rare_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
@@ -34,11 +34,11 @@ from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole
 
 # Number of worst flights listed per arm.
-_WORST = 5
+_LISTED_PER_ARM = 5
 # Maximum number of arms for the sensitivity analysis, and its bootstrap resamples.
-_MOST_SENSITIVE, _RESAMPLES = 8, 50
+_MAX_SENSITIVITY_ARMS, _RESAMPLES = 8, 50
 # Maximum number of rows of the table of failure causes.
-_MOST_CAUSES = 60
+_MAX_CAUSES = 60
 # Underscores within words and brackets without a link need no escape.
 _MARKDOWN = re.compile(r"([\\`*<|~]|(?<!\w)_|_(?!\w)|(?<=\])\()")
 _LABELS = {
@@ -125,9 +125,9 @@ def _in_script(text: str) -> Any:
 
 def _content(found: Results) -> dict[str, Any]:
     """Return everything that the page shows."""
-    if found.is_leaning:
+    if found.has_unequal_weights:
         return _rare_content(found)
-    figures = figures_of(found)
+    figures = compute_arm_statistics(found)
     # A campaign with a stop rule was monitored, even if it ended before the rule applied.
     watched = "stop" in found.manifest["identity"]
     intervals = {a.name: _interval(a, watched) for a in figures}
@@ -178,7 +178,7 @@ def _rare_content(found: Results) -> dict[str, Any]:
     }
 
 
-def _ranged_share(s: RareShare) -> str:
+def _ranged_share(s: RareFailureEstimate) -> str:
     if s.value != s.value:
         return "–"
     rough = " (few failures: approximate)" if s.few else ""
@@ -191,7 +191,7 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
     drawn = [p for p in plots if p is not None]
     return {
         "m": found.manifest,
-        "leaning": found.is_leaning,
+        "leaning": found.has_unequal_weights,
         "subset": found.is_subset,
         "levels": [],
         "ended": "",
@@ -201,7 +201,7 @@ def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any
         "factors": _factors(found),
         "plots": {p["id"]: p for p in drawn},
         "data": drawn,
-        "causes": failures(found)[:_MOST_CAUSES],
+        "causes": failures(found)[:_MAX_CAUSES],
         "worst": _worst(found),
         "timing": _timing(found),
         "spec": bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
@@ -212,21 +212,21 @@ def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
     """Return the sensitivity of the safe share, or the reason why there is none."""
     if not found.manifest["identity"].get("dispersions"):
         return [], ""
-    if len(found.arms) > _MOST_SENSITIVE:
-        return [], f"Not computed for more than {_MOST_SENSITIVE} arms; use the command."
+    if len(found.arms) > _MAX_SENSITIVITY_ARMS:
+        return [], f"Not computed for more than {_MAX_SENSITIVITY_ARMS} arms; use the command."
     try:
         return sensitivities(found, "safe", _RESAMPLES), ""
     except InputError as error:
         return [], str(error)
 
 
-def _interval(arm: ArmFigures, watched: bool) -> tuple[float, float]:
+def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
     """Return the interval of the safe share; a confidence sequence if it was monitored."""
     share = arm.shares["safe"]
     return share_sequence(share.count, share.total) if watched else share.interval
 
 
-def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
+def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
     """Return the cells of an arm in the tables of outcomes and of effort."""
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
@@ -276,7 +276,7 @@ def _worst(found: Results) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for arm in found.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
-        for row in table.take(pa.array(order[mine[order]][:_WORST])).to_pylist():
+        for row in table.take(pa.array(order[mine[order]][:_LISTED_PER_ARM])).to_pylist():
             why = row["error"] or row.get("failed") or row["outcome"]
             out.append({"id": row["id"], "arm": arm, "why": why})
     return out
