@@ -73,8 +73,8 @@ OWN = {
         ([GOOD, "--out", "c.txt"], ["--out = 'c.txt'", ".json"]),
         ([GOOD, "--out", "none/c.json"], ["--out = 'none/c.json'", "existing folder"]),
         ([GOOD, "--out", "there.json"], ["--out = 'there.json'", "--force"]),
-        ([GOOD, "--out", "c.json", "--flights", "1"], ["--flights = 1", "at least 2"]),
-        ([GOOD, "--out", "c.json", "--mapper", "dam"], ["--mapper = 'dam'", "there are dem"]),
+        ([GOOD, "--out", "c.json", "--flights", "1"], ["--flights:", "2 or more, got 1"]),
+        ([GOOD, "--out", "c.json", "--mapper", "dam"], ["--mapper:", "available: dem", "got 'dam'"]),
     ],
     "render": [
         ([GOOD, "--out", "x.jpg"], ["--out = 'x.jpg'", ".png"]),
@@ -84,7 +84,7 @@ OWN = {
         ([GOOD, "--out", "x.png", "--sun-elevation", "95"], ["sun.elevation_deg = 95.0", "90"]),
         ([GOOD, "--out", "x.png", "--exposure", "0"], ["--exposure", "0.0<x<=100.0"]),
         ([GOOD, "--out", "x.png", "--truth", "x.txt"], ["--truth = 'x.txt'", ".npz"]),
-        ([GOOD, "--out", "x.png", "--heading", "inf"], ["--heading = inf", "finite"]),
+        ([GOOD, "--out", "x.png", "--heading", "inf"], ["--heading:", "finite", "got inf"]),
     ],
     "sweep": [
         ([GOOD, "--out", "new", "--over", "rocks.cover"], ["--over", "KEY=A,B,C"]),

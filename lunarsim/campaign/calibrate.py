@@ -150,7 +150,7 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
             raise InputError("mappers", ", ".join(mappers), problem, remedy)
     if name not in fit:
         raise InputError(
-            "--mapper", name, f"must be a mapper of kind gaussian-dem (there: {words})"
+            "--mapper", name, f"must be a mapper of kind gaussian-dem (available: {words})"
         )
     safety = mappers[name].safety
     if safety != "calibrated":

@@ -84,7 +84,7 @@ def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     assert rows["2-1"]["error"] == "SystemExit: 3"
     assert (rows["3-0"]["outcome"], rows["3-0"]["error"]) == (
         "timeout",
-        "it took longer than 0.7 s",
+        "The flight exceeded the time limit of 0.7 s.",
     )
     assert rows["4-1"]["outcome"] == "killed"
     assert "SIGKILL" in rows["4-1"]["error"] and "3 times" in rows["4-1"]["error"]
@@ -177,7 +177,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"seed was 1 there, is 2 now"):
+    with pytest.raises(InputError, match=r"seed was 1 there, but is 2 now"):
         run(plan(flights=2, seed=2), InlineEngine(), tmp_path / "c")
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
