@@ -74,7 +74,8 @@ OWN = {
         ([GOOD, "--out", "none/c.json"], ["--out = 'none/c.json'", "existing folder"]),
         ([GOOD, "--out", "there.json"], ["--out = 'there.json'", "--force"]),
         ([GOOD, "--out", "c.json", "--flights", "1"], ["--flights:", "2 or more, got 1"]),
-        ([GOOD, "--out", "c.json", "--mapper", "dam"], ["--mapper:", "available: dem", "got 'dam'"]),
+        ([GOOD, "--out", "c.json", "--mapper", "dam"],
+         ["--mapper:", "available: dem", "got 'dam'"]),
     ],
     "render": [
         ([GOOD, "--out", "x.jpg"], ["--out = 'x.jpg'", ".png"]),

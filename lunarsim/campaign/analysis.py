@@ -63,24 +63,26 @@ class ArmStatistics:
     ellipse: Ellipse | None
 
 
-def column(found: Results, name: str, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+def column(
+    results: Results, name: str, rows: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
     """Return a column as floats (true and false as 1 and 0, missing values as NaN)."""
-    values = pc.cast(found.table[name], "float64").to_numpy(zero_copy_only=False)
+    values = pc.cast(results.table[name], "float64").to_numpy(zero_copy_only=False)
     return np.asarray(values if rows is None else values[rows], dtype=np.float64)
 
 
-def metrics(found: Results, kind: str) -> list[str]:
+def metrics(results: Results, kind: str) -> list[str]:
     """Return the names of the metrics of a kind."""
-    return [name for name, k in found.manifest["columns"].items() if k == kind]
+    return [name for name, k in results.manifest["columns"].items() if k == kind]
 
 
-def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
+def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
     """Return a mask of the rows of each arm."""
-    names = found.table["arm"]
-    return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in found.arms}
+    names = results.table["arm"]
+    return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in results.arms}
 
 
-def compute_arm_statistics(found: Results) -> list[ArmStatistics]:
+def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
     """Compute the statistics of every arm; flights without an outcome are only counted.
 
     Raises
@@ -88,28 +90,28 @@ def compute_arm_statistics(found: Results) -> list[ArmStatistics]:
     InputError
         If the flights have unequal weights (importance sampling).
     """
-    found.check_equal_weights("folder")
-    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
-    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
-    metric_names = [name for name in _SUMMARY_METRICS if name in found.manifest["columns"]]
+    results.check_equal_weights("folder")
+    rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
+    flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    metric_names = [name for name in _SUMMARY_METRICS if name in results.manifest["columns"]]
     out = []
-    for arm, rows in arm_rows(found).items():
+    for arm, rows in arm_rows(results).items():
         here = rows & flown
         flown_rows = int(here.sum())
-        here = here & found.independent
+        here = here & results.independent
         count = int(here.sum())
         shares = {
-            name: Proportion(int(np.nansum(column(found, name, here))), count)
-            for name in metrics(found, "bool")
+            name: Proportion(int(np.nansum(column(results, name, here))), count)
+            for name in metrics(results, "bool")
         }
-        numbers = {name: column(found, name, here) for name in metric_names}
+        numbers = {name: column(results, name, here) for name in metric_names}
         out.append(
             ArmStatistics(
                 arm, int(rows.sum()), flown_rows, shares,
                 {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
                 {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
                  for n, v in numbers.items()},
-                _ellipse(found, here),
+                _ellipse(results, here),
             )
         )  # fmt: skip
     return out
@@ -120,11 +122,11 @@ def _mean(values: NDArray[np.float64]) -> float:
     return float(finite.mean()) if len(finite) else float("nan")
 
 
-def _ellipse(found: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
+def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
     names = ("touchdown_x_m", "touchdown_y_m")
-    if not all(name in found.manifest["columns"] for name in names):
+    if not all(name in results.manifest["columns"] for name in names):
         return None
-    return landing_ellipse(np.column_stack([column(found, name, rows) for name in names]))
+    return landing_ellipse(np.column_stack([column(results, name, rows) for name in names]))
 
 
 def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
@@ -134,7 +136,7 @@ def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
     return [(arms[0], other) for other in arms[1:]]
 
 
-def differences(found: Results, metric: str = "safe") -> list[Difference]:
+def differences(results: Results, metric: str = "safe") -> list[Difference]:
     """Compute the differences of a metric between arms on the flights that both have flown.
 
     Raises
@@ -142,19 +144,19 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
     InputError
         If the metric is not a numeric or boolean column, or the flights have unequal weights.
     """
-    found.check_equal_weights("folder")
-    kind = found.manifest["columns"].get(metric)
+    results.check_equal_weights("folder")
+    kind = results.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
-        raise InputError("metric", metric, suggestion(metric, found.manifest["columns"]))
-    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
-    flights = int(found.table["flight"].to_numpy().max(initial=-1)) + 1
+        raise InputError("metric", metric, suggestion(metric, results.manifest["columns"]))
+    rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
+    flights = int(results.table["flight"].to_numpy().max(initial=-1)) + 1
     values = {}
-    for arm, mine in arm_rows(found).items():
-        rows = mine & found.independent
+    for arm, mine in arm_rows(results).items():
+        rows = mine & results.independent
         values[arm] = np.full(flights, np.nan)
-        values[arm][found.table["flight"].to_numpy()[rows]] = column(found, metric, rows)
+        values[arm][results.table["flight"].to_numpy()[rows]] = column(results, metric, rows)
     made = []
-    for pair in pairs_of(found.arms):
+    for pair in pairs_of(results.arms):
         a, b = (values[arm] for arm in pair)
         both = np.isfinite(a) & np.isfinite(b)
         if kind == "bool":
@@ -205,10 +207,10 @@ def diff(
         If the campaigns differ in arms, seed or draws, flights have unequal weights, or there is
         no such metric.
     """
-    for field, found in (("A", first), ("B", second)):
-        found.check_equal_weights(field)
+    for field, results in (("A", first), ("B", second)):
+        results.check_equal_weights(field)
     for name in ("seed", "arms", *_DRAW_FIELDS):
-        ours, theirs = (_key(found, name) for found in (first, second))
+        ours, theirs = (_key(results, name) for results in (first, second))
         if ours != theirs:
             raise InputError(
                 "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
@@ -217,7 +219,7 @@ def diff(
         raise InputError("--metric", metric, suggestion(metric, metrics(first, "bool")))
     made = []
     for arm in first.arms:
-        a, b = (_by_flight(found, arm, metric) for found in (first, second))
+        a, b = (_by_flight(results, arm, metric) for results in (first, second))
         flights = sorted(a.keys() & b.keys())
         if not flights:
             raise InputError(
@@ -236,15 +238,17 @@ def diff(
     ]
 
 
-def _key(found: Results, name: str) -> object:
+def _key(results: Results, name: str) -> object:
     if name == "arms":
-        return found.arms
-    return found.manifest["identity"].get(name) if name in _DRAW_FIELDS else found.manifest[name]
+        return results.arms
+    return (
+        results.manifest["identity"].get(name) if name in _DRAW_FIELDS else results.manifest[name]
+    )
 
 
-def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
+def _by_flight(results: Results, arm: str, metric: str) -> dict[int, bool]:
     """Return the metric by flight; a flight without an outcome counts as a failure."""
-    mine = pc.equal(found.table["arm"], arm).to_numpy(zero_copy_only=False)
-    rows = found.table.filter(pa.array(mine & found.independent))
+    mine = pc.equal(results.table["arm"], arm).to_numpy(zero_copy_only=False)
+    rows = results.table.filter(pa.array(mine & results.independent))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)
     return {flight: bool(value) for flight, value in values}

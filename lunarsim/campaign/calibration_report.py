@@ -17,23 +17,23 @@ _HEADINGS = (
 )  # fmt: skip
 
 
-def _groups(found: CalibrationResult) -> tuple[tuple[str, CalibrationComparison], ...]:
+def _groups(result: CalibrationResult) -> tuple[tuple[str, CalibrationComparison], ...]:
     return (
-        ("packaged", found.left_out.packaged_domain),
-        ("refit", found.left_out.refit_domain),
+        ("packaged", result.left_out.packaged_domain),
+        ("refit", result.left_out.refit_domain),
     )
 
 
-def calibration_table(found: CalibrationResult) -> Table:
+def calibration_table(result: CalibrationResult) -> Table:
     """Build the table of packaged and refitted calibration per domain, with 95 % intervals."""
-    c = found.calibration
+    c = result.calibration
     table = Table(
-        title=f"{c.scenario}: {c.sites} sites on {found.maps} maps of {c.flights} flights, "
+        title=f"{c.scenario}: {c.sites} sites on {result.maps} maps of {c.flights} flights, "
         "leave-one-flight-out"
     )
     for heading in _HEADINGS:
         table.add_column(heading, justify="left" if heading in ("domain", "p") else "right")
-    for name, judgement in _groups(found):
+    for name, judgement in _groups(result):
         for whose, figures in (("packaged", judgement.packaged), ("refit", judgement.refit)):
             table.add_row(name, whose, *_cells(figures))
         table.add_section()
@@ -60,10 +60,10 @@ def _with_interval(values: NDArray[np.float64], form: str = "{:.4f}") -> str:
     return f"{value} [{low}, {high}]"
 
 
-def verdicts(found: CalibrationResult) -> Iterator[str]:
+def verdicts(result: CalibrationResult) -> Iterator[str]:
     """Yield sentences that say whether the refit is better, and its coefficients."""
-    left = found.left_out.refit_domain
-    for name, judgement in _groups(found):
+    left = result.left_out.refit_domain
+    for name, judgement in _groups(result):
         gain = judgement.gain
         if not np.isfinite(gain).all():
             yield f"In the {name} domain there are no sites to compare the refit on."
@@ -78,9 +78,9 @@ def verdicts(found: CalibrationResult) -> Iterator[str]:
             "On held-out flights its probabilities are less informative than the mean safe share: "
             "use more flights."
         )
-    if not any(judgement.better for _, judgement in _groups(found)):
+    if not any(judgement.better for _, judgement in _groups(result)):
         yield "The refit gives no improvement: use the packaged calibration."
-    c = found.calibration
+    c = result.calibration
     yield (
         f"Log odds of the refit: {c.inside.intercept:+.3f} {c.inside.slope:+.3f} x packaged in the "
         f"packaged domain, {c.outside.intercept:+.3f} {c.outside.slope:+.3f} x packaged outside"

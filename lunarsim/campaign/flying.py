@@ -95,7 +95,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
     return Plan(
         name=spec.head.name,
         seed=spec.head.seed,
-        flights=spec.head.flights if chains is None else chains.most,
+        flights=spec.head.flights if chains is None else chains.max_flights,
         arms=arms,
         groups=group_arms_by_terrain(spec.arms),
         draws=draws,

@@ -66,13 +66,13 @@ class RareFailureEstimate:
 
 
 def rare_shares(
-    found: Results, metric: str = "safe", above: float | None = None, below: float | None = None
+    results: Results, metric: str = "safe", above: float | None = None, below: float | None = None
 ) -> list[RareFailureEstimate]:
     """Estimate the failure share of every arm.
 
     Parameters
     ----------
-    found
+    results
         Results of a campaign of method importance or subset.
     metric
         Boolean column that is false for a failure, or a numeric column with a limit. With method
@@ -85,34 +85,34 @@ def rare_shares(
     InputError
         If the campaign has another method, or metric and limits do not fit together.
     """
-    if not found.has_unequal_weights:
+    if not results.has_unequal_weights:
         raise InputError(
-            "folder", str(found.folder), "must be a campaign of method importance or subset"
+            "folder", str(results.folder), "must be a campaign of method importance or subset"
         )
-    if found.is_subset:
+    if results.is_subset:
         if metric != "safe" or above is not None or below is not None:
             expected = "must be omitted: with method subset the spec defines the failure"
             raise InputError("--metric", metric, expected)
-        return [_subset_failure_share(found)]
-    kinds = {n: kind for n, kind in found.manifest["columns"].items() if kind != "text"}
+        return [_subset_failure_share(results)]
+    kinds = {n: kind for n, kind in results.manifest["columns"].items() if kind != "text"}
     if metric not in kinds:
         raise InputError("--metric", metric, suggestion(metric, kinds))
     limits = above is not None or below is not None
     if limits == (kinds[metric] == "bool"):
         expected = "must be a numeric column with --above or --below, or a boolean one without"
         raise InputError("--metric", metric, expected)
-    values, weights = column(found, metric), column(found, WEIGHT)
+    values, weights = column(results, metric), column(results, WEIGHT)
     if limits:
         failed = (values > (np.inf if above is None else above)) | (
             values < (-np.inf if below is None else below)
         )
     else:
         failed = values < 0.5
-    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
     good = flown & np.isfinite(values)
-    max_weight = 1.0 / float(found.manifest["identity"]["importance"]["nominal_share"])
+    max_weight = 1.0 / float(results.manifest["identity"]["importance"]["nominal_share"])
     out = []
-    for arm, rows in arm_rows(found).items():
+    for arm, rows in arm_rows(results).items():
         here = rows & good
         value, low, high, worth = estimate_weighted_share(failed[here], weights[here], max_weight)
         left_out = int(rows.sum() - here.sum())
@@ -126,12 +126,12 @@ def rare_shares(
     return out
 
 
-def _subset_failure_share(found: Results) -> RareFailureEstimate:
+def _subset_failure_share(results: Results) -> RareFailureEstimate:
     """Return the failure share of a subset simulation; NaN while it is not complete."""
-    chains = chains_of(found)
+    chains = chains_of(results)
     missing_count = sum(level.missing_count for level in chains.levels)
     failures = sum(int((level.margins <= 0.0).sum()) for level in chains.levels[-1:])
-    flights, (arm,), nan = len(found.table) - missing_count, found.arms, float("nan")
+    flights, (arm,), nan = len(results.table) - missing_count, results.arms, float("nan")
     if chains.stop is None:
         return RareFailureEstimate(arm, flights, failures, missing_count, nan, nan, nan, nan, nan)
     made = estimate_failure_probability(chains.levels)

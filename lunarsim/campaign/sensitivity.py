@@ -77,12 +77,14 @@ def check_installed() -> None:
         ) from None
 
 
-def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) -> list[Sensitivity]:
+def sensitivities(
+    results: Results, metric: str = "safe", resamples: int = 100
+) -> list[Sensitivity]:
     """Compute the sensitivity of a metric in every arm.
 
     Parameters
     ----------
-    found
+    results
         Results of a campaign with dispersions.
     metric
         Numeric or boolean column.
@@ -95,26 +97,26 @@ def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) ->
         If SALib is not installed, the campaign has no dispersions, flights have unequal weights,
         or the metric is not numeric.
     """
-    found.check_equal_weights("folder")
-    identity = found.manifest["identity"]
+    results.check_equal_weights("folder")
+    identity = results.manifest["identity"]
     keys = list(identity.get("dispersions", {}))
     if not keys:
-        raise InputError("folder", str(found.folder), "must be a campaign with [dispersions]")
-    known = [n for n, kind in found.manifest["columns"].items() if kind != "text"]
+        raise InputError("folder", str(results.folder), "must be a campaign with [dispersions]")
+    known = [n for n, kind in results.manifest["columns"].items() if kind != "text"]
     if metric not in known:
         raise InputError("--metric", metric, suggestion(metric, known))
     check_installed()
-    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
-    values = np.where(flown, column(found, metric), np.nan)
-    seed = int(found.manifest["seed"])
+    flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    values = np.where(flown, column(results, metric), np.nan)
+    seed = int(results.manifest["seed"])
     out = []
-    for arm, rows in arm_rows(found).items():
+    for arm, rows in arm_rows(results).items():
         rng = np.random.default_rng(design_seed(seed))
         if identity.get("method") == "saltelli":
-            flights = found.table["flight"].to_numpy()[rows]
+            flights = results.table["flight"].to_numpy()[rows]
             out.append(_sobol(arm, metric, keys, flights, values[rows], resamples, rng))
         else:
-            inputs = np.column_stack([_input(found, key)[rows] for key in keys])
+            inputs = np.column_stack([_input(results, key)[rows] for key in keys])
             out.append(_pawn(arm, metric, keys, inputs, values[rows], resamples, rng))
     return out
 
@@ -215,10 +217,10 @@ def _reason_without_indices(values: Array) -> str:
     return "" if np.ptp(values) > 0.0 else f"all flights have the value {values[0]:g}"
 
 
-def _input(found: Results, key: str) -> Array:
+def _input(results: Results, key: str) -> Array:
     """Return the draws of a key as numbers; texts as their alphabetical rank."""
     name = ".".join(path_of(key))
-    if found.manifest["inputs"].get(name) != "text":
-        return column(found, name)
-    words = found.table[name].to_pylist()
+    if results.manifest["inputs"].get(name) != "text":
+        return column(results, name)
+    words = results.table[name].to_pylist()
     return np.array([sorted(set(words)).index(w) for w in words], dtype=np.float64)

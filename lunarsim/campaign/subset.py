@@ -103,7 +103,7 @@ class SubsetChains:
         self.reset()
 
     @property
-    def most(self) -> int:
+    def max_flights(self) -> int:
         """Number of flights if all levels are flown."""
         return self._first_flight(self._settings.levels)
 

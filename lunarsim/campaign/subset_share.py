@@ -50,7 +50,7 @@ class SubsetEstimate:
     worlds: int
 
 
-def chains_of(found: Results) -> SubsetChains:
+def chains_of(results: Results) -> SubsetChains:
     """Rebuild the chains of a campaign of method subset from its rows.
 
     Raises
@@ -58,15 +58,15 @@ def chains_of(found: Results) -> SubsetChains:
     InputError
         If the campaign has another method, or its rows are inconsistent.
     """
-    identity = found.manifest["identity"]
+    identity = results.manifest["identity"]
     if identity.get("method") != "subset":
-        raise InputError("folder", str(found.folder), "must be a campaign of method subset")
+        raise InputError("folder", str(results.folder), "must be a campaign of method subset")
     laws = build_dispersions(identity, "subset", int(identity["seed"]), int(identity["flights"]))
     chains = SubsetChains(laws)
-    orphans = chains.resume(found.table.to_pylist())
-    if orphans and found.manifest["state"] == "complete":
+    orphans = chains.resume(results.table.to_pylist())
+    if orphans and results.manifest["state"] == "complete":
         raise InputError(
-            "folder", str(found.folder), f"flight {orphans[0]} does not follow from the others",
+            "folder", str(results.folder), f"flight {orphans[0]} does not follow from the others",
             "Fly it again with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     return chains
@@ -134,13 +134,13 @@ def _reached_share_bound(levels: Sequence[SubsetLevel]) -> float:
 
     0 if the last level itself has many: its own variation is then sufficient.
     """
-    reached, spread, most = 1.0, 0.0, 1.0
+    reached, spread, bound = 1.0, 0.0, 1.0
     for level in levels[:-1]:
         if len(np.unique(level.worlds)) < MIN_EFFECTIVE_FAILURES:
-            return most
+            return bound
         reached, spread = reached * level.share, spread + float(np.sqrt(level_variance(level)))
-        most = reached * _interval_factor(spread)
-    return most if len(np.unique(levels[-1].worlds)) < MIN_EFFECTIVE_FAILURES else 0.0
+        bound = reached * _interval_factor(spread)
+    return bound if len(np.unique(levels[-1].worlds)) < MIN_EFFECTIVE_FAILURES else 0.0
 
 
 def _interval_factor(variation: float) -> float:

@@ -64,12 +64,12 @@ class TruthOracle:
         grid = truth.safety.grid
         clearance = truth.clearance
         here = observation.site - error
-        room = max(self.room, _CLEARANCE_SIGMAS * observation.expected_miss)
+        required = max(self.room, _CLEARANCE_SIGMAS * observation.expected_miss)
         row, col = (int(v) for v in grid.cell(here[:2]))
-        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= room:
+        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= required:
             return Decision.keep("truly safe")
         # If no site has this clearance, accept 0.8 of the maximum clearance.
-        enough = min(room, 0.8 * float(clearance.max()))
+        enough = min(required, 0.8 * float(clearance.max()))
         cells = np.argwhere(clearance >= max(enough, 1e-9))
         if len(cells) == 0:
             return Decision.keep("no truly safe site")

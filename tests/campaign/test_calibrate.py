@@ -155,7 +155,7 @@ def test_which_mapper_is_meant():
     decides = TABLES | {"mappers": two, "decisions": {"map": "b"}}
     assert gaussian_mapper(Scenario.from_dict(decides)) == "b"
     decides = Scenario.from_dict(TABLES | {"mappers": two, "decisions": {"map": "q"}})
-    with pytest.raises(InputError, match="several mappers of kind gaussian-dem .a, b."):
+    with pytest.raises(InputError, match=r"several mappers of kind gaussian-dem .a, b."):
         gaussian_mapper(decides)
     assert gaussian_mapper(decides, "b") == "b"
     one = TABLES | {"mappers": {"q": {"kind": "quadtree"}, "b": DEM}}

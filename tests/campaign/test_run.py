@@ -149,9 +149,7 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
     safe = np.array(found.table["safe"].to_pylist()).reshape(-1, 2)
 
     def width(flights: int) -> float:
-        intervals = [
-            share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)
-        ]
+        intervals = [share_sequence(int(safe[:flights, i].sum()), flights) for i in (0, 1)]
         return max(high - low for low, high in intervals)
 
     assert width(ran.flights) <= 0.5 < min(width(n) for n in range(1, ran.flights))

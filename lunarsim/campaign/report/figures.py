@@ -79,12 +79,12 @@ def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, 
 
 
 def landings_plot(
-    found: Results,
+    results: Results,
     figures: list[ArmStatistics],
     ground: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
     """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
-    if "touchdown_x_m" not in found.manifest["columns"]:
+    if "touchdown_x_m" not in results.manifest["columns"]:
         return None
     traces: list[Plot] = []
     if isinstance(ground, tuple):
@@ -93,10 +93,10 @@ def landings_plot(
             "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
             "showscale": False, "hoverinfo": "skip",
         })  # fmt: skip
-    safe = column(found, "safe")
-    xs, ys = (column(found, name) for name in ("touchdown_x_m", "touchdown_y_m"))
-    names = np.array(found.table["id"].to_pylist())
-    rows_of = arm_rows(found)
+    safe = column(results, "safe")
+    xs, ys = (column(results, name) for name in ("touchdown_x_m", "touchdown_y_m"))
+    names = np.array(results.table["id"].to_pylist())
+    rows_of = arm_rows(results)
     for i, arm in enumerate(figures):
         for good, symbol in ((True, "circle"), (False, "x")):
             rows = np.flatnonzero(rows_of[arm.name] & np.isfinite(xs) & ((safe > 0.5) == good))
@@ -138,18 +138,18 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
     )
 
 
-def reliability_plot(found: Results, figures: list[ArmStatistics]) -> Plot | None:
+def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | None:
     """Plot the observed share of exactly safe touchdown sites against predicted p_safe."""
-    if "p_safe" not in found.manifest["columns"]:
+    if "p_safe" not in results.manifest["columns"]:
         return None
-    said = column(found, "p_safe")
-    true = column(found, "touchdown_exactly_safe")
-    known = np.isfinite(said) & np.isfinite(true) & np.isfinite(column(found, "touchdown_x_m"))
+    said = column(results, "p_safe")
+    true = column(results, "touchdown_exactly_safe")
+    known = np.isfinite(said) & np.isfinite(true) & np.isfinite(column(results, "touchdown_x_m"))
     traces: list[Plot] = [
         {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "ideal",
          "line": {"dash": "dot", "color": "#8c8c8c"}}
     ]  # fmt: skip
-    rows_of = arm_rows(found)
+    rows_of = arm_rows(results)
     words = []
     for i, arm in enumerate(figures):
         rows = rows_of[arm.name] & known
@@ -288,12 +288,12 @@ def sensitivity_plot(made: list[Sensitivity]) -> Plot:
     return _plot("sensitivity", "Sensitivity to the dispersions", said + more, traces, layout)
 
 
-def spread_plot(found: Results, metric: str, label: str) -> Plot:
+def spread_plot(results: Results, metric: str, label: str) -> Plot:
     """Plot quartiles and 5th and 95th percentiles of a metric of each arm."""
     traces = []
-    flown = pc.equal(found.table["outcome"], "flown").to_numpy(zero_copy_only=False)
-    for i, (arm, rows) in enumerate(arm_rows(found).items()):
-        values = column(found, metric, rows & flown)
+    flown = pc.equal(results.table["outcome"], "flown").to_numpy(zero_copy_only=False)
+    for i, (arm, rows) in enumerate(arm_rows(results).items()):
+        values = column(results, metric, rows & flown)
         values = values[np.isfinite(values)]
         if not len(values):
             continue

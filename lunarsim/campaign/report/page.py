@@ -75,17 +75,17 @@ def write_report(folder: str | Path, out: Path) -> Results:
             "report", error.name, "a package is missing",
             'Install it: pip install "lunarsim[report]".',
         ) from None  # fmt: skip
-    found = load_results(folder)
-    if not len(found.table):
+    results = load_results(folder)
+    if not len(results.table):
         raise InputError("folder", str(folder), "must hold a campaign with at least one flight")
-    if found.manifest["columns"].get("safe") != "bool":
+    if results.manifest["columns"].get("safe") != "bool":
         raise InputError("folder", str(folder), "must hold a campaign with the boolean column safe")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
     page = template.render(
-        **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
+        **_content(results), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
     write_text_whole(out, page)
-    return found
+    return results
 
 
 def _page(jinja2: Any) -> Any:
@@ -123,26 +123,26 @@ def _in_script(text: str) -> Any:
     return Markup(text.replace("</script", "<\\/script"))
 
 
-def _content(found: Results) -> dict[str, Any]:
+def _content(results: Results) -> dict[str, Any]:
     """Return everything that the page shows."""
-    if found.has_unequal_weights:
-        return _rare_content(found)
-    figures = compute_arm_statistics(found)
+    if results.has_unequal_weights:
+        return _rare_content(results)
+    figures = compute_arm_statistics(results)
     # A campaign with a stop rule was monitored, even if it ended before the rule applied.
-    watched = "stop" in found.manifest["identity"]
+    watched = "stop" in results.manifest["identity"]
     intervals = {a.name: _interval(a, watched) for a in figures}
-    made = differences(found) if len(figures) > 1 else []
+    made = differences(results) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
-        landings_plot(found, figures, _ground(found)),
-        reliability_plot(found, figures),
+        landings_plot(results, figures, _ground(results)),
+        reliability_plot(results, figures),
         differences_plot(made) if made else None,
-        *(spread_plot(found, n, _LABELS[n]) for n in _LABELS if n in found.manifest["columns"]),
+        *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
     ]
-    sensitive, why_not = _sensitivity(found)
+    sensitive, why_not = _sensitivity(results)
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
-    return _common(found, plots) | {
+    return _common(results, plots) | {
         "watched": watched,
         "arms": [_row(a, *intervals[a.name]) for a in figures],
         "differences": made,
@@ -151,10 +151,10 @@ def _content(found: Results) -> dict[str, Any]:
     }
 
 
-def _rare_content(found: Results) -> dict[str, Any]:
+def _rare_content(results: Results) -> dict[str, Any]:
     """Return the page's content for rare failures, without statistics that need equal weights."""
-    shares = rare_shares(found)
-    chains = chains_of(found) if found.is_subset else None
+    shares = rare_shares(results)
+    chains = chains_of(results) if results.is_subset else None
     rows = [
         {
             "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
@@ -167,7 +167,7 @@ def _rare_content(found: Results) -> dict[str, Any]:
         for s in shares
     ]  # fmt: skip
     plots = [rare_plot(shares), levels_plot(chains) if chains else None]
-    return _common(found, plots) | {
+    return _common(results, plots) | {
         "levels": levels_told(chains) if chains else [],
         "ended": how_it_ended(chains) if chains else "",
         "watched": False,
@@ -185,37 +185,37 @@ def _ranged_share(s: RareFailureEstimate) -> str:
     return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
-def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
+def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
     """Return what the page shows of every campaign."""
-    spec = found.folder / "spec.toml"
+    spec = results.folder / "spec.toml"
     drawn = [p for p in plots if p is not None]
     return {
-        "m": found.manifest,
-        "leaning": found.has_unequal_weights,
-        "subset": found.is_subset,
+        "m": results.manifest,
+        "leaning": results.has_unequal_weights,
+        "subset": results.is_subset,
         "levels": [],
         "ended": "",
-        "blocks": found.manifest["identity"].get("method") == "saltelli",
-        "done": len(found.table),
-        "wanted": found.wanted,
-        "factors": _factors(found),
+        "blocks": results.manifest["identity"].get("method") == "saltelli",
+        "done": len(results.table),
+        "wanted": results.wanted,
+        "factors": _factors(results),
         "plots": {p["id"]: p for p in drawn},
         "data": drawn,
-        "causes": failures(found)[:_MAX_CAUSES],
-        "worst": _worst(found),
-        "timing": _timing(found),
+        "causes": failures(results)[:_MAX_CAUSES],
+        "worst": _worst(results),
+        "timing": _timing(results),
         "spec": bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
     }
 
 
-def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
+def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
     """Return the sensitivity of the safe share, or the reason why there is none."""
-    if not found.manifest["identity"].get("dispersions"):
+    if not results.manifest["identity"].get("dispersions"):
         return [], ""
-    if len(found.arms) > _MAX_SENSITIVITY_ARMS:
+    if len(results.arms) > _MAX_SENSITIVITY_ARMS:
         return [], f"Not computed for more than {_MAX_SENSITIVITY_ARMS} arms; use the command."
     try:
-        return sensitivities(found, "safe", _RESAMPLES), ""
+        return sensitivities(results, "safe", _RESAMPLES), ""
     except InputError as error:
         return [], str(error)
 
@@ -253,10 +253,10 @@ def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _factors(found: Results) -> dict[str, list[str]]:
+def _factors(results: Results) -> dict[str, list[str]]:
     """Return the values of every key in which arms differ."""
     values: dict[str, list[str]] = {}
-    for arm in found.manifest["arms"]:
+    for arm in results.manifest["arms"]:
         for key, value in arm["values"].items():
             levels = values.setdefault(key, [])
             if str(value) not in levels:
@@ -264,17 +264,17 @@ def _factors(found: Results) -> dict[str, list[str]]:
     return {key: levels for key, levels in values.items() if len(levels) > 1}
 
 
-def _worst(found: Results) -> list[dict[str, Any]]:
+def _worst(results: Results) -> list[dict[str, Any]]:
     """Return the worst flights of each arm: no outcome first, then the hardest landings."""
-    table = found.table
+    table = results.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
         if name in table.column_names:
-            speed += np.nan_to_num(column(found, name), nan=1e3, posinf=1e3, neginf=1e3)
-    bad = ~(column(found, "safe") > 0.5)
-    order = np.lexsort((-speed, column(found, "safe")))
+            speed += np.nan_to_num(column(results, name), nan=1e3, posinf=1e3, neginf=1e3)
+    bad = ~(column(results, "safe") > 0.5)
+    order = np.lexsort((-speed, column(results, "safe")))
     out: list[dict[str, Any]] = []
-    for arm in found.arms:
+    for arm in results.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
         for row in table.take(pa.array(order[mine[order]][:_LISTED_PER_ARM])).to_pylist():
             why = row["error"] or row.get("failed") or row["outcome"]
@@ -282,32 +282,32 @@ def _worst(found: Results) -> list[dict[str, Any]]:
     return out
 
 
-def _timing(found: Results) -> dict[str, Any]:
-    seconds = np.array(found.timing["seconds"].to_pylist(), dtype=np.float64)
+def _timing(results: Results) -> dict[str, Any]:
+    seconds = np.array(results.timing["seconds"].to_pylist(), dtype=np.float64)
     known = seconds[np.isfinite(seconds)]
     if not len(known):
         return {}
     median, late, most = np.quantile(known, (0.5, 0.95, 1.0))
-    ended = np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64)
+    ended = np.array(results.timing["finished_unix_s"].to_pylist(), dtype=np.float64)
     return {
         "median": f"{median:.2f}",
         "late": f"{late:.2f}",
         "most": f"{most:.1f}",
         "hours": f"{known.sum() / 3600.0:.2f}",
         "span": f"{(np.nanmax(ended) - np.nanmin(ended)) / 3600.0:.2f}",
-        "workers": len({w for w in found.timing["worker"].to_pylist() if w}),
+        "workers": len({w for w in results.timing["worker"].to_pylist() if w}),
     }
 
 
-def _ground(found: Results) -> tuple[list[float], list[float], Any] | str | None:
+def _ground(results: Results) -> tuple[list[float], list[float], Any] | str | None:
     """Return a coarse image of the shared terrain, the reason if it is missing, or None."""
-    if not (found.folder / "scenario.toml").is_file() or any(
-        key.startswith("terrain") for key in found.manifest["inputs"]
+    if not (results.folder / "scenario.toml").is_file() or any(
+        key.startswith("terrain") for key in results.manifest["inputs"]
     ):
         return None
     from lunarsim.campaign.report.ground import shaded  # noqa: PLC0415  (loads the simulation)
 
     try:
-        return shaded(found.folder / "scenario.toml", int(found.manifest["seed"]))
+        return shaded(results.folder / "scenario.toml", int(results.manifest["seed"]))
     except InputError as error:
         return str(error)
