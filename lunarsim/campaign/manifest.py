@@ -98,7 +98,7 @@ class _Manifest(_Strict):
         return self
 
 
-# Fields that must not change when a campaign is resumed, besides the identity.
+# Fields that must not change when a campaign is resumed, in addition to the identity.
 _FIXED_FIELDS = ("name", "seed", "arms", "columns", "inputs")
 
 

@@ -113,13 +113,13 @@ def _fly(
     """Fly an arm to its end; remove arms that diverge from `others`."""
     while not simulation.done:
         if simulation.decision_due:
-            seen = simulation.observe()
-            said = {i: simulation.ask(policies[i], seen) for i in (arm, *others)}
-            parting = [i for i in others if _differ(said[i], said[arm])]
+            observation = simulation.observe()
+            decisions_by_arm = {i: simulation.ask(policies[i], observation) for i in (arm, *others)}
+            parting = [i for i in others if _differ(decisions_by_arm[i], decisions_by_arm[arm])]
             for i in parting:
                 others.remove(i)
-            _store_branches(simulation, {i: said[i] for i in parting}, branches)
-            simulation.apply(said[arm])
+            _store_branches(simulation, {i: decisions_by_arm[i] for i in parting}, branches)
+            simulation.apply(decisions_by_arm[arm])
         simulation.move()
 
 
@@ -136,11 +136,13 @@ def _store_branches(
     while decisions:
         first = next(iter(decisions.values()))
         # An abort never compares equal: its recorded details are not compared.
-        alike = {
-            i: said for i, said in decisions.items() if said is first or not _differ(said, first)
+        same = {
+            i: decision
+            for i, decision in decisions.items()
+            if decision is first or not _differ(decision, first)
         }
-        branch = Branch(at, alike)
-        for i in alike:
+        branch = Branch(at, same)
+        for i in same:
             branches[i] = branch
             del decisions[i]
 

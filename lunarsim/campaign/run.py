@@ -141,8 +141,8 @@ def run(
         if not store.count:
             remove()
             raise
-        said = f"{error.strerror}. Finished flights are kept. Free space and repeat the command"
-        raise OSError(error.errno, said, error.filename or str(out)) from error
+        message = f"{error.strerror}. Finished flights are kept. Free space and repeat the command"
+        raise OSError(error.errno, message, error.filename or str(out)) from error
     except BaseException:
         store.release()
         raise

@@ -133,12 +133,12 @@ def _sobol(
     blocks = np.full((int(flights.max(initial=-1)) // block + 1, block), np.nan)
     blocks[flights // block, flights % block] = values
     whole = blocks[np.isfinite(blocks).all(axis=1)]
-    told = Sensitivity(
+    result = Sensitivity(
         arm, metric, "sobol", whole.size, len(values) - whole.size, names, {},
         why_not=_reason_without_indices(whole.ravel()),
     )  # fmt: skip
-    if told.why_not:
-        return told
+    if result.why_not:
+        return result
     made = sobol.analyze(
         {"num_vars": len(names), "names": list(names)}, whole.ravel(), calc_second_order=False,
         num_resamples=resamples, seed=int(rng.integers(1, 2**31)),
@@ -150,7 +150,7 @@ def _sobol(
         ]
         for label, name in (("first order", "S1"), ("total", "ST"))
     }
-    return replace(told, indices=indices)
+    return replace(result, indices=indices)
 
 
 def _pawn(
@@ -160,7 +160,7 @@ def _pawn(
     """Compute PAWN medians with bootstrap intervals, and the value that chance alone gives."""
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
-    told = Sensitivity(
+    result = Sensitivity(
         arm,
         metric,
         "pawn",
@@ -170,8 +170,8 @@ def _pawn(
         {},
         why_not=_reason_without_indices(y),
     )
-    if told.why_not:
-        return told
+    if result.why_not:
+        return result
     if len(y) > _MAX_PAWN_ROWS:
         some = np.sort(rng.choice(len(y), _MAX_PAWN_ROWS, replace=False))
         inputs, y = inputs[some], y[some]
@@ -189,7 +189,7 @@ def _pawn(
         (float(v), max(float(a), 0.0), float(b)) for v, a, b in zip(value, low, high, strict=True)
     ]
     chance = float(np.quantile(drawn[:, -1], 0.95))
-    return replace(told, indices={"PAWN": intervals}, chance=chance)
+    return replace(result, indices={"PAWN": intervals}, chance=chance)
 
 
 def _ranks(inputs: Array, rng: np.random.Generator) -> Array:

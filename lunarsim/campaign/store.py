@@ -129,9 +129,9 @@ class Store:
         except (pa.ArrowException, OSError, ValueError) as error:
             self._parts().pop(f"results/{path.name}", None)
             path.replace(path.with_suffix(".broken"))
-            said = str(error).split("\n")[0]
+            reason = str(error).split("\n")[0]
             self.notes.append(
-                f"{path.name} cannot be read ({said}). It is kept as {path.stem}.broken; its "
+                f"{path.name} cannot be read ({reason}). It is kept as {path.stem}.broken; its "
                 "flights are flown again."
             )
             return

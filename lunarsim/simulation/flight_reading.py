@@ -170,7 +170,7 @@ def _inside(folder: Path, path: Path) -> Path:
 
 
 def read_columns(
-    folder: Path, path: Path, required: Sequence[str] | None = None, least: int = 0
+    folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0
 ) -> dict[str, Array]:
     """Read numeric columns of a Parquet file, each (n,).
 
@@ -182,7 +182,7 @@ def read_columns(
         Path of the file.
     required
         Names of the columns to read; None: all columns.
-    least
+    min_rows
         Minimum number of rows.
 
     Raises
@@ -199,7 +199,7 @@ def read_columns(
         if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
             raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
         table = f.read(names)
-        if len(table) < least:
+        if len(table) < min_rows:
             raise ValueError(f"only {len(table)} rows")
         if any(column.null_count for column in table.columns):
             raise ValueError("values are missing")
@@ -209,7 +209,7 @@ def read_columns(
 def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
     """Read the columns of the trajectory (n,), which needs a row and finite times."""
     path = folder / "trajectory.parquet"
-    found = read_columns(folder, path, names, least=1)
+    found = read_columns(folder, path, names, min_rows=1)
     with reading(path):
         if not np.isfinite(found["time"]).all():
             raise ValueError("times are not finite")

@@ -272,8 +272,8 @@ class Simulation:
     def ask(self, policy: Any, observation: Observation) -> Decision:
         """Return the decision of a policy, this flight's or another, without applying it."""
         if getattr(policy, "knows_truth", False):
-            told = self.truth, self.navigation_error, self.computer.cost_of
-            return policy.decide_by_truth(observation, *told)  # type: ignore[no-any-return]
+            truth_inputs = self.truth, self.navigation_error, self.computer.cost_of
+            return policy.decide_by_truth(observation, *truth_inputs)  # type: ignore[no-any-return]
         return policy.decide(observation)  # type: ignore[no-any-return]
 
     @one_blas_thread()
@@ -315,12 +315,12 @@ class Simulation:
     def _ending_details(self) -> dict[str, Any]:
         """Return values of thrusters, slosh and legs for the last event; empty without them."""
         actuators, rest = self.plant.actuators, self.plant.rest
-        told: dict[str, Any] = {} if rest is None else rest.told()
+        details: dict[str, Any] = {} if rest is None else rest.told()
         if actuators is None:
-            return told
+            return details
         if actuators.liquid is not None:
-            told["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
-        return told | {
+            details["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
+        return details | {
             "thruster_propellant_kg": actuators.spent,
             "thruster_on_time_s": actuators.on_time,
             "thruster_firings": actuators.firings,

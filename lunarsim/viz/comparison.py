@@ -161,13 +161,13 @@ def _draw_limit_differences(
     """
     markers = ("o", "s", "^")
     for n, (column, (label, limit)) in enumerate(limits.items()):
-        colour, aside = COLOURS[n], 0.22 * (n - 1)
+        colour, offset = COLOURS[n], 0.22 * (n - 1)
         ax.plot([], [], markers[n], color=colour, mec="black", mew=0.6, label=label)
         for place, name in enumerate(names[1:], 1):
             shift = paired(rows, names[0], name, column) / limit
             if not shift.size:
                 continue
-            at, found = place + aside, mean_interval(shift)
+            at, found = place + offset, mean_interval(shift)
             low, high = found.mean - found.half, found.mean + found.half
             ax.plot([shift.min(), shift.max()], [at, at], color=colour, lw=0.8)
             ax.plot([low, high], [at, at], color=colour, lw=3.0)  # no bar for a single flight (NaN)

@@ -126,12 +126,12 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
     map_axes(panel, "Hazard map and candidate sites")
     words = words_on_maps(flight).get(flight.decided_on)
     if words is not None:
-        said = panel.text(
+        text = panel.text(
             0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,
             ha="center", va="top", fontsize=8, zorder=9,
             bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2},
         )  # fmt: skip
-        said.set_in_layout(False)
+        text.set_in_layout(False)
 
 
 def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:

@@ -35,9 +35,9 @@ def check_picklable(field: str, value: object) -> None:
         found = _NameUnpickler(io.BytesIO(sent.getvalue()))
         found.load()
     except Exception as error:  # pickling hooks may raise anything
-        said = str(error).split("\n")[0]
+        reason = str(error).split("\n")[0]
         raise InputError(
-            field, kind, f"must be an object that can be pickled ({said})", "Use jobs = 1."
+            field, kind, f"must be an object that can be pickled ({reason})", "Use jobs = 1."
         ) from None
     main_names = found.main_names + sender.main_names
     if main_names and not _is_main_importable():

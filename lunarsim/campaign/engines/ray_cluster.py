@@ -93,12 +93,12 @@ class RayEngine:
         try:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
         except Exception as error:  # Ray raises many types
-            said = str(error).strip().split("\n")[0]
+            reason = str(error).strip().split("\n")[0]
             if self.address is None:
-                raise InputError("--engine", "ray", f"Ray does not start here ({said})") from None
+                raise InputError("--engine", "ray", f"Ray does not start here ({reason})") from None
             raise InputError(
                 "--address", self.address,
-                f"must be a running Ray cluster of the same version ({said})",
+                f"must be a running Ray cluster of the same version ({reason})",
             ) from None  # fmt: skip
 
     def _run_groups(
@@ -133,12 +133,12 @@ class RayEngine:
                 with contextlib.suppress(Exception):
                     ray.cancel(reference, force=True)
 
-    def _retry_lost(self, group: Group, again: list[Group], said: str) -> Iterator[Finished]:
+    def _retry_lost(self, group: Group, again: list[Group], message: str) -> Iterator[Finished]:
         """Fly the arms of a lost group separately; record a single arm as killed."""
         if len(group.arms) > 1:
             again += [replace(group, arms=(arm,)) for arm in group.arms]
             return
-        reason = said.strip().splitlines()[0]
+        reason = message.strip().splitlines()[0]
         error = f"The process of the flight ended {MAX_ATTEMPTS} times ({reason})."
         yield Finished(
             group.flight,

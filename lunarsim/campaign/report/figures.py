@@ -36,9 +36,9 @@ def colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def _plot(identity: str, title: str, said: str, traces: list[Plot], layout: Plot) -> Plot:
+def _plot(identity: str, title: str, caption: str, traces: list[Plot], layout: Plot) -> Plot:
     return {
-        "id": identity, "title": title, "said": said, "data": _literal(traces),
+        "id": identity, "title": title, "caption": caption, "data": _literal(traces),
         "layout": _literal(layout),
     }  # fmt: skip
 
@@ -120,12 +120,12 @@ def landings_plot(
         "yaxis": {"title": {"text": "North (m)"}, "scaleanchor": "x"},
         "height": 620,
     }
-    said = "Each point is a flight; crosses are landings that were not safe. "
+    caption = "Each point is a flight; crosses are landings that were not safe. "
     if isinstance(ground, tuple):
-        said += "Shading: terrain without rocks, which all flights share."
+        caption += "Shading: terrain without rocks, which all flights share."
     elif ground is not None:
-        said += f"The terrain is not shown: {ground}"
-    return _plot("landings", "Touchdown points", said, traces, layout)
+        caption += f"The terrain is not shown: {ground}"
+    return _plot("landings", "Touchdown points", caption, traces, layout)
 
 
 def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
@@ -142,9 +142,11 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
     """Plot the observed share of exactly safe touchdown sites against predicted p_safe."""
     if "p_safe" not in results.manifest["columns"]:
         return None
-    said = column(results, "p_safe")
+    predicted = column(results, "p_safe")
     true = column(results, "touchdown_exactly_safe")
-    known = np.isfinite(said) & np.isfinite(true) & np.isfinite(column(results, "touchdown_x_m"))
+    known = (
+        np.isfinite(predicted) & np.isfinite(true) & np.isfinite(column(results, "touchdown_x_m"))
+    )
     traces: list[Plot] = [
         {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "ideal",
          "line": {"dash": "dot", "color": "#8c8c8c"}}
@@ -153,7 +155,7 @@ def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | N
     words = []
     for i, arm in enumerate(figures):
         rows = rows_of[arm.name] & known
-        table = reliability(said[rows], true[rows])
+        table = reliability(predicted[rows], true[rows])
         p, share = frequencies(table)
         filled = table[:, 0] > 0
         intervals = [Proportion(int(h), int(n)).interval for n, _, h in table[filled]]
@@ -200,8 +202,8 @@ def differences_plot(made: list[Difference]) -> Plot:
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 140 + 30 * len(made),
     }  # fmt: skip
-    said = "Blue: significant after Holm's correction; grey: not significant."
-    return _plot("differences", "Paired differences", said, traces, layout)
+    caption = "Blue: significant after Holm's correction; grey: not significant."
+    return _plot("differences", "Paired differences", caption, traces, layout)
 
 
 def rare_plot(made: list[RareFailureEstimate]) -> Plot:
@@ -218,8 +220,8 @@ def rare_plot(made: list[RareFailureEstimate]) -> Plot:
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 150 + 34 * len(traces),
     }
-    said = "Arms without a failed flight are listed only in the table."
-    return _plot("shares", "Failure share", said, traces, layout)
+    caption = "Arms without a failed flight are listed only in the table."
+    return _plot("shares", "Failure share", caption, traces, layout)
 
 
 def levels_plot(chains: SubsetChains) -> Plot | None:
@@ -245,8 +247,8 @@ def levels_plot(chains: SubsetChains) -> Plot | None:
                   "type": "log", "exponentformat": "power"},
         "height": 420,
     }  # fmt: skip
-    said = "The flights of a level closest to failure are the seeds of the next level."
-    return _plot("levels", "Distance from failure", said, traces, layout)
+    caption = "The flights of a level closest to failure are the seeds of the next level."
+    return _plot("levels", "Distance from failure", caption, traces, layout)
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:
@@ -272,20 +274,20 @@ def sensitivity_plot(made: list[Sensitivity]) -> Plot:
         "height": 170 + (30 + 12 * len(traces)) * len(names),
     }
     if made and made[0].method == "sobol":
-        said = (
+        caption = (
             "Sobol indices: the share of the variance explained by a key alone (first order, full) "
             "and with all its interactions (total, hollow). World and noise: rocks, sensor noise, "
             "navigation errors."
         )
     else:
         chance = [f"{one.arm} {one.chance:.3f}" for one in made if one.chance == one.chance]
-        said = (
+        caption = (
             "PAWN: change of the share when a key is limited to a tenth of its range, median of "
             "ten tenths. Value that chance alone can give: " + ", ".join(chance) + "."
         )
     missing = [f"{one.arm}: {one.why_not}" for one in made if one.why_not]
     more = " No indices: " + "; ".join(missing) + "." if missing else ""
-    return _plot("sensitivity", "Sensitivity to the dispersions", said + more, traces, layout)
+    return _plot("sensitivity", "Sensitivity to the dispersions", caption + more, traces, layout)
 
 
 def spread_plot(results: Results, metric: str, label: str) -> Plot:
