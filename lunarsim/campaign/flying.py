@@ -16,7 +16,7 @@ from typing import Any
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.dispersions import Choice, world_of
 from lunarsim.campaign.factors import Arm, folder_name, group_arms_by_terrain
-from lunarsim.campaign.grounds import SAFE_SHARE_COLUMNS, Grounds
+from lunarsim.campaign.grounds import SHARES, Grounds
 from lunarsim.campaign.keys import GROUND_TABLES, tables_as_text
 from lunarsim.campaign.outcomes import RecordNotWrittenError
 from lunarsim.campaign.paths import fly_on_shared_path, shared_path_classes
@@ -99,7 +99,7 @@ def plan_of(spec: CampaignSpec, out: Path | None = None, cache: DiskCache | None
         arms=arms,
         groups=group_arms_by_terrain(spec.arms),
         draws=draws,
-        columns=COLUMNS | dict.fromkeys(SAFE_SHARE_COLUMNS, "float"),
+        columns=COLUMNS | dict.fromkeys(SHARES, "float"),
         inputs=inputs,
         work=Work("lunarsim.campaign.flying:fly", study),
         identity=spec.identity,

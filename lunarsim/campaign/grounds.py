@@ -23,7 +23,7 @@ from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
 # Share of the target area that is exactly safe, at any heading and at one heading.
-SAFE_SHARE_COLUMNS = ("safe_share", "safe_share_at_heading")
+SHARES = ("safe_share", "safe_share_at_heading")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Grounds:
         key = ("shares", tables, scenario.start.heading_deg)
         if key not in self.memory:
             found = self._cached(key, scenario, lambda: _compute_shares(scenario, truth))
-            self.memory[key] = {name: float(found[name]) for name in SAFE_SHARE_COLUMNS}
+            self.memory[key] = {name: float(found[name]) for name in SHARES}
         return self.memory[key]  # type: ignore[no-any-return]
 
     def _truth(self, scenario: Scenario, world: World) -> Truth:
@@ -101,4 +101,4 @@ def _compute_shares(scenario: Scenario, truth: Truth) -> Arrays:
     centre = scenario.target.position_m
     heading = float(np.deg2rad(scenario.start.heading_deg))
     values = truth.safe_share(centre, half), truth.safe_share(centre, half, heading)
-    return {name: np.array(value) for name, value in zip(SAFE_SHARE_COLUMNS, values, strict=True)}
+    return {name: np.array(value) for name, value in zip(SHARES, values, strict=True)}
