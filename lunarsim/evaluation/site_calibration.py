@@ -287,8 +287,8 @@ def check_site_counts(sites: SiteSamples) -> None:
     if not (enough(safe[known]) or enough(safe[~known])):
         raise InputError(
             "safe sites", f"{safe.sum()} of {len(safe)}",
-            f"must be at least {LEAST_SITES} safe and {LEAST_SITES} unsafe sites without any one "
-            "flight",
+            f"must be at least {LEAST_SITES} safe and {LEAST_SITES} unsafe sites, even without "
+            "one of the flights",
             "Use more flights or sites, or a scenario with both kinds of terrain.",
         )  # fmt: skip
 

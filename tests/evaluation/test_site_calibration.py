@@ -166,10 +166,10 @@ def test_flights_alike_leave_no_interval():
 
 def test_without_both_kinds_of_sites_there_is_no_fit():
     safe = sites(0, shift=60.0)
-    with pytest.raises(InputError, match="20 safe and as many unsafe"):
+    with pytest.raises(InputError, match="20 safe and 20 unsafe"):
         safe.fitted(LANDER)
     # One flight holds all that is unsafe.
-    with pytest.raises(InputError, match="without any one flight"):
+    with pytest.raises(InputError, match="without one of the flights"):
         judged(safe, sites(1, shift=60.0), sites(2))
 
 
