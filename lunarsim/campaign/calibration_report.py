@@ -12,8 +12,8 @@ from lunarsim.campaign.calibrate import CalibrationResult
 from lunarsim.evaluation.site_calibration import CalibrationComparison, ProbabilityQuality
 
 _HEADINGS = (
-    "domain", "p_safe", "sites", "share of\nall sites", "observed\nsafe share", "ECE",
-    "Brier skill", "sites with\np > 0.95", "bias (mean p\nminus observed)",
+    "Domain", "Calibration", "Sites", "Share of\nall sites", "Observed\nsafe share", "ECE",
+    "Brier skill", "Sites with\np > 0.95", "Bias (mean p\nminus observed)",
 )  # fmt: skip
 
 
@@ -32,7 +32,7 @@ def calibration_table(result: CalibrationResult) -> Table:
         "leave-one-flight-out"
     )
     for heading in _HEADINGS:
-        table.add_column(heading, justify="left" if heading in ("domain", "p") else "right")
+        table.add_column(heading, justify="left" if heading in ("Domain", "Calibration") else "right")
     for name, judgement in _groups(result):
         for whose, figures in (("packaged", judgement.packaged), ("refit", judgement.refit)):
             table.add_row(name, whose, *_cells(figures))
