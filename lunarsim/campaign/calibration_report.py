@@ -32,7 +32,9 @@ def calibration_table(result: CalibrationResult) -> Table:
         "leave-one-flight-out"
     )
     for heading in _HEADINGS:
-        table.add_column(heading, justify="left" if heading in ("Domain", "Calibration") else "right")
+        table.add_column(
+            heading, justify="left" if heading in ("Domain", "Calibration") else "right"
+        )
     for name, judgement in _groups(result):
         for whose, figures in (("packaged", judgement.packaged), ("refit", judgement.refit)):
             table.add_row(name, whose, *_cells(figures))
