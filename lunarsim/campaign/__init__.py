@@ -11,7 +11,7 @@ __all__ = ["CompareResult", "compare"]
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; loaded late, since workers need no more than their own module."""
+    """Import a public name on first use; worker processes do not need them."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from lunarsim.campaign import comparison  # noqa: PLC0415

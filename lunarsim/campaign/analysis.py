@@ -1,4 +1,4 @@
-"""Figures of a campaign: every arm by itself, arms against each other, two campaigns."""
+"""Statistics of a campaign: per arm, between arms, and between two campaigns."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from lunarsim.evaluation.comparisons import (
 from lunarsim.evaluation.statistics import Proportion
 from lunarsim.rng import design_seed
 
-# All pairs of arms up to so many; each against the first beyond.
-_MOST_PAIRED = 8
-# Of a spec, what says which draws a flight's index has.
-_DRAWN = ("method", "dispersions", "correlations")
-_TOLD = ("propellant_kg", "divert_m", "duration_s")
+# Up to this number of arms all pairs are compared; beyond it, each arm with the first.
+_MAX_ALL_PAIRS = 8
+# Fields of the identity that determine the draws of a flight index.
+_DRAW_FIELDS = ("method", "dispersions", "correlations")
+_SUMMARY_METRICS = ("propellant_kg", "divert_m", "duration_s")
 
 
 @dataclass(frozen=True)
-class ArmFigures:
-    """One arm by itself.
+class ArmStatistics:
+    """Statistics of one arm.
 
     Attributes
     ----------
     name
-        Of the arm.
+        Name of the arm.
     rows, flown
-        Flights, and those that gave a verdict.
+        Number of flights, and number of flights that have a landing outcome.
     shares
-        Share of flown flights with a metric true, by metric.
+        Share of flown flights for which a metric is true, by metric.
     means
-        Mean and its bootstrap interval, by metric.
+        Mean and its bootstrap interval (value, low, high), by metric.
     quantiles
-        Median and 95 % quantile, each with its interval, by metric.
+        Median and 95th percentile, each with its interval, by metric.
     ellipse
-        Of the touchdowns about where the arm's lie, or None.
+        Landing ellipse of the touchdown points, or None.
     """
 
     name: str
@@ -63,53 +63,55 @@ class ArmFigures:
     ellipse: Ellipse | None
 
 
-def column(found: Results, name: str, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
-    """Return a column of numbers, or of true and false as 1 and 0; NaN where there is none."""
-    values = pc.cast(found.table[name], "float64").to_numpy(zero_copy_only=False)
+def column(
+    results: Results, name: str, rows: NDArray[np.bool_] | None = None
+) -> NDArray[np.float64]:
+    """Return a column as floats (true and false as 1 and 0, missing values as NaN)."""
+    values = pc.cast(results.table[name], "float64").to_numpy(zero_copy_only=False)
     return np.asarray(values if rows is None else values[rows], dtype=np.float64)
 
 
-def metrics(found: Results, kind: str) -> list[str]:
+def metrics(results: Results, kind: str) -> list[str]:
     """Return the names of the metrics of a kind."""
-    return [name for name, k in found.manifest["columns"].items() if k == kind]
+    return [name for name, k in results.manifest["columns"].items() if k == kind]
 
 
-def arm_rows(found: Results) -> dict[str, NDArray[np.bool_]]:
-    """Return which rows are of each arm."""
-    names = found.table["arm"]
-    return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in found.arms}
+def arm_rows(results: Results) -> dict[str, NDArray[np.bool_]]:
+    """Return a mask of the rows of each arm."""
+    names = results.table["arm"]
+    return {arm: pc.equal(names, arm).to_numpy(zero_copy_only=False) for arm in results.arms}
 
 
-def figures_of(found: Results) -> list[ArmFigures]:
-    """Return the figures of every arm; flights without a verdict are counted, not judged.
+def compute_arm_statistics(results: Results) -> list[ArmStatistics]:
+    """Compute the statistics of every arm; flights without an outcome are only counted.
 
     Raises
     ------
     InputError
-        If flights do not count alike (importance sampling).
+        If the flights have unequal weights (importance sampling).
     """
-    found.check_even("folder")
-    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
-    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
-    told = [name for name in _TOLD if name in found.manifest["columns"]]
+    results.check_equal_weights("folder")
+    rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
+    flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    metric_names = [name for name in _SUMMARY_METRICS if name in results.manifest["columns"]]
     out = []
-    for arm, rows in arm_rows(found).items():
+    for arm, rows in arm_rows(results).items():
         here = rows & flown
         flown_rows = int(here.sum())
-        here = here & found.apart
+        here = here & results.independent
         count = int(here.sum())
         shares = {
-            name: Proportion(int(np.nansum(column(found, name, here))), count)
-            for name in metrics(found, "bool")
+            name: Proportion(int(np.nansum(column(results, name, here))), count)
+            for name in metrics(results, "bool")
         }
-        numbers = {name: column(found, name, here) for name in told}
+        numbers = {name: column(results, name, here) for name in metric_names}
         out.append(
-            ArmFigures(
+            ArmStatistics(
                 arm, int(rows.sum()), flown_rows, shares,
                 {n: (_mean(v), *mean_bootstrap(v, rng)) for n, v in numbers.items()},
                 {n: (quantile_interval(v, 0.5), quantile_interval(v, 0.95))
                  for n, v in numbers.items()},
-                _ellipse(found, here),
+                _ellipse(results, here),
             )
         )  # fmt: skip
     return out
@@ -120,42 +122,41 @@ def _mean(values: NDArray[np.float64]) -> float:
     return float(finite.mean()) if len(finite) else float("nan")
 
 
-def _ellipse(found: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
+def _ellipse(results: Results, rows: NDArray[np.bool_]) -> Ellipse | None:
     names = ("touchdown_x_m", "touchdown_y_m")
-    if not all(name in found.manifest["columns"] for name in names):
+    if not all(name in results.manifest["columns"] for name in names):
         return None
-    return landing_ellipse(np.column_stack([column(found, name, rows) for name in names]))
+    return landing_ellipse(np.column_stack([column(results, name, rows) for name in names]))
 
 
 def pairs_of(arms: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the pairs of arms that are compared: all of a few, else each with the first."""
-    if len(arms) <= _MOST_PAIRED:
+    """Return the pairs of arms to compare: all pairs of a few arms, else each with the first."""
+    if len(arms) <= _MAX_ALL_PAIRS:
         return list(combinations(arms, 2))
     return [(arms[0], other) for other in arms[1:]]
 
 
-def differences(found: Results, metric: str = "safe") -> list[Difference]:
-    """Return the differences of a metric between arms, on the flights that both have flown.
+def differences(results: Results, metric: str = "safe") -> list[Difference]:
+    """Compute the differences of a metric between arms on the flights that both have flown.
 
     Raises
     ------
     InputError
-        If the campaign has no such metric that is a number, or true or false, or its flights do not
-        count alike.
+        If the metric is not a numeric or boolean column, or the flights have unequal weights.
     """
-    found.check_even("folder")
-    kind = found.manifest["columns"].get(metric)
+    results.check_equal_weights("folder")
+    kind = results.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
-        raise InputError("metric", metric, suggestion(metric, found.manifest["columns"]))
-    rng = np.random.default_rng(design_seed(int(found.manifest["seed"])))
-    flights = int(found.table["flight"].to_numpy().max(initial=-1)) + 1
+        raise InputError("metric", metric, suggestion(metric, results.manifest["columns"]))
+    rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
+    flights = int(results.table["flight"].to_numpy().max(initial=-1)) + 1
     values = {}
-    for arm, mine in arm_rows(found).items():
-        rows = mine & found.apart
+    for arm, mine in arm_rows(results).items():
+        rows = mine & results.independent
         values[arm] = np.full(flights, np.nan)
-        values[arm][found.table["flight"].to_numpy()[rows]] = column(found, metric, rows)
+        values[arm][results.table["flight"].to_numpy()[rows]] = column(results, metric, rows)
     made = []
-    for pair in pairs_of(found.arms):
+    for pair in pairs_of(results.arms):
         a, b = (values[arm] for arm in pair)
         both = np.isfinite(a) & np.isfinite(b)
         if kind == "bool":
@@ -167,17 +168,18 @@ def differences(found: Results, metric: str = "safe") -> list[Difference]:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What a second campaign says against a first, for one arm.
+class ArmComparison:
+    """Result of comparing an arm of a second campaign with the same arm of a first.
 
     Attributes
     ----------
     difference
-        Of the share, second less first; its interval is at 90 %, as two one-sided tests at 5 %.
+        Share of the second minus share of the first, with a 90 % interval (two one-sided tests at
+        5 %).
     equivalent
         Whether the interval lies within the margin.
     worse
-        Whether the second is proven worse: McNemar's test at 5 %, corrected for all arms.
+        Whether the second is significantly worse: McNemar's test at 5 %, corrected for all arms.
     """
 
     difference: Difference
@@ -185,42 +187,49 @@ class Verdict:
     worse: bool
 
 
-def diff(first: Results, second: Results, margin: float, metric: str = "safe") -> list[Verdict]:
+def diff(
+    first: Results, second: Results, margin: float, metric: str = "safe"
+) -> list[ArmComparison]:
     """Compare two campaigns over the same flights, arm by arm.
 
     Parameters
     ----------
     first, second
-        Campaigns with arms of the same names and the same root seed.
+        Campaigns with the same arms and the same root seed.
     margin
-        Differences of a share up to this do not matter.
+        Differences of a share within this margin count as equivalent.
     metric
-        Column that is true or false.
+        Boolean column.
 
     Raises
     ------
     InputError
-        If they did not fly the same, their flights do not count alike, or there is no such metric.
+        If the campaigns differ in arms, seed or draws, flights have unequal weights, or there is
+        no such metric.
     """
-    for field, found in (("A", first), ("B", second)):
-        found.check_even(field)
-    for name in ("seed", "arms", *_DRAWN):
-        ours, theirs = (_key(found, name) for found in (first, second))
+    for field, results in (("A", first), ("B", second)):
+        results.check_equal_weights(field)
+    for name in ("seed", "arms", *_DRAW_FIELDS):
+        ours, theirs = (_key(results, name) for results in (first, second))
         if ours != theirs:
-            raise InputError("B", str(second.folder), f"the same {name} as A: {ours}, not {theirs}")
+            raise InputError(
+                "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
+            )
     if first.manifest["columns"].get(metric) != "bool":
         raise InputError("--metric", metric, suggestion(metric, metrics(first, "bool")))
     made = []
     for arm in first.arms:
-        a, b = (_by_flight(found, arm, metric) for found in (first, second))
+        a, b = (_by_flight(results, arm, metric) for results in (first, second))
         flights = sorted(a.keys() & b.keys())
         if not flights:
-            raise InputError("B", str(second.folder), f"flights that A has too, of arm {arm!r}")
+            raise InputError(
+                "B", str(second.folder), f"must share flights with A, but has none in arm {arm!r}"
+            )
         hits = np.array([(a[i], b[i]) for i in flights], dtype=bool)
         made.append(share_difference(hits[:, 0], hits[:, 1], (arm, arm), level=0.9))
     corrected = holm([d.p for d in made])
     return [
-        Verdict(
+        ArmComparison(
             replace(d, corrected=float(p)),
             equivalent=bool(d.low > -margin and d.high < margin),
             worse=bool(p < 0.05 and d.value < 0.0),
@@ -229,15 +238,17 @@ def diff(first: Results, second: Results, margin: float, metric: str = "safe") -
     ]
 
 
-def _key(found: Results, name: str) -> object:
+def _key(results: Results, name: str) -> object:
     if name == "arms":
-        return found.arms
-    return found.manifest["identity"].get(name) if name in _DRAWN else found.manifest[name]
+        return results.arms
+    return (
+        results.manifest["identity"].get(name) if name in _DRAW_FIELDS else results.manifest[name]
+    )
 
 
-def _by_flight(found: Results, arm: str, metric: str) -> dict[int, bool]:
-    """Return the metric by flight; a flight without a verdict is no success."""
-    mine = pc.equal(found.table["arm"], arm).to_numpy(zero_copy_only=False)
-    rows = found.table.filter(pa.array(mine & found.apart))
+def _by_flight(results: Results, arm: str, metric: str) -> dict[int, bool]:
+    """Return the metric by flight; a flight without an outcome counts as a failure."""
+    mine = pc.equal(results.table["arm"], arm).to_numpy(zero_copy_only=False)
+    rows = results.table.filter(pa.array(mine & results.independent))
     values = zip(rows["flight"].to_pylist(), rows[metric].to_pylist(), strict=True)
     return {flight: bool(value) for flight, value in values}

@@ -1,10 +1,10 @@
-"""What many campaigns need alike, kept on disk: the exact truth of grounds.
+"""Disk cache of data that many campaigns need: the exact truth of worlds.
 
-An entry is a file of plain arrays, named by a digest of all that it was made from: tables of the
-scenario, contents of files they name, seed, code, packages and the processor that kernels are
-compiled for. So a stale entry is never found, only never looked for again. Entries are written
-beside their place and renamed; each is checked against its own sums when it is read, and one that
-cannot be read is made anew. Nothing is executed in reading one.
+An entry is a file of plain arrays. Its name is a digest of everything that it depends on: tables
+of the scenario, contents of the files they name, seed, code, packages, and the processor that
+kernels are compiled for. A stale entry therefore has another name and is never read. Entries are
+written to a temporary file and renamed. Checksums are verified on reading; an unreadable entry is
+computed again. Reading an entry executes no code.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from lunarsim.user_cache import user_cache
 
 Arrays = dict[str, NDArray[Any]]
 
-# Of the folder of entries, bytes, unless a caller says otherwise.
+# Default limit of the size of the cache, bytes.
 LIMIT = 4 * 2**30
-# A file takes so much of a disk at least, bytes.
-_BLOCK = 4096
-# Folders whose sizes are added up again after a share 1 / _CHECKS of the limit has been written.
-_CHECKS = 64
-# A part of a file that is older has no writer any more, s.
-_ABANDONED = 3600.0
+# Minimum disk space of a file, bytes.
+_DISK_BLOCK_BYTES = 4096
+# The folder size is measured again after 1 / _CHECKS of the limit has been written.
+_SIZE_CHECKS_PER_LIMIT = 64
+# A temporary file older than this has no live writer, s.
+_ABANDONED_AFTER_S = 3600.0
 
 
 class CacheWarning(UserWarning):
-    """The folder of the cache cannot be used; results are the same without it."""
+    """The cache folder cannot be used; results do not depend on the cache."""
 
 
 @dataclass(frozen=True)
 class DiskCache:
-    """A folder of entries; travels to workers.
+    """Folder of cache entries; it is sent to worker processes.
 
     Attributes
     ----------
     folder
-        Where entries are.
+        Folder of the entries.
     limit
-        Of the sizes of all entries together, bytes.
+        Maximum total size of all entries, bytes.
     since
-        Entries used from then on (seconds since 1970) make no room for others: a campaign over
-        more worlds than fit would else throw out each before its next use.
+        Time, seconds since 1970. Entries used later are never evicted: a campaign over more worlds
+        than fit would otherwise evict each entry before its next use.
     """
 
     folder: Path
@@ -65,16 +65,16 @@ class DiskCache:
     since: float = 0.0
 
     def get(self, kind: str, key: str, make: Callable[[], Arrays]) -> Arrays:
-        """Return the arrays of an entry, made and kept if there are none.
+        """Return the arrays of an entry; compute and store them if the entry is missing.
 
         Parameters
         ----------
         kind
-            Short name of what it is.
+            Short name of the kind of data.
         key
-            All that it depends on, besides code and machine.
+            Everything that the data depend on, except code and machine.
         make
-            Makes the arrays.
+            Function that computes the arrays.
         """
         path = self._path(kind, key)
         found = _read(path)
@@ -84,19 +84,19 @@ class DiskCache:
         return found
 
     def has_mark(self, key: str) -> bool:
-        """Tell whether `mark` was called with this key."""
+        """Return whether `mark` was called with this key."""
         return self._path("mark", key).is_file()
 
     def mark(self, key: str) -> None:
-        """Note that something was done on this machine with this code."""
+        """Record that a task was done on this machine with this code."""
         self._keep(self._path("mark", key), {"done": np.array(True)})
 
     def _path(self, kind: str, key: str) -> Path:
-        digest = hashlib.sha256(f"{_maker()}\0{kind}\0{key}".encode()).hexdigest()[:40]
+        digest = hashlib.sha256(f"{_environment_key()}\0{kind}\0{key}".encode()).hexdigest()[:40]
         return self.folder / digest[:2] / f"{digest}.npz"
 
     def _keep(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write an entry if there is room; warn once if the folder does not take it."""
+        """Write an entry if there is space; warn once if writing fails."""
         size = sum(a.nbytes for a in arrays.values())
         if self.folder in _given_up or not _has_room(self, size):
             return
@@ -115,22 +115,22 @@ class DiskCache:
 
 
 def standard_folder() -> Path:
-    """Return the folder of worlds in this user's cache."""
+    """Return the default cache folder of this user."""
     return user_cache("worlds")
 
 
 def opened(folder: Path, limit: int = LIMIT) -> DiskCache | None:
-    """Return the cache of a folder for a campaign that begins now.
+    """Open the cache in a folder for a campaign that starts now.
 
-    None, with a warning, if the folder cannot be written to.
+    Return None, with a warning, if the folder is not writable.
 
     Raises
     ------
     InputError
-        If the folder is a file.
+        If the path is a file.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError("--cache", str(folder), "a folder, not a file")
+        raise InputError("--cache", str(folder), "must be a folder, not a file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -140,7 +140,7 @@ def opened(folder: Path, limit: int = LIMIT) -> DiskCache | None:
     return DiskCache(folder.resolve(), limit, time.time())
 
 
-# Of this process: folders that took no entry, and bytes until a folder's sizes are added up again.
+# Per process: folders that refused an entry, and bytes to write until the next size check.
 _given_up: set[Path] = set()
 _until_check: dict[Path, float] = {}
 
@@ -148,24 +148,24 @@ _until_check: dict[Path, float] = {}
 def _give_up(folder: Path, error: OSError) -> None:
     _given_up.add(folder)
     warnings.warn(
-        f"the cache in {folder} cannot be written to ({error.strerror}): worlds are made anew; "
-        "results are the same",
+        f"Cannot write to the cache in {folder} ({error.strerror}). Worlds are computed again; "
+        "results are the same.",
         CacheWarning,
         stacklevel=2,
     )
 
 
 def _read(path: Path) -> Arrays | None:
-    """Return the arrays of an entry; None if there is none, or it is not whole."""
+    """Return the arrays of an entry; None if it is missing or damaged."""
     try:
-        # First of all its sums: a damaged head that asks for less of an array reads without error.
+        # Check sums first: a damaged header with a smaller array shape reads without an error.
         with zipfile.ZipFile(path) as file:
             if file.testzip() is not None:
                 return None
         with np.load(path, allow_pickle=False) as arrays:
             found = {name: arrays[name] for name in arrays.files}
     except Exception:
-        # None there, cut off, overwritten, or unreadable: the new one takes its place.
+        # Missing, truncated, overwritten or unreadable: a new entry replaces it.
         return None
     with contextlib.suppress(OSError):
         os.utime(path)
@@ -173,31 +173,31 @@ def _read(path: Path) -> Arrays | None:
 
 
 def _has_room(store: DiskCache, size: int) -> bool:
-    """Tell whether an entry may be added; entries not used of late make room for it."""
-    left = _until_check.get(store.folder, 0.0) - max(size, _BLOCK)
+    """Return whether an entry fits; evict entries that were not used recently."""
+    left = _until_check.get(store.folder, 0.0) - max(size, _DISK_BLOCK_BYTES)
     if left < 0.0:
-        free = store.limit - _trimmed(store.folder, store.limit - size, store.since)
-        left = min(free - max(size, _BLOCK), store.limit / _CHECKS)
+        free = store.limit - _evict_entries(store.folder, store.limit - size, store.since)
+        left = min(free - max(size, _DISK_BLOCK_BYTES), store.limit / _SIZE_CHECKS_PER_LIMIT)
         if left < 0.0:
             return False
     _until_check[store.folder] = left
     return True
 
 
-def _trimmed(folder: Path, most: float, since: float) -> float:
-    """Delete entries not used since a time, oldest first, down to a size; return the size left."""
+def _evict_entries(folder: Path, max_bytes: float, since: float) -> float:
+    """Delete entries not used since a time, oldest first, down to a size; return the size."""
     entries = []
     for path in folder.glob("??/*"):
         with contextlib.suppress(OSError):  # another process may have deleted it
             stat = path.stat()
             if path.suffix == ".part":
-                if time.time() - stat.st_mtime > _ABANDONED:
+                if time.time() - stat.st_mtime > _ABANDONED_AFTER_S:
                     path.unlink()
                 continue
-            entries.append((stat.st_mtime, max(stat.st_size, _BLOCK), path))
+            entries.append((stat.st_mtime, max(stat.st_size, _DISK_BLOCK_BYTES), path))
     total = float(sum(size for _, size, _ in entries))
     for used, size, path in sorted(entries):
-        if total <= most or used >= since:
+        if total <= max_bytes or used >= since:
             break
         with contextlib.suppress(OSError):
             path.unlink()
@@ -206,8 +206,8 @@ def _trimmed(folder: Path, most: float, since: float) -> float:
 
 
 @cache
-def _maker() -> str:
-    """Return what makes bits differ between machines: code, packages, processor."""
+def _environment_key() -> str:
+    """Return what makes results differ between machines: code, packages, processor."""
     import llvmlite.binding as llvm  # noqa: PLC0415  (slow to load)
 
     made_by = {k: v for k, v in environment().items() if k != "cores"}

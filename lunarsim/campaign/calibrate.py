@@ -1,6 +1,6 @@
-"""Fly a scenario's descents and fit the last stage of its Gaussian DEM's calibration to them.
+"""Refit the last calibration stage of a Gaussian DEM to flights of a scenario.
 
-The flights have seeds of their own, which no comparison flies, whatever its root seed.
+The flights use seeds that no campaign uses, whatever its root seed.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.pool import outcomes
 from lunarsim.errors import InputError
 from lunarsim.evaluation.site_calibration import (
-    LeftOut,
-    Sites,
-    check_enough,
-    drawn_sites,
-    judged_by_flights_left_out,
-    with_figures,
+    CrossValidation,
+    SiteSamples,
+    check_site_counts,
+    cross_validate,
+    sample_sites,
+    with_quality,
 )
 from lunarsim.onboard.hazards.gaussian_dem.drawn import evidence_of
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper, GaussianDemMapping
@@ -28,26 +28,26 @@ from lunarsim.safety.refit import ScenarioCalibration
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-# The last is of the intervals, not of a flight.
-_INTERVALS = 2**32 - 1
+# The last calibration seed is reserved for the bootstrap intervals.
+_BOOTSTRAP_SEED_INDEX = 2**32 - 1
 
 
 @dataclass(frozen=True)
-class Calibrated:
-    """What a calibration gave.
+class CalibrationResult:
+    """Result of a calibration.
 
     Attributes
     ----------
     calibration
-        Fitted to all flights.
+        Calibration fitted to all flights.
     left_out
-        How good it is on flights that it was not fitted to.
+        Cross-validated quality: each flight is evaluated by a fit to the others.
     maps
-        Number of maps that sites were drawn from.
+        Number of maps that sites were sampled from.
     """
 
     calibration: ScenarioCalibration
-    left_out: LeftOut
+    left_out: CrossValidation
     maps: int
 
 
@@ -69,68 +69,70 @@ def calibrate(
     jobs: int = 1,
     mapper: str | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Calibrated:
-    """Fit the last stage of the calibration to a scenario's own flights.
+) -> CalibrationResult:
+    """Fit the last calibration stage to flights of a scenario.
 
-    Sites are drawn from each map that the scenario's policy decides on, where the map has observed
-    and the truth has a verdict.
+    Sites are sampled from each map that the scenario's policy uses for a decision. Only cells that
+    the map has observed and that have a true classification are used.
 
     Parameters
     ----------
     scenario
-        The study; a calibration that it names already is not flown.
+        Scenario to fly; a calibration file that it already names is ignored.
     flights, seed, sites, jobs
-        Flights, root seed, sites of each map, processes; what comes out does not depend on `jobs`.
+        Number of flights, root seed, sites per map, processes. The result does not depend on
+        `jobs`.
     mapper
-        Name of the mapper; left out: `gaussian_mapper` chooses.
+        Name of the mapper; omitted: `gaussian_mapper` chooses.
     progress
         Called with 1 after each flight.
 
     Raises
     ------
     InputError
-        If the request or the scenario will not do, or the flights show no two kinds of sites.
+        If an argument or the scenario is not usable, or all sites are of one class.
     """
     for name, value, least in (("flights", flights, 2), ("sites", sites, 1), ("jobs", jobs, 1)):
         if value < least:
-            raise InputError(f"--{name}", value, f"at least {least}")
+            raise InputError(f"--{name}", value, f"must be {least} or more")
     mapper = gaussian_mapper(scenario, mapper)
     plain = scenario.changed(mappers={mapper: {"calibration_path": None}})
     if flights > MAX_FLIGHTS:
-        raise InputError("--flights", flights, f"at most {MAX_FLIGHTS}")
+        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
     tasks = [_Task(plain, mapper, seed, i, sites) for i in range(flights)]
-    found: dict[int, list[Sites]] = {}
-    for index, parts in outcomes(_fly, tasks, min(jobs, flights)):
+    found: dict[int, list[SiteSamples]] = {}
+    for index, parts in outcomes(_fly_and_sample, tasks, min(jobs, flights)):
         found[index] = parts
         if progress is not None:
             progress(1)
     parts = [part for index in range(flights) for part in found[index]]
     if not sum(map(len, parts)):
         raise InputError(
-            "sites", 0, "some: no map that a decision was made on had observed any ground"
+            "sites", 0, "no decision map observed any terrain", "Check the LiDAR schedule."
         )
-    everything = Sites.joined(parts)
-    check_enough(everything)
+    everything = SiteSamples.joined(parts)
+    check_site_counts(everything)
     lander = plain.vehicle.make()
-    rng = np.random.default_rng(calibration_seed(seed, _INTERVALS))
-    left_out = judged_by_flights_left_out(everything, flights, lander, rng)
+    rng = np.random.default_rng(calibration_seed(seed, _BOOTSTRAP_SEED_INDEX))
+    left_out = cross_validate(everything, flights, lander, rng)
     fit = replace(
         everything.fitted(lander),
         scenario=scenario.name, mapper=mapper, flights=flights, sites=len(everything), seed=seed,
     )  # fmt: skip
-    return Calibrated(with_figures(fit, left_out), left_out, len(parts))
+    return CalibrationResult(with_quality(fit, left_out), left_out, len(parts))
 
 
 def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
     """Return the name of the mapper to calibrate.
 
-    Left out: the one that decides if it is a calibrated Gaussian DEM, else the only Gaussian DEM.
+    Without a name, take the mapper that decisions use if it is a Gaussian DEM, else the only
+    Gaussian DEM.
 
     Raises
     ------
     InputError
-        If there is no such mapper, it is of another kind, its safety is not calibrated, or there
-        are several to choose from.
+        If the mapper does not exist, is not a Gaussian DEM or is not calibrated, or if several
+        mappers qualify.
     """
     mappers = {n: part.make() for n, part in scenario.mappers.items()}
     fit = [n for n, part in mappers.items() if isinstance(part, GaussianDemMapping)]
@@ -139,18 +141,25 @@ def gaussian_mapper(scenario: Scenario, name: str | None = None) -> str:
         decides = scenario.decisions.map or next(iter(mappers), "")
         name = decides if decides in fit else (fit[0] if len(fit) == 1 else None)
         if name is None:
-            expected = "one [mappers.NAME] of kind gaussian-dem" if not fit else "named: --mapper"
-            raise InputError("mappers", ", ".join(mappers), f"{expected}; there are {words}")
+            problem = (
+                "must contain one mapper of kind gaussian-dem"
+                if not fit
+                else f"there are several mappers of kind gaussian-dem ({words})"
+            )
+            remedy = "Add [mappers.NAME]." if not fit else "Choose one with --mapper."
+            raise InputError("mappers", ", ".join(mappers), problem, remedy)
     if name not in fit:
-        raise InputError("--mapper", name, f"a mapper of kind gaussian-dem; there are {words}")
+        raise InputError(
+            "--mapper", name, f"must be a mapper of kind gaussian-dem (available: {words})"
+        )
     safety = mappers[name].safety
     if safety != "calibrated":
-        raise InputError(f"mappers.{name}.safety", safety, "calibrated: nothing else is fitted")
+        raise InputError(f"mappers.{name}.safety", safety, 'must be "calibrated" to be refitted')
     return name
 
 
-def _fly(task: _Task) -> list[Sites]:
-    """Fly one descent under the scenario's policy; return sites of each map decided on."""
+def _fly_and_sample(task: _Task) -> list[SiteSamples]:
+    """Fly one descent under the scenario's policy; return sites of each decision map."""
     scenario = task.scenario
     seed = calibration_seed(task.root, task.flight)
     simulation = Simulation(scenario, seed, scenario.policy.kind)
@@ -168,6 +177,6 @@ def _fly(task: _Task) -> list[Sites]:
                 last = drawn
                 evidence = evidence_of(mapper.dem(), mapper.lander, mapper.rocks)
                 truth = simulation.truth
-                found.append(drawn_sites(evidence, truth, error, task.sites, task.flight, rng))
+                found.append(sample_sites(evidence, truth, error, task.sites, task.flight, rng))
         simulation.step()
     return found

@@ -1,7 +1,7 @@
-"""Fly several policies or laws over the same worlds and write what came: a campaign in short.
+"""Compare policies or guidance laws over the same worlds: a short form of a campaign.
 
-Flight i of every policy has the same world, start, sensor noise and navigation errors: they all
-derive from the root seed and i alone, so any number of processes gives the same bits.
+Flight i of every policy has the same world, start, sensor noise and navigation errors. They derive
+from the root seed and i only, so the number of processes does not change any bit.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from lunarsim.campaign.fly_spec import fly_spec
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import MAX_FLIGHTS
 from lunarsim.campaign.results import load_results
-from lunarsim.campaign.run import Ran
-from lunarsim.campaign.spec import CampaignSpec, Head
+from lunarsim.campaign.run import RunResult
+from lunarsim.campaign.spec import CampaignSettings, CampaignSpec
 from lunarsim.errors import InputError, check_folder
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.parts import resolve
@@ -45,25 +45,26 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class CompareResult:
-    """What a comparison gave.
+    """Result of a comparison.
 
     Attributes
     ----------
     rows
-        One dictionary a flight and policy, by flight, then policy; see `lunarsim.campaign.store`.
+        One dictionary per flight and policy, sorted by flight, then policy; columns as in
+        `lunarsim.campaign.rows`.
     seconds
-        Wall-clock seconds of each flight, by policy.
+        Wall-clock time of each flight, by policy, s.
     safe_share, safe_share_at_heading
-        Mean share of exactly safe ground where targets are drawn: at every heading, and at the
+        Mean share of exactly safe terrain in the target area: over every heading, and at the
         heading that is flown.
     complete
-        False when the run was interrupted.
+        False if the run was interrupted.
     failed
-        Rows without a verdict: their code raised, or their process died.
+        Rows without an outcome: the code raised an error, or the process died.
     unrecorded
-        Why flights have no record or figures, for instance a full disk; empty: all have.
+        Reason why flights have no record or figures, for instance a full disk; empty if all have.
     by_law
-        Whether laws of guidance are compared: rows are then told apart by arm, not by policy.
+        Whether guidance laws are compared; rows are then identified by arm, not by policy.
     """
 
     rows: list[dict[str, Any]]
@@ -77,18 +78,18 @@ class CompareResult:
 
     @property
     def shown(self) -> list[dict[str, Any]]:
-        """Rows whose `policy` is what tables and figures tell them apart by."""
+        """Rows whose `policy` is the name used in tables and figures."""
         return [row | {"policy": row["arm"]} for row in self.rows] if self.by_law else self.rows
 
 
 def policy_name(policy: str | RetargetingPolicy) -> str:
-    """Return the name of a policy in tables and folders."""
+    """Return the name of a policy for tables and folders."""
     name = policy if isinstance(policy, str) else policy.name
     return name.rpartition(":")[2] if ":" in name else name
 
 
-def law_name(law: str) -> str:
-    """Return the name of a law of guidance in tables and folders."""
+def guidance_name(law: str) -> str:
+    """Return the name of a guidance law for tables and folders."""
     return law.rpartition(":")[2]
 
 
@@ -98,28 +99,32 @@ def check_request(
     jobs: int,
     guidance: Sequence[str] = (),
 ) -> None:
-    """Raise `InputError` for a request that cannot be met."""
+    """Raise `InputError` if the arguments of a comparison are not usable."""
     for law in guidance:
         resolve("guidance", law, "--guidance")
-    laws = [law_name(law) for law in guidance]
+    laws = [guidance_name(law) for law in guidance]
     if len(set(laws)) < len(laws):
-        raise InputError("--guidance", ",".join(laws), "each law once")
+        raise InputError("--guidance", ",".join(laws), "must name each guidance law once")
     for policy in policies:
         if isinstance(policy, str):
             resolve("policy", policy, "--policies")
         elif not (hasattr(policy, "decide") and isinstance(getattr(policy, "name", None), str)):
-            raise InputError("policies", policy, "an object with `name` and `decide(observation)`")
+            raise InputError(
+                "policies", policy, "must be an object with `name` and `decide(observation)`"
+            )
     if flights > MAX_FLIGHTS:
-        raise InputError("--flights", flights, f"at most {MAX_FLIGHTS}")
+        raise InputError("--flights", flights, f"must be at most {MAX_FLIGHTS}")
     if not policies:
-        raise InputError("--policies", "", "at least one; `lunarsim parts policy` lists them")
+        raise InputError(
+            "--policies", "", "must name at least one policy", "List them: lunarsim parts policy."
+        )
     names = [policy_name(policy) for policy in policies]
     if len(set(names)) < len(names):
-        raise InputError("--policies", ",".join(names), "each policy once")
+        raise InputError("--policies", ",".join(names), "must name each policy once")
     if flights < 1:
-        raise InputError("--flights", flights, "at least 1")
+        raise InputError("--flights", flights, "must be 1 or more")
     if jobs < 1:
-        raise InputError("--jobs", jobs, "at least 1")
+        raise InputError("--jobs", jobs, "must be 1 or more")
 
 
 def compare(
@@ -137,34 +142,36 @@ def compare(
     apart: bool = False,
     guidance: Sequence[str] = (),
 ) -> CompareResult:
-    """Fly `flights` flights under each policy, and with each law of guidance if some are named.
+    """Fly `flights` flights under each policy, and with each guidance law if some are named.
 
     Parameters
     ----------
     scenario
-        The study.
+        Scenario to fly.
     policies
-        Policies: names, "module:Class", or objects that can be pickled where `jobs` is above 1.
+        Policies: names, "module:Class", or objects (picklable if `jobs` is above 1).
     flights, seed, jobs
-        Flights a policy, root seed, processes.
+        Flights per policy, root seed, processes.
     out
-        Folder for all results: new, or of the same comparison, which is then gone on with; left
-        out: nothing is kept. `results.parquet` has all rows in one file.
+        Folder for all results: new, or of the same comparison, which is then resumed. Omitted:
+        nothing is kept. `results.parquet` holds all rows in one file.
     progress, figures
-        Called with the number of flights finished since the last call; whether to draw the first
-        flight of each policy and the comparison.
+        Function called with the number of flights finished since the last call; whether to draw
+        the first flight of each policy and the comparison.
     cache, say
-        See `lunarsim.campaign.fly_spec.fly_spec`.
+        Cache of worlds, and function that receives messages for the user; as in
+        `lunarsim.campaign.fly_spec.fly_spec`.
     apart
-        Whether a single job is a process of its own, as several are; else it is this one.
+        Whether a single job runs in a separate process; several jobs always do.
     guidance
-        Laws, each flown under every policy: names or "module:Class", with their defaults (the
-        scenario's own settings where it names that law itself); none: the scenario's.
+        Guidance laws, each flown under every policy: names or "module:Class", with their default
+        settings (the scenario's settings for the law that the scenario uses). Empty: the
+        scenario's law.
 
     Raises
     ------
     InputError
-        If the scenario, the request or the folder will not do; nothing has been written then.
+        If the scenario, an argument or the folder is not usable; nothing has been written then.
     """
     check_request(policies, flights, jobs, guidance)
     spec = _spec(scenario, policies, flights, seed, figures, guidance)
@@ -179,15 +186,15 @@ def compare(
     fly = partial(fly_spec, engine=engine, progress=progress, cache=cache, say=say)
     if out is None:
         with tempfile.TemporaryDirectory(prefix="lunarsim-") as folder:
-            spec_here = spec.keeping(records="none", figures=False)
+            spec_here = spec.with_settings(records="none", figures=False)
             return _compare(spec_here, fly, Path(folder), None, by_law)
     return _compare(spec, fly, out, out, by_law)
 
 
 def _compare(
-    spec: CampaignSpec, fly: Callable[..., Ran], folder: Path, out: Path | None, by_law: bool
+    spec: CampaignSpec, fly: Callable[..., RunResult], folder: Path, out: Path | None, by_law: bool
 ) -> CompareResult:
-    """Fly into `folder`; write what `out` is promised besides the results."""
+    """Fly into `folder`; write the summary and figures into `out`."""
     ran = fly(spec, out=folder)
     result = _result(folder, ran, by_law)
     if out is not None and result.rows:
@@ -212,16 +219,16 @@ def _spec(
         name = policy_name(policy)
         values: dict[str, Any] = {"policy": policy} if isinstance(policy, str) else {}
         if law is not None:
-            name = law_name(law) if len(policies) == 1 else f"{name}, {law_name(law)}"
+            name = guidance_name(law) if len(policies) == 1 else f"{name}, {guidance_name(law)}"
             values["guidance"] = law
         changed = with_values(scenario, values, "policies") if values else scenario
         arms.append(Arm(name, values, changed, None if isinstance(policy, str) else policy))
-    head = Head(scenario.name, flights, seed, records="all", figures=figures)
+    head = CampaignSettings(scenario.name, flights, seed, records="all", figures=figures)
     return CampaignSpec(head, scenario, tuple(arms), Dispersions({}, seed=seed, flights=flights))
 
 
-def _result(folder: Path, ran: Ran, by_law: bool) -> CompareResult:
-    found = load_results(folder)  # of no flight at all too, after an early interrupt
+def _result(folder: Path, ran: RunResult, by_law: bool) -> CompareResult:
+    found = load_results(folder)  # works without any flight, after an early interrupt
     rows = found.table.to_pylist()
     seconds = {time["id"]: time["seconds"] for time in found.timing.to_pylist()}
     flown = [row for row in rows if row["outcome"] == FLOWN]
@@ -245,7 +252,7 @@ def _mean(values: list[float]) -> float:
 
 
 def _write(result: CompareResult, out: Path, spec: CampaignSpec) -> None:
-    """Write the results in one file and their summary, so that no reader ever sees half a file."""
+    """Write the results in one file, and their summary; both atomically."""
     table = pa.Table.from_pylist(result.rows, pq.read_schema(next((out / "results").iterdir())))
     write_whole(out / "results.parquet", lambda p: pq.write_table(table, p))
     summary = {

@@ -1,14 +1,14 @@
-"""What a campaign draws anew for every flight: distributions, and ways to draw from them.
+"""Dispersions of a campaign: distributions of scenario keys, and sampling designs.
 
-Every draw starts from one number in (0, 1) a key. Plain Monte Carlo takes it from a stream of the
-flight's own seed, so that flight i draws the same whatever else is flown; Latin hypercube and
+Every draw starts from one number in (0, 1) per key. Plain Monte Carlo takes it from a stream of
+the flight's own seed, so flight i draws the same values in every campaign. Latin hypercube and
 Sobol designs (`scipy.stats.qmc`) fix the number of flights. Keys may be correlated by a Gaussian
-copula: the matrix is that of the normal scores.
+copula, whose matrix is that of the normal scores.
 
 A Saltelli design gives Sobol indices (Saltelli et al. 2010, table 2). Its flights come in blocks:
 point A, A with key k as in B for each key, A in the world of B, point B. The world of a flight
-(rocks, noise, navigation errors) is one factor more, or the indices of the keys would hold part of
-what chance does.
+(rocks, noise, navigation errors) is an additional factor; otherwise the indices of the keys would
+include part of the effect of chance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc, truncnorm
 
-from lunarsim.campaign.subset_settings import Subset
+from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts import quantity, settings_of
 from lunarsim.rng import Streams, design_seed, flight_seed
@@ -33,18 +33,18 @@ from lunarsim.scenario.errors import input_error
 Array = NDArray[np.float64]
 
 METHODS = ("monte-carlo", "latin-hypercube", "sobol", "saltelli", "importance", "subset")
-# Of which the flights depend on their index alone, so that more can be asked for later.
-OPEN = ("monte-carlo", "importance")
-# Of which the numbers that a flight's draws start from come from its own streams.
-_STREAMED = (*OPEN, "subset")
+# Methods whose flights depend on their index only, so that flights can be added later.
+EXTENSIBLE_METHODS = ("monte-carlo", "importance")
+# Methods that take the numbers of a flight from the flight's own streams.
+_STREAM_METHODS = (*EXTENSIBLE_METHODS, "subset")
 # Draws stay this far from 0 and 1, where normal scores are infinite.
-_EDGE = 2.0**-53
-_SCALES = (
-    "from 1 to 8: draws closer together than declared leave failures out on every side, and "
-    "nothing in the flights would tell"
+_MIN_PROBABILITY = 2.0**-53
+_SCALE_PROBLEM = (
+    "must be from 1 to 8: a smaller scale misses failures on every side, and the flights "
+    "cannot reveal it"
 )
-# Share of a normal distribution that must be left between bounds.
-_LEAST_MASS = 1e-12
+# Minimum probability of a normal distribution between its bounds.
+_MIN_BOUNDED_MASS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Normal:
     Attributes
     ----------
     mean, sigma
-        In the unit of the key.
+        Mean and standard deviation, in the unit of the key.
     """
 
     mean: float = quantity(0.0)
@@ -67,12 +67,13 @@ class Normal:
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution cut off at bounds.
+    """A normal distribution truncated at bounds.
 
     Attributes
     ----------
     mean, sigma, low, high
-        In the unit of the key; a bound that is left out is none.
+        Mean and standard deviation before truncation, and bounds, in the unit of the key. An
+        omitted bound is infinite.
     """
 
     mean: float = quantity(0.0)
@@ -82,13 +83,15 @@ class TruncatedNormal:
 
     def __post_init__(self) -> None:
         if self.low is None and self.high is None:
-            raise InputError("low", None, "a bound, low or high or both; else take kind = normal")
+            raise InputError(
+                "low", None, "must have a bound: low, high or both", "Else use kind = normal."
+            )
         low, high = self._scores()
         if not low < high:
-            raise InputError("low", self.low, f"less than high, which is {self.high}")
+            raise InputError("low", self.low, f"must be below high ({self.high})")
         mass = ndtr(-low) - ndtr(-high) if low > 0.0 else ndtr(high) - ndtr(low)
-        if mass < _LEAST_MASS:
-            raise InputError("low", self.low, "bounds with some of the distribution between them")
+        if mass < _MIN_BOUNDED_MASS:
+            raise InputError("low", self.low, "the bounds must enclose some of the distribution")
 
     def _scores(self) -> tuple[float, float]:
         low = -np.inf if self.low is None else (self.low - self.mean) / self.sigma
@@ -108,7 +111,7 @@ class Uniform:
     Attributes
     ----------
     low, high
-        In the unit of the key.
+        Bounds, in the unit of the key.
     """
 
     low: float = quantity(0.0)
@@ -116,7 +119,7 @@ class Uniform:
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise InputError("low", self.low, f"less than high, which is {self.high}")
+            raise InputError("low", self.low, f"must be below high ({self.high})")
 
     def at(self, u: float) -> float:
         """Return the quantile at `u`."""
@@ -125,14 +128,14 @@ class Uniform:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some values.
+    """A random choice from a list of values.
 
     Attributes
     ----------
     values
-        Numbers, texts, or whatever the key takes.
+        Values that the key accepts.
     weights
-        As many, not all zero; equal if left out.
+        One weight per value, not all zero; omitted: equal weights.
     """
 
     values: tuple[Any, ...] = quantity(())
@@ -140,16 +143,18 @@ class Choice:
 
     def __post_init__(self) -> None:
         if not self.values:
-            raise InputError("values", [], "at least one value")
+            raise InputError("values", [], "must contain at least one value")
         if self.weights is not None:
             if len(self.weights) != len(self.values):
-                raise InputError("weights", self.weights, f"{len(self.values)}, one a value")
+                raise InputError(
+                    "weights", self.weights, f"must have {len(self.values)} weights, one per value"
+                )
             if not 0.0 < sum(self.weights) < np.inf:
-                expected = "at least one above 0, and a finite sum"
+                expected = "must have a positive and finite sum"
                 raise InputError("weights", self.weights, expected)
 
     def at(self, u: float) -> Any:
-        """Return the value at `u` of the cumulated weights."""
+        """Return the value at `u` of the cumulative weights."""
         weights = np.ones(len(self.values)) if self.weights is None else np.array(self.weights)
         index = int(np.searchsorted(np.cumsum(weights) / weights.sum(), u, side="right"))
         return self.values[min(index, len(self.values) - 1)]
@@ -162,7 +167,7 @@ KINDS: dict[str, type[Distribution]] = {
     "uniform": Uniform,
     "choice": Choice,
 }
-_NEEDED = {
+_REQUIRED_FIELDS = {
     "normal": ("mean", "sigma"),
     "truncated-normal": ("mean", "sigma"),
     "uniform": ("low", "high"),
@@ -171,23 +176,23 @@ _NEEDED = {
 
 
 def distribution(key: str, table: Any) -> Distribution:
-    """Return the distribution that a table of a spec describes.
+    """Build the distribution that a table of a spec describes.
 
     Raises
     ------
     InputError
-        Naming ``dispersions.KEY`` and what is wrong.
+        If the table is not valid; the field is ``dispersions.KEY``.
     """
     path = f"dispersions.{key}"
     if not isinstance(table, Mapping):
-        raise InputError(path, table, "a table with a kind: " + ", ".join(KINDS))
+        raise InputError(path, table, "must be a table with a kind: " + ", ".join(KINDS))
     values = dict(table)
     kind = values.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{path}.kind", kind, suggestion(str(kind), KINDS))
-    for name in _NEEDED[kind]:
+    for name in _REQUIRED_FIELDS[kind]:
         if name not in values:
-            raise InputError(f"{path}.{name}", None, f"a value: kind {kind!r} has no default")
+            raise InputError(f"{path}.{name}", None, f"kind {kind!r} requires a value")
     of: type = KINDS[kind]
     model = settings_of(of)
     try:
@@ -201,14 +206,14 @@ def distribution(key: str, table: Any) -> Distribution:
 
 @dataclass(frozen=True)
 class Correlation:
-    """Keys whose normal scores are correlated.
+    """Group of keys whose normal scores are correlated.
 
     Attributes
     ----------
     keys
-        Two or more.
+        Two or more keys.
     matrix
-        As many rows and columns; symmetric, positive definite, ones on its diagonal.
+        Correlation matrix of the keys: symmetric, positive definite, unit diagonal.
     """
 
     keys: tuple[str, ...] = quantity(())
@@ -216,7 +221,7 @@ class Correlation:
 
     def __post_init__(self) -> None:
         if len(self.keys) < 2 or len(set(self.keys)) < len(self.keys):
-            raise InputError("keys", list(self.keys), "two or more keys, each once")
+            raise InputError("keys", list(self.keys), "must be two or more keys, each once")
         try:
             matrix = np.array(self.matrix, dtype=np.float64)
         except ValueError:
@@ -224,91 +229,95 @@ class Correlation:
         given = [list(row) for row in self.matrix]
         count = len(self.keys)
         if matrix.shape != (count, count):
-            raise InputError("matrix", given, f"{count} rows of {count} numbers")
+            raise InputError("matrix", given, f"must be {count} rows of {count} numbers")
         if not np.array_equal(matrix, matrix.T) or not np.allclose(np.diag(matrix), 1.0, atol=0.0):
-            raise InputError("matrix", given, "symmetric, with ones on its diagonal")
+            raise InputError("matrix", given, "must be symmetric with ones on the diagonal")
         least = float(np.linalg.eigvalsh(matrix)[0])
         if least <= 1e-10:
             raise InputError(
-                "matrix", given, f"positive definite; its least eigenvalue is {least:.3g}"
+                "matrix", given, f"must be positive definite (minimum eigenvalue {least:.3g})"
             )
 
     @cached_property
     def root(self) -> Array:
-        """Lower triangular root of the matrix."""
+        """Lower Cholesky factor of the matrix."""
         return np.asarray(np.linalg.cholesky(np.array(self.matrix)))
 
 
 @dataclass(frozen=True)
 class Importance:
-    """Where draws lean to, for failures that are too rare to wait for.
+    """Proposal distribution of importance sampling, for rare failures.
 
-    Normal scores z of the keys (independent ones, before correlations) are drawn from a mixture:
-    with probability `nominal_share` as they are, else as shift + scale z. A flight counts with the
-    ratio of the two densities, which is at most 1 / nominal_share whatever the shifts.
+    Normal scores z of the keys (independent, before correlations) are drawn from a mixture: with
+    probability `nominal_share` the nominal z, else shift + scale z. The weight of a flight is the
+    ratio of the nominal density to the mixture density, which is at most 1 / nominal_share for any
+    shifts.
 
     Attributes
     ----------
     shifts, scales
-        By key, sigmas; left out: 0 and 1. Scales below 1 are refused: the ratio of the densities
-        would have no bound but the mixture's on any side.
+        Shift (sigmas) and scale by key; omitted: 0 and 1. Scales below 1 are refused: only the
+        mixture would bound the ratio of the densities.
     nominal_share
-        Of the flights that are drawn as they are.
+        Share of flights drawn from the nominal distribution.
     """
 
     shifts: Mapping[str, float] | None = quantity(None)
     scales: Mapping[str, float] | None = quantity(None)
-    nominal_share: float = quantity(0.1, ge=0.01, lt=1, help="drawn as they are")
+    nominal_share: float = quantity(
+        0.1, ge=0.01, lt=1, help="share of flights drawn from the nominal distribution"
+    )
 
     def __post_init__(self) -> None:
         for name, table in (("shifts", self.shifts), ("scales", self.scales)):
             for key, value in (table or {}).items():
                 fits = -8.0 <= value <= 8.0 if name == "shifts" else 1.0 <= value <= 8.0
                 if not fits:
-                    expected = "from -8 to 8 sigmas" if name == "shifts" else _SCALES
+                    expected = "must be from -8 to 8 sigmas" if name == "shifts" else _SCALE_PROBLEM
                     raise InputError(name, {key: value}, expected)
         shifts, scales = self.shifts or {}, self.scales or {}
         if not any(shifts.values()) and all(v == 1.0 for v in scales.values()):
-            raise InputError("shifts", dict(shifts), "at least one shift or scale")
+            raise InputError(
+                "shifts", dict(shifts), "must contain a shift that is not 0, or a scale above 1"
+            )
 
     def drawn(self, keys: Sequence[str], u: Array, nominal: bool) -> tuple[Array, float]:
-        """Return numbers in (0, 1) for keys (d,) that lean, and the weight of the flight.
+        """Return numbers in (0, 1) for the keys (d,), and the weight of the flight.
 
         Parameters
         ----------
         keys
-            Of the dispersions.
+            Keys of the dispersions (d,).
         u
-            Even numbers in (0, 1) (d,).
+            Uniform numbers in (0, 1) (d,).
         nominal
-            Whether this flight is drawn as it is.
+            Whether this flight is drawn from the nominal distribution.
         """
         shift = np.array([(self.shifts or {}).get(key, 0.0) for key in keys])
         scale = np.array([(self.scales or {}).get(key, 1.0) for key in keys])
         z = ndtri(u) if nominal else shift + scale * ndtri(u)
         log_ratio = np.sum(
             0.5 * (z**2 - ((z - shift) / scale) ** 2) - np.log(scale)
-        )  # of the leaning density over the nominal one
+        )  # of the shifted density to the nominal one
         share = self.nominal_share
         return ndtr(z), float(1.0 / (share + (1.0 - share) * np.exp(log_ratio)))
 
 
 @dataclass(frozen=True)
 class Dispersions:
-    """All that is drawn for a flight.
+    """Everything that is drawn for a flight.
 
     Attributes
     ----------
     distributions
-        By key of the scenario, in the order of the spec.
+        Distributions by key of the scenario, in the order of the spec.
     correlations
-        Groups of keys; no key is in two.
+        Groups of correlated keys; a key is in at most one group.
     method, seed, flights
-        How; root seed; number of flights, which matters to designs alone; of a level of method
-        subset.
+        Sampling method; root seed; number of flights, which only designs use (with method subset:
+        flights per level).
     importance, subset
-        Where draws lean to; which flights are near failure; each with the method of its name, and
-        with that alone.
+        Settings of the method of the same name; None with any other method.
     """
 
     distributions: Mapping[str, Distribution]
@@ -317,15 +326,16 @@ class Dispersions:
     seed: int = 1
     flights: int = 1
     importance: Importance | None = None
-    subset: Subset | None = None
+    subset: SubsetSettings | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise InputError("method", self.method, suggestion(self.method, METHODS))
         if self.method != "monte-carlo" and not self.distributions:
             raise InputError(
-                "method", self.method, "monte-carlo, or some [dispersions] that the design is of"
-            )
+                "method", self.method, "must be monte-carlo if nothing is drawn",
+                "Add [dispersions].",
+            )  # fmt: skip
         if self.method == "saltelli":
             self._check_blocks()
         self._check_importance()
@@ -337,16 +347,19 @@ class Dispersions:
                 if key not in self.distributions:
                     raise InputError(field, key, suggestion(key, self.distributions))
                 if isinstance(self.distributions[key], Choice):
-                    raise InputError(field, key, "a key whose values have an order, no choice")
+                    raise InputError(
+                        field, key, "must be a key whose values have an order, not a choice"
+                    )
                 if key in seen:
-                    raise InputError(field, key, "a key of no other group")
+                    raise InputError(field, key, "must be in one group only")
                 seen.add(key)
 
     def _check_importance(self) -> None:
         if (self.method == "importance") != (self.importance is not None):
             raise InputError(
-                "importance", self.method, "[importance] with method importance, and then alone"
-            )
+                "importance", self.method,
+                "[importance] is required with method importance, and allowed only with it",
+            )  # fmt: skip
         if self.importance is not None:
             for name in ("shifts", "scales"):
                 for key in getattr(self.importance, name) or {}:
@@ -357,7 +370,10 @@ class Dispersions:
 
     def _check_subset(self) -> None:
         if (self.method == "subset") != (self.subset is not None):
-            raise InputError("subset", self.method, "[subset] with method subset, and then alone")
+            raise InputError(
+                "subset", self.method,
+                "[subset] is required with method subset, and allowed only with it",
+            )  # fmt: skip
         if self.subset is not None:
             self.subset.check_flights(self.flights)
 
@@ -365,78 +381,79 @@ class Dispersions:
         if self.correlations:
             keys = list(self.correlations[0].keys)
             raise InputError(
-                "correlations", keys, "none with method saltelli: its indices are of keys that "
-                "vary apart; with another method sensitivity is by PAWN, which allows them",
+                "correlations", keys, "must be empty with method saltelli, whose indices need "
+                "independent keys",
+                "Use another method; sensitivity is then by PAWN, which allows correlations.",
             )  # fmt: skip
         blocks, rest = divmod(self.flights, self.block)
         if rest or blocks < 2 or blocks & (blocks - 1):
             below = 1 << max(1, blocks.bit_length() - 1)
             raise InputError(
                 "flights", self.flights,
-                f"{self.block} (keys and 3) times a power of two of at least 2: "
+                f"must be {self.block} (keys + 3) times a power of two of at least 2: "
                 f"{self.block * below} or {2 * self.block * below}",
             )  # fmt: skip
 
     @property
     def block(self) -> int:
-        """Flights of a block of a Saltelli design; 0 for other methods."""
+        """Number of flights in a block of a Saltelli design; 0 for other methods."""
         return len(self.distributions) + 3 if self.method == "saltelli" else 0
 
     def draws(self, flight: int) -> dict[str, Any]:
-        """Return the values of flight number `flight` by key; with method subset as declared."""
-        return self.at(self._leaning(flight)[0])
+        """Return the values of a flight by key (method subset: the nominal draws)."""
+        return self.at(self._weighted_uniforms(flight)[0])
 
     def at(self, numbers: Array) -> dict[str, Any]:
-        """Return the values by key at independent numbers in (0, 1), one a key (d,)."""
-        u = dict(zip(self.distributions, _inside(numbers), strict=True))
+        """Return the values by key at independent numbers in (0, 1) (d,)."""
+        u = dict(zip(self.distributions, _clip_to_open_interval(numbers), strict=True))
         for group in self.correlations:
             scores = group.root @ ndtri([u[key] for key in group.keys])
-            u |= dict(zip(group.keys, _inside(ndtr(scores)), strict=True))
+            u |= dict(zip(group.keys, _clip_to_open_interval(ndtr(scores)), strict=True))
         return {key: law.at(float(u[key])) for key, law in self.distributions.items()}
 
     def weight(self, flight: int) -> float:
-        """Return what a flight counts: 1 but for importance sampling."""
-        return self._leaning(flight)[1]
+        """Return the weight of a flight: 1 except for importance sampling."""
+        return self._weighted_uniforms(flight)[1]
 
-    def _leaning(self, flight: int) -> tuple[Array, float]:
+    def _weighted_uniforms(self, flight: int) -> tuple[Array, float]:
         """Return a number in (0, 1) for each key (d,), and the flight's weight."""
         u = self.uniforms(flight)
         if self.importance is None:
             return u, 1.0
         rng = Streams(flight_seed(self.seed, flight)).get("importance")
         nominal = bool(rng.random() < self.importance.nominal_share)
-        leaning, weight = self.importance.drawn(list(self.distributions), u, nominal)
-        return _inside(leaning), weight
+        shifted, weight = self.importance.drawn(list(self.distributions), u, nominal)
+        return _clip_to_open_interval(shifted), weight
 
     def uniforms(self, flight: int) -> Array:
-        """Return an even number in (0, 1) for each key (d,), before any leaning."""
-        if self.method in _STREAMED:
+        """Return a uniform number in (0, 1) for each key (d,), before importance sampling."""
+        if self.method in _STREAM_METHODS:
             streams = Streams(flight_seed(self.seed, flight))
             drawn = [streams.get(f"dispersions.{key}").random() for key in self.distributions]
-            return _inside(np.array(drawn))
-        return _inside(self._design[flight])
+            return _clip_to_open_interval(np.array(drawn))
+        return _clip_to_open_interval(self._design[flight])
 
     @cached_property
     def _design(self) -> Array:
-        """Points of the design (flights, d)."""
+        """Points of the sampling design (flights, d)."""
         rng = np.random.default_rng(design_seed(self.seed))
         count = len(self.distributions)
         if self.method == "saltelli":
-            return _blocks(qmc.Sobol(2 * count, rng=rng).random(self.flights // self.block))
+            return _saltelli_rows(qmc.Sobol(2 * count, rng=rng).random(self.flights // self.block))
         if self.method == "sobol":
             return np.asarray(qmc.Sobol(count, rng=rng).random(self.flights))
         return np.asarray(qmc.LatinHypercube(count, rng=rng).random(self.flights))
 
 
 def world_of(flight: int, block: int) -> int:
-    """Return the index whose seed a flight has: its own but for blocks of a Saltelli design.
+    """Return the index of the flight that gives a flight its seed: itself, outside Saltelli blocks.
 
     Parameters
     ----------
     flight
-        Its own index.
+        Index of the flight.
     block
-        See `Dispersions.block`.
+        Flights per block of a Saltelli design; 0 for other methods.
     """
     if not block:
         return flight
@@ -444,8 +461,8 @@ def world_of(flight: int, block: int) -> int:
     return 2 * number + (place >= block - 2)
 
 
-def _blocks(points: Array) -> Array:
-    """Return the rows of all blocks (n (d + 3), d) from points A and B side by side (n, 2 d)."""
+def _saltelli_rows(points: Array) -> Array:
+    """Return the rows of all blocks (n (d + 3), d) from points A and B (n, 2 d)."""
     a, b = np.hsplit(points, 2)
     keys = a.shape[1]
     rows = np.repeat(a[:, None, :], keys + 3, axis=1)
@@ -455,5 +472,5 @@ def _blocks(points: Array) -> Array:
     return np.asarray(rows.reshape(-1, keys))
 
 
-def _inside(u: Array) -> Array:
-    return np.clip(u, _EDGE, 1.0 - _EDGE)
+def _clip_to_open_interval(u: Array) -> Array:
+    return np.clip(u, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY)

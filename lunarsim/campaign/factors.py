@@ -1,4 +1,4 @@
-"""Arms: the combinations of values that a campaign compares, each over the same draws."""
+"""Arms: the variants of a scenario that a campaign compares over the same draws."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from typing import Any
 
 import numpy as np
 
-from lunarsim.campaign.keys import GROUND_TABLES, tables_of
+from lunarsim.campaign.keys import GROUND_TABLES, tables_as_text
 from lunarsim.errors import InputError
 from lunarsim.onboard.policies.contract import RetargetingPolicy
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import path_of, typed_values, with_values
 
-# More are a mistake in a spec rather than a study.
-MOST_ARMS = 1000
-# Of the name of a folder, bytes: file systems take no more than 255.
-_LONGEST = 240
+# A larger number is probably a mistake in the spec.
+MAX_ARMS = 1000
+# Maximum length of a folder name, bytes; file systems allow 255.
+_MAX_FOLDER_NAME_BYTES = 240
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One combination of values.
+    """Variant of the scenario with certain values.
 
     Attributes
     ----------
     name
-        In tables and folders.
+        Name in tables and folders.
     values
-        By key of the scenario.
+        Values by key of the scenario.
     scenario
-        With these values.
+        Scenario with these values.
     policy
-        A policy object that a caller gave; None: the scenario's own.
+        Policy object given by the caller; None: the scenario's policy.
     """
 
     name: str
@@ -46,37 +46,37 @@ class Arm:
     policy: RetargetingPolicy | None = None
 
 
-def flattened(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
-    """Return a table of dotted keys from one whose keys may be dotted, nested or both.
+def flatten_keys(table: Any, path: str, leaf: type | tuple[type, ...]) -> dict[str, Any]:
+    """Flatten a table whose keys may be dotted, nested or both into dotted keys.
 
     Parameters
     ----------
     table
-        As TOML gives it.
+        Table as read from TOML.
     path
-        Of the table, for messages.
+        Name of the table in messages.
     leaf
-        Types at which a value begins.
+        Types that are values, not tables.
 
     Raises
     ------
     InputError
-        If something is neither a table nor a value, or a key is there twice.
+        If an entry is neither a table nor a value, or a key occurs twice.
     """
     if not isinstance(table, Mapping):
-        raise InputError(path, table, "a table")
+        raise InputError(path, table, "must be a table")
     found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, leaf):
             inner = {key: value}
         elif isinstance(value, Mapping) and Mapping not in _as_tuple(leaf):
-            below = flattened(value, f"{path}.{key}", leaf)
+            below = flatten_keys(value, f"{path}.{key}", leaf)
             inner = {f"{key}.{rest}": v for rest, v in below.items()}
         else:
-            raise InputError(f"{path}.{key}", value, "a list of values")
+            raise InputError(f"{path}.{key}", value, "must be a list of values")
         for name in inner:
             if name in found:
-                raise InputError(f"{path}.{name}", inner[name], "each key once")
+                raise InputError(f"{path}.{name}", inner[name], "must be given once")
         found |= inner
     return found
 
@@ -86,48 +86,48 @@ def _as_tuple(leaf: type | tuple[type, ...]) -> tuple[type, ...]:
 
 
 def product(factors: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, Any]]]:
-    """Return name and values of every combination, the last factor running fastest.
+    """Return name and values of every combination; the last factor varies fastest.
 
     Raises
     ------
     InputError
-        If a factor has no value or one twice, or there are too many combinations.
+        If a factor has no value or a repeated value, or there are too many combinations.
     """
     for key, levels in factors.items():
         if not isinstance(levels, list | tuple) or not levels:
-            raise InputError(f"factors.{key}", levels, "a list of at least one value")
+            raise InputError(f"factors.{key}", levels, "must be a list of at least one value")
         for level in levels:
             check_plain(f"factors.{key}", level)
         words = [json.dumps(level) for level in levels]
         if len(set(words)) < len(words):
-            raise InputError(f"factors.{key}", list(levels), "each value once")
+            raise InputError(f"factors.{key}", list(levels), "must contain each value once")
     count = int(np.prod([float(len(levels)) for levels in factors.values()])) if factors else 1
-    if count > MOST_ARMS:
-        raise InputError("factors", count, f"at most {MOST_ARMS} combinations")
+    if count > MAX_ARMS:
+        raise InputError("factors", count, f"must give at most {MAX_ARMS} combinations")
     combinations = itertools.product(*factors.values())
-    return [(_name(values), values) for c in combinations
+    return [(_arm_name(values), values) for c in combinations
             for values in [dict(zip(factors, c, strict=True))]]  # fmt: skip
 
 
 def check_plain(field: str, value: Any) -> None:
-    """Refuse what no key of a scenario is: dates and times, which TOML has too, and huge numbers.
+    """Refuse values that no scenario key accepts: dates, times and integers above 64 bits.
 
     Raises
     ------
     InputError
-        Naming `field`.
+        For such a value; `field` is the name in the message.
     """
     try:
         json.dumps(value)
     except TypeError:
-        expected = "a number, text, true or false, list or table"
+        expected = "must be a number, text, true or false, list or table"
         raise InputError(field, str(value), expected) from None
     if isinstance(value, int) and abs(value) >= 2**63:
-        raise InputError(field, value, "a whole number of at most 64 bits")
+        raise InputError(field, value, "must be an integer of at most 64 bits")
 
 
-def _name(values: Mapping[str, Any]) -> str:
-    """Return a name: the value of a single factor, else key = value of each."""
+def _arm_name(values: Mapping[str, Any]) -> str:
+    """Return a name: the value of a single factor, else key=value of each."""
     if not values:
         return "all"
     if len(values) == 1:
@@ -136,7 +136,7 @@ def _name(values: Mapping[str, Any]) -> str:
 
 
 def word(value: Any) -> str:
-    """Return a value in short."""
+    """Return a short text for a value."""
     if isinstance(value, str):
         if Path(value).is_absolute():
             return Path(value).name
@@ -148,86 +148,91 @@ def word(value: Any) -> str:
     return json.dumps(value)
 
 
-def listed(tables: Any) -> list[tuple[str, dict[str, Any]]]:
-    """Return name and values of the combinations that a spec lists as ``[[arms]]``.
+def parse_arms(tables: Any) -> list[tuple[str, dict[str, Any]]]:
+    """Return name and values of the arms that a spec lists as ``[[arms]]``.
 
     Raises
     ------
     InputError
-        If one has no name, no values, or the name of another.
+        If an arm has no name, or its table has other keys.
     """
     if not isinstance(tables, list) or not tables:
-        raise InputError("arms", tables, "[[arms]], each with a name and a table `set`")
+        raise InputError(
+            "arms", tables, "must be a list of [[arms]], each with a name and a table `set`"
+        )
     found = []
     for i, table in enumerate(tables):
         path = f"arms.{i}"
         if not isinstance(table, Mapping) or set(table) - {"name", "set"}:
-            raise InputError(path, table, "a table with the keys name and set")
+            raise InputError(path, table, "must be a table with the keys name and set")
         name = table.get("name")
         if not isinstance(name, str) or not name:
-            raise InputError(f"{path}.name", name, "a text of at least one character")
+            raise InputError(f"{path}.name", name, "must be a text that is not empty")
         values = table.get("set", {})
         if not isinstance(values, Mapping):
-            raise InputError(f"{path}.set", values, "a table of values by key")
+            raise InputError(f"{path}.set", values, "must be a table of values by key")
         found.append((name, dict(values)))
     return found
 
 
-def arms_of(
+def build_arms(
     scenario: Scenario, combinations: Sequence[tuple[str, dict[str, Any]]], where: str
 ) -> tuple[Arm, ...]:
-    """Return the arms, each scenario checked.
+    """Build the arms and check their scenarios.
 
     Raises
     ------
     InputError
-        If two have one name, or a scenario will not do.
+        If two arms have one name, or a scenario is not valid.
     """
     folders = Counter(folder_name(name) for name, _ in combinations)
     for name, _ in combinations:
-        if len(folder_name(name).encode()) > _LONGEST:
+        if len(folder_name(name).encode()) > _MAX_FOLDER_NAME_BYTES:
             raise InputError(
-                where, name, f"a name of at most {_LONGEST} bytes, as folders have: [[arms]] names "
-                "combinations",
+                where, name,
+                f"must have a name of at most {_MAX_FOLDER_NAME_BYTES} bytes for its folder",
+                "Name combinations with [[arms]].",
             )  # fmt: skip
         if folders[folder_name(name)] > 1:
-            raise InputError(where, name, "each combination once, under a name of its own")
-    if len(combinations) > MOST_ARMS:
-        raise InputError(where, len(combinations), f"at most {MOST_ARMS} combinations")
+            raise InputError(where, name, "must have a unique name")
+    if len(combinations) > MAX_ARMS:
+        raise InputError(where, len(combinations), f"must be at most {MAX_ARMS} combinations")
     return tuple(Arm(n, values, with_values(scenario, values, where)) for n, values in combinations)
 
 
-def groups_of(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
-    """Return the indices of arms that fly over the same ground, by ground."""
+def group_arms_by_terrain(arms: Sequence[Arm]) -> tuple[tuple[int, ...], ...]:
+    """Return groups of indices of arms that share the same terrain."""
     found: dict[str, list[int]] = {}
     for i, arm in enumerate(arms):
-        found.setdefault(tables_of(arm.scenario, GROUND_TABLES), []).append(i)
+        found.setdefault(tables_as_text(arm.scenario, GROUND_TABLES), []).append(i)
     return tuple(tuple(group) for group in found.values())
 
 
 def folder_name(arm: str) -> str:
-    """Return an arm's name without what folders cannot be called."""
+    """Replace characters of an arm's name that folder names do not allow."""
     kept = "".join(c if c.isalnum() or c in "-_.=, " else "_" for c in arm).strip(". ")
     return kept or "arm"
 
 
 def parse_over(texts: Sequence[str]) -> dict[str, list[Any]]:
-    """Return factors from the command line: ``key=a,b,c`` or ``key=low:high:count``.
+    """Parse factors from the command line: ``key=a,b,c`` or ``key=low:high:count``.
 
     Raises
     ------
     InputError
-        If a text is neither.
+        If a text has neither form.
     """
     factors: dict[str, list[Any]] = {}
     for text in texts:
         key, sign, values = text.partition("=")
         key = key.strip()
         if not sign or not key or not values.strip():
-            raise InputError("--over", text, "KEY=A,B,C or KEY=LOW:HIGH:COUNT")
+            raise InputError("--over", text, "must be KEY=A,B,C or KEY=LOW:HIGH:COUNT")
         if key in factors:
-            raise InputError("--over", text, "each key once")
-        factors[key] = _range(text, values) if values.count(":") == 2 else _list(text, values)
+            raise InputError("--over", text, "must give each key once")
+        factors[key] = (
+            _parse_range(text, values) if values.count(":") == 2 else _parse_list(text, values)
+        )
     return factors
 
 
@@ -236,24 +241,24 @@ def split_changes(
 ) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Separate changes of the scenario from keys of parts whose kinds are factors.
 
-    A key of such a part holds for the kinds that the factor chooses, not for the scenario's own.
+    A key of such a part applies to the kinds that the factor chooses, not to the scenario's kind.
 
     Parameters
     ----------
     texts
-        ``KEY=VALUE`` each.
+        Changes, each ``KEY=VALUE``.
     factors
         Values by key.
 
     Returns
     -------
     tuple
-        The texts that apply to the scenario; value by key of the others.
+        Texts that apply to the scenario; values of the other keys, by key.
 
     Raises
     ------
     InputError
-        If a text is no change, or sets a key that is a factor.
+        If a text is not a change, or sets a key that is a factor.
     """
     swept = [path_of(key, levels[0]) for key, levels in factors.items()]
     parts = [steps[:-1] for steps in swept if steps[-1] == "kind"]
@@ -261,7 +266,7 @@ def split_changes(
     for text, (key, value) in zip(texts, typed_values(texts).items(), strict=True):
         steps = path_of(key, value)
         if any(steps[: len(one)] == one for one in swept):
-            raise InputError("--set", text, "no key that --over sets too")
+            raise InputError("--set", text, "must not set a key that --over sets")
         if any(steps[: len(part)] == part for part in parts):
             of_parts[key] = value
         else:
@@ -269,29 +274,31 @@ def split_changes(
     return tuple(kept), of_parts
 
 
-def _range(text: str, values: str) -> list[Any]:
+def _parse_range(text: str, values: str) -> list[Any]:
     low, high, count = (part.strip() for part in values.split(":"))
     try:
         ends, number = (float(low), float(high)), int(count)
     except ValueError:
-        # A part by "module:Class" has one colon, not two.
-        raise InputError("--over", text, "LOW:HIGH:COUNT, two numbers and a whole one") from None
+        # "module:Class" has one colon, so it is not parsed as a range.
+        raise InputError(
+            "--over", text, "must be LOW:HIGH:COUNT: two numbers and an integer"
+        ) from None
     if number < 2 or not np.isfinite(ends).all() or ends[0] >= ends[1]:
-        raise InputError("--over", text, "LOW below HIGH, and a COUNT of 2 or more")
-    if number > MOST_ARMS:
-        raise InputError("--over", text, f"a COUNT of at most {MOST_ARMS}")
+        raise InputError("--over", text, "must have LOW below HIGH, and a COUNT of 2 or more")
+    if number > MAX_ARMS:
+        raise InputError("--over", text, f"must have a COUNT of at most {MAX_ARMS}")
     return [float(v) for v in np.linspace(*ends, number)]
 
 
-def _list(text: str, values: str) -> list[Any]:
+def _parse_list(text: str, values: str) -> list[Any]:
     words = [part.strip() for part in values.split(",")]
     if not all(words):
-        raise InputError("--over", text, "no empty value")
-    return [_parsed(part) for part in words]
+        raise InputError("--over", text, "must not contain an empty value")
+    return [_parse_value(part) for part in words]
 
 
-def _parsed(text: str) -> Any:
-    """Return a number, true or false, or the text."""
+def _parse_value(text: str) -> Any:
+    """Return a number, true or false, or the text itself."""
     try:
         value = json.loads(text)
     except json.JSONDecodeError:

@@ -1,4 +1,4 @@
-"""JSON files written whole, and what a folder's results were made by."""
+"""Write JSON files atomically; identify the code and packages behind results."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from llvmlite.binding import get_host_cpu_name
 import lunarsim
 from lunarsim.whole_files import write_text_whole
 
-# Packages whose versions may change a result.
+# Packages whose versions may change results.
 _PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "casadi", "opencv-python-headless", "moderngl",
              "rasterio", "pyarrow")  # fmt: skip
 
-# A campaign may be continued with another value of these. Another processor rounds differently, so
-# it is recorded; a cluster of unlike machines would otherwise not be usable at all.
-_NO_MATTER = ("python", "cores", "processor")
+# Differences that do not prevent resuming a campaign. Processors round differently, but only
+# recording this keeps clusters of different machines usable.
+_IGNORED_DIFFERENCES = ("python", "cores", "processor")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON file whole."""
+    """Write a JSON file atomically."""
     write_text_whole(path, json.dumps(data, indent=1) + "\n")
 
 
 def bytes_digest(data: bytes) -> str:
-    """Return the digest by which a part of the results is recognised."""
+    """Return the digest that identifies the bytes of a results part."""
     return hashlib.sha256(data).hexdigest()
 
 
 @cache
 def code_digest() -> str:
-    """Return a digest of the package's source files: two that differ may give other results."""
+    """Return a digest of the package's source files; other code may give other results."""
     root = Path(lunarsim.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")):
@@ -49,13 +49,13 @@ def code_digest() -> str:
 
 
 def file_digests(data: Any) -> dict[str, str]:
-    """Return the digest of every existing file that tables name in a key that ends in ``path``."""
+    """Return digests of the existing files that keys ending in ``path`` name."""
     named = [text for key, text in _texts(data) if key.endswith("path") and Path(text).is_file()]
-    return {text: _digest(Path(text)) for text in named}
+    return {text: _file_digest(Path(text)) for text in named}
 
 
 def part_digests(data: Any) -> dict[str, str]:
-    """Return the digest of every source file that tables name by "module:Class" in a ``kind``."""
+    """Return digests of the source files that a ``kind`` names as "module:Class"."""
     found: dict[str, str] = {}
     for key, text in _texts(data):
         if key == "kind" and ":" in text:
@@ -64,7 +64,7 @@ def part_digests(data: Any) -> dict[str, str]:
 
 
 def _texts(data: Any) -> Iterator[tuple[str, str]]:
-    """Yield the texts of nested tables and lists, each with the key that it has in its own."""
+    """Yield the texts of nested tables and lists, each with its own key."""
     items = data.items() if isinstance(data, Mapping) else enumerate(data)
     for key, value in items:
         if isinstance(value, Mapping | list | tuple):
@@ -73,27 +73,27 @@ def _texts(data: Any) -> Iterator[tuple[str, str]]:
             yield str(key), value
 
 
-def _digest(path: Path) -> str:
+def _file_digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
 
 def module_digest(name: str) -> dict[str, str]:
-    """Return the digest of a loaded module's source file; of the package's own and others none."""
+    """Return the digest of a loaded external module's source file; {} for other modules."""
     source = getattr(sys.modules.get(name), "__file__", None)
     if name.partition(".")[0] == "lunarsim" or source is None or not Path(source).is_file():
         return {}
-    return {name: _digest(Path(source))}
+    return {name: _file_digest(Path(source))}
 
 
-def differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
-    """Return what two environments differ in that may give other results."""
+def environment_differences(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+    """Return the names of differences between two environments that may change results."""
     names = dict.fromkeys([*there, *here])
-    return [n for n in names if n not in _NO_MATTER and there.get(n) != here.get(n)]
+    return [n for n in names if n not in _IGNORED_DIFFERENCES and there.get(n) != here.get(n)]
 
 
 def environment() -> dict[str, str]:
-    """Return the interpreter, the kind of machine and the versions that results depend on."""
+    """Return interpreter, platform, processor and package versions that results depend on."""
     packages = {}
     for name in _PACKAGES:
         try:

@@ -1,4 +1,4 @@
-"""A spec flown into a folder."""
+"""Fly a campaign spec into a folder."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from lunarsim.campaign.cache import DiskCache
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.engines.picklable import check_picklable
-from lunarsim.campaign.flying import check_flyable, plan_of
-from lunarsim.campaign.manifest import manifest_of
-from lunarsim.campaign.run import Ran, run
+from lunarsim.campaign.flying import check_first_flights, plan_of
+from lunarsim.campaign.manifest import matching_manifest
+from lunarsim.campaign.run import RunResult, run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.warming import warm
 from lunarsim.whole_files import write_text_whole
 
@@ -26,30 +26,30 @@ def fly_spec(
     progress: Callable[[int], None] | None = None,
     cache: DiskCache | None = None,
     say: Callable[[str], None] | None = None,
-) -> Ran:
-    """Fly what a folder lacks of a spec; see `lunarsim.campaign.run.run`.
+) -> RunResult:
+    """Fly the missing flights of a spec.
 
     Parameters
     ----------
     spec, engine, out
-        What, by whom, and the folder of results.
+        Campaign spec, engine, and folder of results.
     retry, progress
-        See `run`.
+        Whether to repeat flights without an outcome; function called with the number of new rows.
     cache
-        Where the truth about grounds is kept between campaigns; results do not depend on it.
+        Cache of the truth about worlds; results do not depend on it.
     say
-        Told when kernels are compiled first, by one process; left out, or without a cache, or by
-        another engine than the local one: workers compile what they meet.
+        Function that receives messages while kernels are compiled first, by one process. Without
+        it, without a cache, or with another engine than local, each worker compiles its kernels.
 
     Raises
     ------
     InputError
-        If the first flight of an arm cannot be flown or sent to worker processes, or the folder is
-        another's; nothing has been written then.
+        If the first flight of an arm cannot be flown or sent to worker processes, or the folder
+        belongs to another campaign; nothing has been written then.
     """
     plan = plan_of(spec, out, cache)
-    if manifest_of(out, plan) is None:
-        check_flyable(spec)
+    if matching_manifest(out, plan) is None:
+        check_first_flights(spec)
     if engine.name == "local":
         for arm in spec.arms:
             check_picklable(f"arm {arm.name!r}", arm.policy or arm.scenario)
@@ -57,7 +57,7 @@ def fly_spec(
     if cache is not None and say is not None and engine.name == "local":
         warm(spec, plan, cache, say)
     stop = spec.stop
-    rule = None if stop is None else WidthRule(stop.metric, stop.width, len(spec.arms))
+    rule = None if stop is None else IntervalWidthRule(stop.metric, stop.width, len(spec.arms))
     return run(
         plan, engine, out, rule=rule, time_budget=spec.head.time_budget, retry=retry,
         progress=progress, files=lambda folder: write_files(spec, folder),
@@ -65,7 +65,7 @@ def fly_spec(
 
 
 def write_files(spec: CampaignSpec, folder: Path) -> None:
-    """Write the spec and the scenario that it starts from, whole."""
+    """Write the spec and its base scenario, atomically."""
     texts = {"scenario.toml": spec.scenario.to_toml()}
     if all(arm.policy is None for arm in spec.arms):
         texts["spec.toml"] = spec.to_toml()

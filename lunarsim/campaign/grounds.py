@@ -1,7 +1,7 @@
-"""The ground of a flight and the truth about it: made once for all arms, kept between campaigns.
+"""Terrain of a flight and the truth about it, shared by all arms and cached on disk.
 
-Relief and rocks are made anew for each flight's index, which takes hundredths of a second; the
-exact safety of the whole ground takes half a second and more, and is what the cache keeps.
+Terrain and rocks are generated again for each flight index, which takes hundredths of a second.
+The exact safety map takes half a second and more; it is what the cache stores.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from lunarsim.campaign.cache import Arrays, DiskCache
 from lunarsim.campaign.files import file_digests
-from lunarsim.campaign.keys import GROUND_TABLES, TRUTH_TABLES, tables_of
+from lunarsim.campaign.keys import GROUND_TABLES, TRUTH_TABLES, tables_as_text
 from lunarsim.grid import Grid
 from lunarsim.rng import Streams
 from lunarsim.safety import SafetyMap
@@ -22,22 +22,22 @@ from lunarsim.simulation import build_world
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
-# Of the ground where targets are drawn: share that is exactly safe, at any and at one heading.
+# Share of the target area that is exactly safe, at any heading and at one heading.
 SHARES = ("safe_share", "safe_share_at_heading")
 
 
 @dataclass(frozen=True)
 class Grounds:
-    """Grounds and truths of one flight's index.
+    """Worlds and truths of one flight index.
 
     Attributes
     ----------
     seed
-        Of the flight.
+        Seed of the flight.
     memory
-        What has been made for the index so far, by this process.
+        Results for this index in this process so far; extended here.
     cache
-        What any process has made, or None.
+        Disk cache, or None.
     """
 
     seed: np.random.SeedSequence
@@ -45,37 +45,37 @@ class Grounds:
     cache: DiskCache | None = None
 
     def world_and_truth(self, scenario: Scenario) -> tuple[World, Truth]:
-        """Return world and truth of a scenario; the lander and its limits are part of the truth."""
-        ground = ("ground", tables_of(scenario, GROUND_TABLES))
+        """Return world and truth of a scenario; the truth depends on the lander's limits."""
+        ground = ("ground", tables_as_text(scenario, GROUND_TABLES))
         world = build_world(scenario, Streams(self.seed), self.memory.get(ground))
         self.memory.setdefault(ground, world.terrain)
-        known = ("truth", tables_of(scenario, TRUTH_TABLES))
+        known = ("truth", tables_as_text(scenario, TRUTH_TABLES))
         if known not in self.memory:
             self.memory[known] = self._truth(scenario, world)
         return world, self.memory[known]
 
     def shares(self, scenario: Scenario, truth: Truth) -> dict[str, float]:
-        """Return the share of safe ground where targets are drawn, at any heading and at one."""
-        tables = tables_of(scenario, (*TRUTH_TABLES, "target"))
+        """Return the share of safe terrain in the target area, at any heading and at one."""
+        tables = tables_as_text(scenario, (*TRUTH_TABLES, "target"))
         key = ("shares", tables, scenario.start.heading_deg)
         if key not in self.memory:
-            found = self._kept(key, scenario, lambda: _shares(scenario, truth))
+            found = self._cached(key, scenario, lambda: _compute_shares(scenario, truth))
             self.memory[key] = {name: float(found[name]) for name in SHARES}
         return self.memory[key]  # type: ignore[no-any-return]
 
     def _truth(self, scenario: Scenario, world: World) -> Truth:
         lander = scenario.vehicle.make()
-        key = ("truth", tables_of(scenario, TRUTH_TABLES))
-        found = self._kept(key, scenario, lambda: _arrays(Truth.of(world, lander)))
+        key = ("truth", tables_as_text(scenario, TRUTH_TABLES))
+        found = self._cached(key, scenario, lambda: _truth_arrays(Truth.of(world, lander)))
         x0, y0, posting, rows, cols = found["grid"]
         grid = Grid(float(x0), float(y0), float(posting), int(rows), int(cols))
         maps = (found[name] for name in ("slope", "roughness", "safe", "observed"))
         return Truth(SafetyMap(grid, *maps), found["elevation"], lander)
 
-    def _kept(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
-        """Return arrays from the cache; without one they are made."""
+    def _cached(self, key: tuple[Any, ...], scenario: Scenario, make: Any) -> Arrays:
+        """Return arrays from the cache; compute them if they are missing."""
         tables = {name: scenario.to_dict().get(name) for name in TRUTH_TABLES}
-        # Of a part from elsewhere nobody can tell whether its code is still the same.
+        # Changes in the code of external parts are not detected, so they are not cached.
         if self.cache is None or any(":" in str((t or {}).get("kind")) for t in tables.values()):
             return make()  # type: ignore[no-any-return]
         files = file_digests(tables)
@@ -83,7 +83,7 @@ class Grounds:
         return self.cache.get(key[0], repr((key, sorted(files.items()), seed)), make)
 
 
-def _arrays(truth: Truth) -> Arrays:
+def _truth_arrays(truth: Truth) -> Arrays:
     safety = truth.safety
     return {
         "grid": np.array(astuple(safety.grid)),
@@ -95,8 +95,8 @@ def _arrays(truth: Truth) -> Arrays:
     }
 
 
-def _shares(scenario: Scenario, truth: Truth) -> Arrays:
-    # Scatter half sides of zero still mean a spot: look at a footprint's width around it.
+def _compute_shares(scenario: Scenario, truth: Truth) -> Arrays:
+    # A scatter of zero still means a spot: evaluate a footprint's width around it.
     half = np.maximum(scenario.target.scatter_m, 2.0)
     centre = scenario.target.position_m
     heading = float(np.deg2rad(scenario.start.heading_deg))

@@ -1,4 +1,4 @@
-"""Flights of a study that are done, in one file that a later run goes on from."""
+"""Store finished flights of a study in one file from which a later run resumes."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ Flight = dict[str, Any]
 
 
 class KeptFlights:
-    """Flights by name, in a file that is whole after each of them.
+    """Flights by name, in a file that is rewritten atomically after each flight.
 
     Parameters
     ----------
     path
-        Of the file; None: nothing is kept.
+        Path of the file; None: nothing is stored.
     settings
-        Of the study, as JSON has them; a file of another is refused.
+        Settings of the study, as JSON values; a file with other settings is refused.
 
     Attributes
     ----------
     flights
-        What is done, by name.
+        Finished flights by name.
 
     Raises
     ------
     InputError
-        If the file cannot be read, is no such file, or holds flights of another study.
+        If the file cannot be read, has another format, or holds flights of another study.
     """
 
     def __init__(self, path: Path | None, settings: Mapping[str, Any]) -> None:
@@ -42,20 +42,20 @@ class KeptFlights:
             self._load(path)
 
     def _load(self, path: Path) -> None:
-        """Take over what a file holds."""
+        """Load the flights of a file."""
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InputError(
-                "flights.file", str(path), f"a file of flights, not one that breaks off: {error}"
+                "flights.file", str(path), f"must be a complete JSON file: {error}"
             ) from None
         flights = data.get("flights") if isinstance(data, dict) else None
         if not isinstance(flights, dict) or not all(isinstance(f, dict) for f in flights.values()):
-            raise InputError("flights.file", str(path), "a file of flights that a study has kept")
+            raise InputError("flights.file", str(path), "must be a file of stored flights")
         if data.get("settings") != self._settings:
             raise InputError(
                 "flights.file", str(path),
-                f"one of {self._settings}: it holds flights of {data.get('settings')}",
+                f"must hold flights of {self._settings}, not of {data.get('settings')}",
             )  # fmt: skip
         self.flights = flights
         code = data.get("code")
@@ -63,11 +63,11 @@ class KeptFlights:
 
     @property
     def of_other_code(self) -> int:
-        """How many of the flights other source files made, or nobody says which."""
+        """Number of flights that were flown with other or unknown source code."""
         return sum(self._code.get(name) != code_digest() for name in self.flights)
 
     def keep(self, name: str, flight: Flight) -> None:
-        """Add a flight, and write the file anew."""
+        """Add a flight and rewrite the file."""
         self.flights[name], self._code[name] = flight, code_digest()
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)

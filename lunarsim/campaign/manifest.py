@@ -1,4 +1,4 @@
-"""The manifest of a campaign's folder: what is flown there, by which code, and how far it is."""
+"""Manifest of a campaign folder: what is flown, with which code, and its state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import lunarsim
-from lunarsim.campaign.files import bytes_digest, code_digest, differing, environment
+from lunarsim.campaign.files import bytes_digest, code_digest, environment, environment_differences
 from lunarsim.campaign.plan import MAX_FLIGHTS, Plan
 from lunarsim.campaign.rows import KINDS, schema_of
 from lunarsim.errors import InputError, check_folder
@@ -29,7 +29,7 @@ class _Strict(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-# A terminal that shows a name must not take parts of it as commands.
+# Control characters in a name could act as commands in a terminal.
 _Name = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
 
 
@@ -66,7 +66,7 @@ class _Identity(_Strict):
 
 
 class _Manifest(_Strict):
-    """What readers need of a manifest, in strict types."""
+    """Fields of a manifest that readers need, with strict types."""
 
     format: int
     name: _Name
@@ -91,27 +91,27 @@ class _Manifest(_Strict):
         for what, names in (("arm", arms), ("column", columns)):
             twice = [name for name, count in Counter(names).items() if count > 1]
             if twice:
-                raise ValueError(f"{what} {twice[0]!r} is there twice")
+                raise ValueError(f"{what} {twice[0]!r} occurs twice")
         for key in self.identity.dispersions:
             if key not in self.inputs:
-                raise ValueError(f"no column holds the draws of {key!r}")
+                raise ValueError(f"the draws of {key!r} have no column")
         return self
 
 
-# Besides the identity, what stays the same as long as a campaign flies.
-_FIXED = ("name", "seed", "arms", "columns", "inputs")
+# Fields that must not change when a campaign is resumed, in addition to the identity.
+_FIXED_FIELDS = ("name", "seed", "arms", "columns", "inputs")
 
 
-def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
+def matching_manifest(folder: Path, plan: Plan) -> dict[str, Any] | None:
     """Return the manifest of a folder of the same campaign; None for a new or empty folder.
 
     Raises
     ------
     InputError
-        If it is anything else.
+        If the folder holds anything else.
     """
     if not (folder / "manifest.json").exists():
-        # A writer that was killed before its manifest leaves its lock and a part of a file.
+        # A writer killed before its manifest leaves a lock and a temporary file.
         check_folder(folder, hidden=False)
         check_contents(folder)
         return None
@@ -121,7 +121,8 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if manifest.get(key) != ours:
             raise InputError(
                 "--out", str(folder),
-                f"a new folder: this one was flown with {key} {manifest.get(key)}, this is {ours}",
+                f"was flown with {key} {manifest.get(key)}, but this is {ours}",
+                "Use a new folder.",
             )  # fmt: skip
     _check_packages(folder, manifest)
     if plan.flights < int(manifest["flights"]):
@@ -129,10 +130,11 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
         if last >= plan.flights:
             raise InputError(
                 "flights", plan.flights,
-                f"at least {last + 1}, as {folder} has so many already, or a new folder",
+                f"must be {last + 1} or more, as many as {folder} already has",
+                "Or use a new folder.",
             )  # fmt: skip
     planned = json.loads(json.dumps(new_manifest(plan)))
-    there, here = ({key: tables[key] for key in _FIXED} for tables in (manifest, planned))
+    there, here = ({key: tables[key] for key in _FIXED_FIELDS} for tables in (manifest, planned))
     difference = first_difference(manifest["identity"], planned["identity"]) or first_difference(
         there, here
     )
@@ -140,27 +142,29 @@ def manifest_of(folder: Path, plan: Plan) -> dict[str, Any] | None:
         key, old, new = difference
         raise InputError(
             "--out", str(folder),
-            f"a new folder, or the spec it was begun with: {key} was {old!r} there, is {new!r} now",
+            f"holds another campaign: {key} was {old!r} there, but is {new!r} now",
+            "Use a new folder or the original spec.",
         )  # fmt: skip
     return manifest
 
 
 def _check_packages(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Refuse other packages, or another kind of machine: they may give other results."""
+    """Refuse other packages or another platform, which may give other results."""
     before, now = manifest.get("environment", {}), environment()
-    other = differing(before, now)
+    other = environment_differences(before, now)
     if not other:
         return
-    told = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
+    differences = [f"{n} {before.get(n, 'none')} there, {now.get(n, 'none')} here" for n in other]
     pins = [f"{n}=={before[n]}" for n in other if n in before and n != "platform"]
-    install = f", or `pip install {' '.join(pins)}` first" if pins else ""
+    install = f", or first run: pip install {' '.join(pins)}" if pins else ""
     raise InputError(
-        "--out", str(folder), f"a new folder{install}: it was flown with {'; '.join(told)}"
-    )
+        "--out", str(folder), f"was flown with other packages ({'; '.join(differences)})",
+        f"Use a new folder{install}.",
+    )  # fmt: skip
 
 
 def _last_flight(folder: Path) -> int:
-    """Return the greatest index that a folder has a row of; -1 for none."""
+    """Return the maximum flight index that has a row in a folder; -1 for none."""
     last = -1
     for path in (folder / "results").glob("part-*.parquet"):
         with contextlib.suppress(pa.ArrowException, OSError):
@@ -176,7 +180,7 @@ def _last_flight(folder: Path) -> int:
 def with_digest(manifest: Mapping[str, Any]) -> dict[str, Any]:
     """Return a manifest with the digest of all its other values.
 
-    It finds damage, not forgery: whoever changes a value can compute the digest again.
+    The digest detects damage, not forgery, because anyone can compute it.
     """
     values = {key: value for key, value in manifest.items() if key != "digest"}
     text = json.dumps(json.loads(json.dumps(values)), sort_keys=True)
@@ -184,23 +188,25 @@ def with_digest(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of a campaign's folder, without its digest.
+    """Return the manifest of a campaign folder, without its digest.
 
     Raises
     ------
     InputError
-        If there is none, it cannot be read, or its values do not have the digest that it states.
+        If it is missing or cannot be read, or its values do not match its digest.
     """
     path = folder / "manifest.json"
     if not path.is_file():
-        raise InputError("folder", str(folder), "the folder of a campaign, with manifest.json")
+        raise InputError(
+            "folder", str(folder), "must be the folder of a campaign, with manifest.json"
+        )
     check_contents(folder)
     try:
         data: dict[str, Any] = read_json(path)
         _Manifest.model_validate(data)
-        # Versions before the digest wrote none.
+        # Older versions wrote no digest.
         if data.pop("digest", None) not in (None, with_digest(data)["digest"]):
-            raise ValueError("its values do not have the digest that it states")
+            raise ValueError("its values do not match its digest")
     except ValidationError as error:
         raise _damaged(folder, _reason(error)) from None
     except ValueError as error:
@@ -209,23 +215,23 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _reason(error: ValidationError) -> str:
-    """Return the first fault of a manifest in words."""
+    """Describe the first error of a manifest."""
     first = error.errors()[0]
     field = ".".join(map(str, first["loc"])) or "manifest"
     if first["type"] == "literal_error":
-        return f"columns of unknown kinds: {field}"
-    return f"no campaign's: {field}: {first['msg']}"
+        return f"{field} has an unknown kind of column"
+    return f"{field}: {first['msg']}"
 
 
 def _damaged(folder: Path, reason: str) -> InputError:
     return InputError(
-        "folder", str(folder),
-        f"a manifest.json in order ({reason[:100]}). Restore it from a copy, or use a new folder",
+        "folder", str(folder), f"manifest.json is damaged ({reason[:100]})",
+        "Restore it from a copy, or use a new folder.",
     )  # fmt: skip
 
 
 def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | None:
-    """Return key and both values of the first difference of two tables, None if they are equal."""
+    """Return key and both values of the first difference of two tables, or None."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
             found = first_difference(a.get(key), b.get(key), f"{path}.{key}" if path else str(key))
@@ -236,7 +242,7 @@ def first_difference(a: Any, b: Any, path: str = "") -> tuple[str, Any, Any] | N
 
 
 def new_manifest(plan: Plan) -> dict[str, Any]:
-    """Return the manifest of a campaign of which nothing has been flown."""
+    """Create the manifest of a campaign without flights."""
     return {
         "format": FORMAT,
         "version": lunarsim.__version__,

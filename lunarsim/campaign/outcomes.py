@@ -1,4 +1,4 @@
-"""What became of one flight, as it travels from a worker to the writer."""
+"""Result of one flight, as sent from a worker to the writer."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from lunarsim.campaign.plan import Group, Work, row_id
 FLOWN, ERROR, TIMEOUT, KILLED = "flown", "error", "timeout", "killed"
 
 
-class NotKeptError(Exception):
-    """A flight has its metrics, but what else of it was to be kept could not be written.
+class RecordNotWrittenError(Exception):
+    """A flight has metrics, but its record or figures could not be written.
 
     Parameters
     ----------
     metrics
-        By name.
+        Metrics by name.
     why
-        In words.
+        Reason.
     """
 
     def __init__(self, metrics: Mapping[str, Any], why: str) -> None:
@@ -33,28 +33,28 @@ class NotKeptError(Exception):
 
 @dataclass(frozen=True)
 class Finished:
-    """One flight that has ended, in whatever way.
+    """Flight that has ended, with or without metrics.
 
     Attributes
     ----------
     flight, arm
-        Which.
+        Indices of the flight and of the arm.
     outcome
-        flown: it has metrics; error: its code raised; timeout: it took longer than the time limit;
-        killed: its process died each time.
+        flown: it has metrics; error: its code raised an error; timeout: it exceeded the time
+        limit; killed: its process died at every attempt.
     metrics
-        By name, or None.
+        Metrics by name, or None.
     error, traceback
-        What was raised, in a line and whole; "" for nothing. A flight that was flown and has an
-        error has its metrics, and no record.
+        Error in one line and with traceback; "" for none. A flown flight with an error has metrics
+        but no record.
     seconds
-        Wall-clock time.
+        Wall-clock time, s.
     finished
-        When, seconds since 1970.
+        Time of its end, seconds since 1970.
     worker
-        Who flew it.
+        Process that flew it.
     tries
-        How often it was begun.
+        Number of times that it was started.
     """
 
     flight: int
@@ -69,7 +69,7 @@ class Finished:
     tries: int = 1
 
     def timing(self) -> dict[str, Any]:
-        """Return what two runs do not share."""
+        """Return the values that differ between runs."""
         return {
             "id": row_id(self.flight, self.arm),
             "seconds": self.seconds,
@@ -80,15 +80,15 @@ class Finished:
 
 
 def function_of(work: Work) -> Any:
-    """Return the function that a work names."""
+    """Import the function that a `Work` names."""
     module, _, name = work.function.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any, Any]) -> Finished:
-    """Fly one flight; whatever it raises becomes its outcome.
+    """Fly one flight; an exception becomes its outcome.
 
-    A `KeyboardInterrupt` is somebody else's and goes on.
+    A `KeyboardInterrupt` is raised again.
     """
     began = time.perf_counter()
     metrics, error, trace = None, "", ""
@@ -96,10 +96,10 @@ def attempt(function: Any, work: Work, group: Group, arm: int, memory: dict[Any,
         metrics = function(work.study, group, arm, memory)
     except KeyboardInterrupt:
         raise
-    except NotKeptError as raised:
-        # A full disk must not make a landing that failed one that nobody counts.
+    except RecordNotWrittenError as raised:
+        # The outcome must be counted even if the disk is full.
         metrics, error, trace = raised.metrics, str(raised), traceback.format_exc()
-    except BaseException as raised:  # an exit included: one flight is no reason to end the others
+    except BaseException as raised:  # SystemExit included: other flights must continue
         error = "".join(traceback.format_exception_only(raised)).strip().splitlines()[-1]
         trace = traceback.format_exc()
     return Finished(

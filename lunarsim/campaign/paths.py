@@ -1,10 +1,10 @@
-"""Flights of one index that differ in policy alone, flown on one path until their decisions differ.
+"""Share the flight path of arms that differ only in policy, until their decisions differ.
 
-Up to there worlds, scans, navigation and maps are the same, and they are most of what a flight
-costs. Whoever flies asks the other policies too where a decision is due. As long as they decide the
-same there is one flight; where they do not, the simulation is kept as it stands, and each of the
-others goes on from there when its turn comes. Only policies of this package are asked: they hold no
-state, take no time and do not raise; whatever else cannot be shared is flown apart, as if alone.
+Up to that point worlds, scans, navigation and maps are the same; they are most of the cost of a
+flight. At each decision the flown arm also queries the other policies. While their decisions agree,
+one flight serves all. When they differ, the simulation is checkpointed, and the other arms resume
+from there. Only policies of this package are queried: they have no state, no run time and raise
+no errors. All other arms are flown separately.
 """
 
 from __future__ import annotations
@@ -17,73 +17,73 @@ from lunarsim.campaign.factors import Arm
 from lunarsim.onboard.policies.contract import Decision
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.checkpoint import Checkpoint, NoCheckpointError
+from lunarsim.simulation.checkpoint import Checkpoint, CheckpointError
 from lunarsim.simulation.loop import make_policy
 
 
 @dataclass(frozen=True)
 class Branch:
-    """Where flights have got to that are on one path.
+    """Point up to which arms share a path.
 
     Attributes
     ----------
     at
-        Where they parted from those that were flown before, or the end of them all.
+        Checkpoint where the arms diverged from the flown arm, or the finished simulation.
     decisions
-        What each is about to do there, by arm; empty at the end.
+        Decision of each arm at the checkpoint, by arm; empty for a finished simulation.
     """
 
     at: Checkpoint | Simulation
     decisions: Mapping[int, Decision] = field(default_factory=dict)
 
 
-def path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
-    """Return a number for each arm, the same for those that differ in policy alone.
+def shared_path_classes(arms: Sequence[Arm]) -> tuple[int, ...]:
+    """Return a class number for each arm; arms that differ only in policy have the same.
 
-    An arm that may share its path with no other has one of its own.
+    An arm that cannot share its path has a class of its own.
     """
     seen: dict[str, int] = {}
     found = []
     for number, arm in enumerate(arms):
-        tables = _but_policy(arm)
+        tables = _scenario_without_policy(arm)
         found.append(number if tables is None else seen.setdefault(tables, number))
     return tuple(found)
 
 
-def _but_policy(arm: Arm) -> str | None:
-    """Return all of an arm's scenario but its policy; None where the policy is not this package's.
+def _scenario_without_policy(arm: Arm) -> str | None:
+    """Return an arm's scenario without its policy as text; None for an external policy.
 
-    What is drawn is the same for all arms of a group.
+    Draws need no comparison: they are the same for all arms of a group.
     """
-    if arm.policy is not None or not _made_here(arm.scenario):
+    if arm.policy is not None or not _has_packaged_policy(arm.scenario):
         return None
     tables = arm.scenario.to_dict()
     tables.pop("policy", None)
     return repr(tables)
 
 
-def _made_here(scenario: Scenario) -> bool:
+def _has_packaged_policy(scenario: Scenario) -> bool:
     return type(scenario.policy.make()).__module__.partition(".")[0] == "lunarsim"
 
 
-def flown_on(
+def fly_on_shared_path(
     arm: int,
     scenarios: Mapping[int, Scenario],
     begin: Callable[[], Simulation],
     branches: dict[int, Branch],
 ) -> Simulation:
-    """Return the simulation of an arm at its end.
+    """Return the finished simulation of an arm.
 
     Parameters
     ----------
     arm
-        Which.
+        Index of the arm.
     scenarios
-        Of it and of those that may share its path, by arm.
+        Scenarios of this arm and of those that may share its path, by arm.
     begin
-        Returns a simulation at its start.
+        Function that creates a simulation at its start.
     branches
-        Where arms have got to by flights before; what this one finds out is added.
+        Branches of arms from earlier flights; new branches are added.
     """
     policies = {i: make_policy(s, s.policy.kind) for i, s in scenarios.items()}
     branch = branches.get(arm)
@@ -91,7 +91,7 @@ def flown_on(
         simulation = begin()
         others = [i for i in policies if i != arm and i not in branches]
     elif isinstance(branch.at, Simulation):
-        return _as_flown_by(branch.at, scenarios[arm], policies[arm])
+        return _relabelled(branch.at, scenarios[arm], policies[arm])
     else:
         simulation = branch.at.resumed()
         others = [i for i in branch.decisions if i != arm]
@@ -100,7 +100,7 @@ def flown_on(
     _fly(simulation, arm, others, policies, branches)
     for other in others:
         branches[other] = Branch(simulation)
-    return _as_flown_by(simulation, scenarios[arm], policies[arm])
+    return _relabelled(simulation, scenarios[arm], policies[arm])
 
 
 def _fly(
@@ -110,52 +110,54 @@ def _fly(
     policies: Mapping[int, Any],
     branches: dict[int, Branch],
 ) -> None:
-    """Fly an arm to its end; `others` loses those whose path parts from its own."""
+    """Fly an arm to its end; remove arms that diverge from `others`."""
     while not simulation.done:
         if simulation.decision_due:
-            seen = simulation.observe()
-            said = {i: simulation.ask(policies[i], seen) for i in (arm, *others)}
-            parting = [i for i in others if _apart(said[i], said[arm])]
+            observation = simulation.observe()
+            decisions_by_arm = {i: simulation.ask(policies[i], observation) for i in (arm, *others)}
+            parting = [i for i in others if _differ(decisions_by_arm[i], decisions_by_arm[arm])]
             for i in parting:
                 others.remove(i)
-            _keep(simulation, {i: said[i] for i in parting}, branches)
-            simulation.apply(said[arm])
+            _store_branches(simulation, {i: decisions_by_arm[i] for i in parting}, branches)
+            simulation.apply(decisions_by_arm[arm])
         simulation.move()
 
 
-def _keep(
+def _store_branches(
     simulation: Simulation, decisions: dict[int, Decision], branches: dict[int, Branch]
 ) -> None:
-    """Note where arms part, those that decide alike on one branch."""
+    """Store the branches where arms diverge; arms with the same decision share one."""
     if not decisions:
         return
     try:
         at = Checkpoint(simulation)
-    except NoCheckpointError:
-        return  # they are flown from the start
+    except CheckpointError:
+        return  # these arms are flown from the start
     while decisions:
         first = next(iter(decisions.values()))
-        # Who climbs away does so alone: what is recorded of it is not compared.
-        alike = {
-            i: said for i, said in decisions.items() if said is first or not _apart(said, first)
+        # An abort never compares equal: its recorded details are not compared.
+        same = {
+            i: decision
+            for i, decision in decisions.items()
+            if decision is first or not _differ(decision, first)
         }
-        branch = Branch(at, alike)
-        for i in alike:
+        branch = Branch(at, same)
+        for i in same:
             branches[i] = branch
             del decisions[i]
 
 
-def _apart(one: Decision, other: Decision) -> bool:
-    """Tell whether two decisions, or what the record says of them, differ."""
+def _differ(one: Decision, other: Decision) -> bool:
+    """Return whether two decisions differ in what is done or recorded."""
     if one.site is None and other.site is None and not (one.abort or other.abort):
-        return False  # why a site is kept is not recorded
+        return False  # reasons to keep a site are not recorded
     if one.site is None or other.site is None or one.abort or other.abort:
         return True
     same = one.site.tobytes() == other.site.tobytes() and one.reason == other.reason
     return not (same and repr(one.details) == repr(other.details))
 
 
-def _as_flown_by(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
-    """Return a simulation whose record names a scenario and a policy."""
+def _relabelled(simulation: Simulation, scenario: Scenario, policy: Any) -> Simulation:
+    """Set the scenario and policy that the record of a simulation names."""
     simulation.scenario, simulation.policy = scenario, policy
     return simulation

@@ -1,4 +1,4 @@
-"""What each flight of a campaign gets, before anything is flown."""
+"""Plan of a campaign: the inputs of each flight, before anything is flown."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-# What a flight counts where draws lean to failure (importance sampling): a column of its own.
+# Column with the importance-sampling weight of a flight.
 WEIGHT = "weight"
-# Flights of all arms of a campaign. At 0.1 s each, so many take 12 days on one core.
+# Maximum number of flights of all arms; at 0.1 s each they take 12 days on one core.
 MAX_FLIGHTS = 10_000_000
-# Kinds of columns that a results table may have.
+# Kinds of columns in a results table.
 KINDS = ("bool", "int", "float", "text")
 
 
 def row_id(flight: int, arm: int) -> str:
-    """Return the name of one flight of one arm: ``12-0``."""
+    """Return the id of a flight under an arm, for instance ``12-0``."""
     return f"{flight}-{arm}"
 
 
 @dataclass(frozen=True)
 class Group:
-    """Flights that one worker flies one after the other: one index, arms over one ground.
+    """Flights of one index under several arms over the same terrain; one worker flies them.
 
     Attributes
     ----------
     flight
-        Index; with the root seed it gives the seed.
+        Index of the flight; it gives the seed, together with the root seed.
     arms
         Indices of arms.
     draws
@@ -40,45 +40,45 @@ class Group:
 
 @dataclass(frozen=True)
 class Work:
-    """What workers fly with.
+    """Function and settings that workers fly with.
 
     Attributes
     ----------
     function
-        "module:name" of a function of `study`, group, arm and a memory (a dictionary that lasts for
-        the group) that returns the metrics of one flight.
+        "module:name" of a function that returns the metrics of one flight. Its arguments are
+        `study`, the group, the arm and a dictionary that persists within the group.
     study
-        Anything that can be pickled, the same for all flights.
+        Picklable settings, the same for all flights.
     """
 
     function: str
     study: Any = None
 
 
-class Following(Protocol):
-    """Flights that are drawn from how earlier ones ended: `lunarsim.campaign.subset.Chains`.
+class DependentFlights(Protocol):
+    """Flights that depend on earlier results, as `lunarsim.campaign.subset.SubsetChains`.
 
     Attributes
     ----------
     flights
-        Of the first level, which follow from none.
+        Number of flights of the first level, which depend on no others.
     stop
-        Number of flights of the whole campaign, once it is known.
+        Number of flights of the complete campaign, once it is known.
     """
 
     flights: int
     stop: int | None
 
     def resume(self, rows: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Take in what is there; return flights that follow from none that is."""
+        """Add existing rows; return flights whose predecessors are missing."""
         ...
 
-    def see(self, flight: int, row: Mapping[str, Any]) -> None:
-        """Take in a row."""
+    def add(self, flight: int, row: Mapping[str, Any]) -> None:
+        """Add the row of a flight."""
         ...
 
     def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
-        """Yield what can begin; None while all waits for flights in the air."""
+        """Yield groups that can start; None while all wait for running flights."""
         ...
 
 
@@ -89,24 +89,24 @@ class Plan:
     Attributes
     ----------
     name, seed, flights
-        Of the campaign; root seed; indices.
+        Name of the campaign; root seed; number of flight indices.
     arms
-        Name of each arm and its values by key.
+        Name of each arm, and its values by key.
     groups
         Indices of arms that are flown together.
     draws
-        Dispersed values of a flight's index.
+        Function that returns the dispersed values of a flight index.
     columns
-        Kind of every metric that a flight gives: bool, int, float or text.
+        Kind of every metric: bool, int, float or text.
     inputs
-        Kind of every input by key: of the arms' values and of what is drawn.
+        Kind of every input by key: values of the arms and draws.
     work
-        What workers fly with.
+        Function and settings that workers fly with.
     identity
-        What makes the results, as plain tables: another one is another campaign.
+        Plain tables that determine the results; another identity is another campaign.
     chains
-        Of method subset: which flights follow from which; `draws` is theirs, and knows a flight
-        once those that it follows from have been seen. `flights` is then the most there can be.
+        Dependencies between flights with method subset, else None. `draws` then knows a flight
+        once its predecessors have been added, and `flights` is the maximum number.
     """
 
     name: str
@@ -119,16 +119,16 @@ class Plan:
     inputs: Mapping[str, str]
     work: Work
     identity: Mapping[str, Any]
-    chains: Following | None = None
+    chains: DependentFlights | None = None
 
     def inputs_of(self, flight: int, arm: int) -> dict[str, Any]:
         """Return the inputs of one flight by key."""
         return {**self.arms[arm][1], **self.draws(flight)}
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield what every flight gets: id, flight, arm, seed and inputs.
+        """Yield the inputs of every flight: id, flight, arm, seed and values.
 
-        With method subset those of the first level: nobody knows the others yet.
+        With method subset only the first level, because later levels depend on results.
         """
         for flight in range(self.flights if self.chains is None else self.chains.flights):
             drawn = self.draws(flight)
@@ -140,7 +140,7 @@ class Plan:
 
 
 def kind_of(values: Sequence[Any]) -> str:
-    """Return the kind of a column that holds values; lists and mixtures are text."""
+    """Return the kind of a column that holds the values; lists and mixtures are text."""
     if all(isinstance(v, bool) for v in values):
         return "bool"
     if all(isinstance(v, int) and not isinstance(v, bool) for v in values):

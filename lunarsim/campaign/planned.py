@@ -1,4 +1,4 @@
-"""A plan as a file."""
+"""Write a plan to a file."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import pyarrow.csv as pcsv
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.plan import Plan
-from lunarsim.campaign.rows import plain, schema_of
+from lunarsim.campaign.rows import schema_of, to_cell
 
 
 def write_plan(plan: Plan, path: Path, suffix: str) -> None:
-    """Write a row a flight: id, flight, arm, seed and inputs.
+    """Write one row per flight and arm: id, flight, arm, seed and inputs.
 
     Parameters
     ----------
     plan, path
-        What; where.
+        Plan; path of the file.
     suffix
-        .csv or .parquet.
+        Format, .csv or .parquet.
     """
     whole = schema_of(plan.inputs, {})
     schema = pa.schema([whole.field(n) for n in ("id", "flight", "arm", "seed", *plan.inputs)])
     rows = [
-        row | {key: plain(row.get(key), kind) for key, kind in plan.inputs.items()}
+        row | {key: to_cell(row.get(key), kind) for key, kind in plan.inputs.items()}
         for row in plan.rows()
     ]
     table = pa.Table.from_pylist(rows, schema)

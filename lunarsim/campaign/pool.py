@@ -1,4 +1,4 @@
-"""Work spread over processes, with results that do not depend on how many there are."""
+"""Distribute tasks over processes; results do not depend on the number of processes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import takewhile
 from typing import TypeVar
 
-import numba  # noqa: F401  (loaded, so that its threads are held too)
+import numba  # noqa: F401  (must be loaded for `limit_to_one_thread` to limit its threads)
 from rich.console import Console
 
 from lunarsim.campaign.engines.picklable import check_picklable
-from lunarsim.campaign.engines.worker import one_thread
+from lunarsim.campaign.engines.worker import limit_to_one_thread
 from lunarsim.console import plain_progress
 
 T = TypeVar("T")
@@ -21,34 +21,34 @@ R = TypeVar("R")
 
 
 def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Iterator[tuple[int, R]]:
-    """Yield the index of each task and what `function` makes of it, as they come.
+    """Yield the index and result of each task, in order of completion.
 
-    Few tasks wait at a time, so an interrupt ends soon; what was yielded before is good.
+    Few tasks are queued at a time, so an interrupt takes effect soon.
 
     Parameters
     ----------
     function
-        Of the top level of a module, so that processes find it.
+        Function at the top level of a module, so that processes can import it.
     tasks
-        Its arguments.
+        Arguments of the function.
     jobs
-        Processes; 1: this one.
+        Number of processes; 1: this process.
     """
     if jobs == 1:
         for index, task in enumerate(tasks):
-            yield index, _done(function, task)
+            yield index, _run_task(function, task)
         return
     check_picklable("tasks", (function, tasks[:1]))
     # OpenGL contexts and Numba's thread pools do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=one_thread)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=limit_to_one_thread)
     try:
         waiting: dict[Future[R], int] = {}
         queue = iter(enumerate(tasks))
 
         def fill() -> None:
             for index, task in queue:
-                waiting[pool.submit(_done, function, task)] = index
+                waiting[pool.submit(_run_task, function, task)] = index
                 if len(waiting) >= 2 * jobs:
                     break
 
@@ -59,7 +59,7 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
             fill()
         pool.shutdown()
     except BaseException:
-        # What is under way would be waited for at the end of this process.
+        # Without this, running tasks would delay the end of this process.
         workers = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
@@ -67,8 +67,8 @@ def outcomes(function: Callable[[T], R], tasks: Sequence[T], jobs: int) -> Itera
         raise
 
 
-def _done(function: Callable[[T], R], task: T) -> R:
-    """Do a task and free what it leaves in circles: flights leave 0.4 GB, which else waits long."""
+def _run_task(function: Callable[[T], R], task: T) -> R:
+    """Run a task and free the reference cycles that it leaves; flights leave 0.4 GB."""
     try:
         return function(task)
     finally:
@@ -78,17 +78,17 @@ def _done(function: Callable[[T], R], task: T) -> R:
 def gathered(
     function: Callable[[T], R], tasks: Sequence[T], jobs: int, console: Console, what: str
 ) -> list[R]:
-    """Return what `function` makes of the tasks, in their order, behind a progress bar.
+    """Return the results of the tasks in order, and show a progress bar.
 
-    An interrupt ends the work: what is done by then, from the first task on without a gap, is
-    returned; with nothing done the interrupt goes on.
+    After an interrupt, return the results from the first task up to the first gap. If there are
+    none, raise the interrupt again.
 
     Parameters
     ----------
     function, tasks, jobs
-        As for `outcomes`.
+        Function, its arguments and the number of processes, as for `outcomes`.
     console
-        Where the bar is drawn.
+        Console of the progress bar.
     what
         Name of the tasks, in the plural.
     """
@@ -102,5 +102,5 @@ def gathered(
         except KeyboardInterrupt:
             if 0 not in done:
                 raise
-            console.print(f"interrupted after {len(done)} of {len(tasks)} {what}")
+            console.print(f"Interrupted after {len(done)} of {len(tasks)} {what}.")
     return [done[i] for i in takewhile(done.__contains__, range(len(tasks)))]

@@ -1,4 +1,4 @@
-"""Relative paths in the tables of a spec, which start from its folder."""
+"""Resolve the relative paths in a spec from the folder of the spec."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from pathlib import Path
 from typing import Any
 
 
-def from_folder(given: Any, folder: Path, *, named: bool = False) -> Any:
+def resolve_paths(given: Any, folder: Path, *, named: bool = False) -> Any:
     """Return tables whose relative paths start from a folder.
 
     Parameters
     ----------
     given
-        A table, a list, or a value.
+        Table, list or value.
     folder
-        Of the spec.
+        Folder of the spec.
     named
-        Whether it stands under a key that names a file.
+        Whether `given` is under a key that names a file.
     """
     if isinstance(given, Mapping):
         return {
-            key: from_folder(
+            key: resolve_paths(
                 value, folder, named=(named and key == "values") or _names_file(str(key))
             )
             for key, value in given.items()
         }
     if isinstance(given, list):
-        return [from_folder(value, folder, named=named) for value in given]
+        return [resolve_paths(value, folder, named=named) for value in given]
     return str((folder / given).resolve()) if named and isinstance(given, str) else given
 
 

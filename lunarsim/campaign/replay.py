@@ -1,4 +1,4 @@
-"""One flight of a campaign flown again, and whether it ends as it did."""
+"""Fly one flight of a campaign again and compare its metrics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.compute as pc
 
-from lunarsim.campaign.flying import fly_whole, plan_of
+from lunarsim.campaign.flying import fly_with_simulation, plan_of
 from lunarsim.campaign.plan import Group, Plan
 from lunarsim.campaign.results import Results, load_results
 from lunarsim.campaign.spec import CampaignSpec
@@ -18,19 +18,19 @@ from lunarsim.simulation import Flight, Simulation
 
 
 @dataclass(frozen=True)
-class Replayed:
+class ReplayResult:
     """A flight flown again.
 
     Attributes
     ----------
     flight, simulation
-        Its record, and what flew it.
+        Record of the flight, and its simulation.
     row
-        Its metrics.
+        Metrics.
     recorded
-        Its row in the campaign; None where it has none yet.
+        Row in the campaign, or None.
     differences
-        Name, recorded and new value of metrics that differ; None without a verdict then.
+        Name, recorded and new value of metrics that differ; None if the row has no outcome.
     """
 
     flight: Flight
@@ -40,31 +40,34 @@ class Replayed:
     differences: list[tuple[str, Any, Any]] | None
 
 
-def replay(folder: str | Path, flight: str) -> Replayed:
+def replay(folder: str | Path, flight: str) -> ReplayResult:
     """Fly one flight of a campaign again, in this process.
 
     Parameters
     ----------
     folder
-        Of the campaign.
+        Folder of the campaign.
     flight
-        Its id, such as ``12-0``: index and number of the arm.
+        Id of the flight, for instance ``12-0``: index and number of the arm.
 
     Raises
     ------
     InputError
-        If the folder holds no campaign whose spec can be read, or the campaign no such flight.
+        If the folder holds no campaign with a readable spec, or the flight does not exist.
     """
     found = load_results(folder)
     spec_file = Path(folder) / "spec.toml"
     if not spec_file.is_file():
-        raise InputError("folder", str(folder), "one with spec.toml: policy objects have none")
+        raise InputError(
+            "folder", str(folder), "must contain spec.toml",
+            "Campaigns with policy objects have none and cannot be replayed.",
+        )  # fmt: skip
     spec = CampaignSpec.load(spec_file)
-    index, arm = _parsed(flight, int(found.manifest["flights"]), len(spec.arms))
+    index, arm = _parse_flight_id(flight, int(found.manifest["flights"]), len(spec.arms))
     plan = plan_of(spec)
     study = plan.work.study
     group = Group(index, (arm,), _draws(plan, found, index))
-    record, simulation, row = fly_whole(study, group, arm, {})
+    record, simulation, row = fly_with_simulation(study, group, arm, {})
     rows = found.table.filter(pc.equal(found.table["id"], flight)).to_pylist()
     recorded = rows[0] if rows else None
     differences = None
@@ -72,33 +75,35 @@ def replay(folder: str | Path, flight: str) -> Replayed:
         differences = [
             (name, recorded[name], value)
             for name, value in row.items()
-            if not _same(recorded.get(name), value)
+            if not _are_equal(recorded.get(name), value)
         ]
-    return Replayed(record, simulation, row, recorded, differences)
+    return ReplayResult(record, simulation, row, recorded, differences)
 
 
 def _draws(plan: Plan, found: Results, index: int) -> dict[str, Any]:
-    """Return the draws of a flight; with method subset they follow from flights before it."""
+    """Return the draws of a flight; with method subset they depend on earlier flights."""
     if plan.chains is not None:
         plan.chains.resume(found.table.to_pylist())
     try:
         return plan.draws(index)
     except LookupError:
         raise InputError(
-            "--flight", index, "a flight whose forerunners have been flown, as the column id tells"
-        ) from None
+            "--flight", index, "depends on flights that have not been flown",
+            "Choose one from the column id of the results.",
+        ) from None  # fmt: skip
 
 
-def _parsed(flight: str, flights: int, arms: int) -> tuple[int, int]:
+def _parse_flight_id(flight: str, flights: int, arms: int) -> tuple[int, int]:
     index, _, arm = flight.partition("-")
     if not (index.isdecimal() and arm.isdecimal() and int(index) < flights and int(arm) < arms):
         raise InputError(
-            "--flight", flight, f"INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}, as the column id"
-        )
+            "--flight", flight, f"must be INDEX-ARM, from 0-0 to {flights - 1}-{arms - 1}",
+            "Choose one from the column id of the results.",
+        )  # fmt: skip
     return int(index), int(arm)
 
 
-def _same(a: Any, b: Any) -> bool:
+def _are_equal(a: Any, b: Any) -> bool:
     if isinstance(a, float) and isinstance(b, float) and math.isnan(a):
         return math.isnan(b)
     return bool(a == b)

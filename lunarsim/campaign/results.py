@@ -1,4 +1,4 @@
-"""Results of a campaign as they lie, of one that is still flying too: tables, progress, files."""
+"""Read the results of a campaign, also while it is running."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from lunarsim.errors import InputError, check_output
 from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_whole
 
-# Columns that every row has a value of.
-_ALWAYS = ("id", "flight", "arm")
-# Attempts to read a part that may change meanwhile.
-_TRIES = 3
-# Rows whose times the rate is taken from.
-_RECENT = 200
+# Columns that have a value in every row.
+_REQUIRED_COLUMNS = ("id", "flight", "arm")
+# Number of attempts to read a part that may change meanwhile.
+_READ_ATTEMPTS = 3
+# Number of recent rows that the rate is computed from.
+_RATE_ROWS = 200
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class Results:
     Attributes
     ----------
     folder, manifest
-        Where they are from.
+        Folder and manifest of the campaign.
     table
-        Results, by flight, then arm.
+        Results, sorted by flight, then arm.
     timing
         Wall-clock times, in the same order.
     """
@@ -61,25 +61,25 @@ class Results:
 
     @property
     def wanted(self) -> int:
-        """Rows of the whole campaign."""
+        """Number of rows of the complete campaign."""
         return int(self.manifest["flights"]) * len(self.arms)
 
     @property
-    def is_leaning(self) -> bool:
-        """Whether flights were drawn to fail more often, so that they do not count alike."""
+    def has_unequal_weights(self) -> bool:
+        """Whether flights have unequal weights (method importance or subset)."""
         return WEIGHT in self.manifest["inputs"] or self.is_subset
 
     @property
     def is_subset(self) -> bool:
-        """Whether flights were drawn from how others ended, level by level."""
+        """Whether the campaign is a subset simulation."""
         return bool(self.manifest["identity"].get("method") == "subset")
 
     @property
-    def apart(self) -> NDArray[np.bool_]:
-        """Which rows are of flights that share nothing with each other (n,).
+    def independent(self) -> NDArray[np.bool_]:
+        """Mask of the rows of independent flights (n,).
 
-        All but in a Saltelli design, whose blocks fly two worlds again and again: there it is the
-        first and the last of each block, points A and B.
+        All rows, except in a Saltelli design, whose blocks fly two worlds repeatedly: there the
+        first and last flight of each block (points A and B).
         """
         identity = self.manifest["identity"]
         if identity.get("method") != "saltelli":
@@ -88,13 +88,12 @@ class Results:
         place = self.table["flight"].to_numpy() % block
         return np.asarray((place == 0) | (place == block - 1))
 
-    def check_even(self, field: str) -> None:
-        """Raise `InputError` naming `field` where flights do not count alike."""
-        if self.is_leaning:
+    def check_equal_weights(self, field: str) -> None:
+        """Raise `InputError` naming `field` if flights have unequal weights."""
+        if self.has_unequal_weights:
             raise InputError(
-                field, str(self.folder), "a campaign whose flights count alike; of importance "
-                "sampling and subset simulation `lunarsim campaign rare` tells the share of "
-                "failures",
+                field, str(self.folder), "must be a campaign whose flights have equal weights",
+                "For importance sampling and subset simulation use: lunarsim campaign rare.",
             )  # fmt: skip
 
 
@@ -104,9 +103,9 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     Parameters
     ----------
     folder
-        Of the campaign.
+        Folder of the campaign.
     columns
-        Only these; left out: all.
+        Columns to read; omitted: all.
 
     Raises
     ------
@@ -116,16 +115,16 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     folder = Path(folder)
     manifest = read_manifest(folder)
     if manifest["format"] != FORMAT:
-        expected = f"a campaign of format {FORMAT}, not {manifest['format']}"
+        expected = f"must be a campaign of format {FORMAT}, not {manifest['format']}"
         raise InputError("folder", str(folder), expected)
     schema = schema_of(manifest["inputs"], manifest["columns"])
-    # The journal first: a row that moves on meanwhile is then read twice rather than never.
+    # The journal comes first: a row that moves meanwhile is then read twice rather than never.
     journal = _journal(folder)
     wanted = None if columns is None else list(dict.fromkeys(["id", "flight", "arm", *columns]))
     table = _parts(folder, "results", schema, wanted, manifest)
     timing = _parts(folder, "timing", TIMING, None, manifest)
     if journal:
-        # Of a flight that was flown again the journal has the later row.
+        # A flight that was flown again has its newer row in the journal.
         table, timing = (_without(one, list(journal)) for one in (table, timing))
         try:
             rows = pa.Table.from_pylist([row for row, _ in journal.values()], schema)
@@ -137,13 +136,13 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
     place = {arm["name"]: i for i, arm in enumerate(manifest["arms"])}
     unknown = set(table["arm"].unique().to_pylist()) - set(place)
     if unknown:
-        expected = f"rows of the arms that its manifest names, not of {sorted(unknown)}"
+        expected = f"has rows of arms that its manifest does not name: {sorted(unknown)}"
         raise InputError("folder", str(folder), expected)
     if manifest["state"] in ("complete", "stopped") and len(table) < int(manifest["rows"]):
         raise InputError(
             "folder", str(folder),
-            f"the {manifest['rows']} rows that it was complete with, not {len(table)}; `lunarsim "
-            "campaign run` with the same spec flies what is missing",
+            f"has {len(table)} of its {manifest['rows']} rows",
+            "Fly the others with the same spec: lunarsim campaign run.",
         )  # fmt: skip
     arm = np.array([place[name] for name in table["arm"].to_pylist()], dtype=np.int64)
     order = np.lexsort((arm, table["flight"].to_numpy()))
@@ -153,12 +152,12 @@ def load_results(folder: str | Path, columns: Sequence[str] | None = None) -> Re
 
 
 def _without(table: pa.Table, names: list[str]) -> pa.Table:
-    """Return the rows of other flights."""
+    """Return the rows with other ids."""
     return table.filter(pc.invert(pc.is_in(table["id"], pa.array(names))))
 
 
 def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
-    """Return times in the order of results; empty ones where there are none."""
+    """Return times in the order of results, with empty values where times are missing."""
     if timing["id"].equals(table["id"]):
         return timing
     places = pc.index_in(table["id"], value_set=timing["id"].combine_chunks())
@@ -168,15 +167,17 @@ def _ordered(timing: pa.Table, table: pa.Table) -> pa.Table:
 def _parts(
     folder: Path, kind: str, schema: pa.Schema, columns: list[str] | None, manifest: dict[str, Any]
 ) -> pa.Table:
-    """Return all parts of a dataset, each as it was written."""
+    """Read all parts of a dataset."""
     tables = []
     for path in sorted((folder / kind).glob("part-*.parquet")):
         try:
-            data = _whole_bytes(folder, path, manifest)
+            data = _verified_bytes(folder, path, manifest)
             check_expanded(data)
             table = pq.read_table(pa.BufferReader(data), columns=columns, schema=schema)
-            if any(table[name].null_count for name in _ALWAYS if name in table.column_names):
-                raise ValueError("a row without its place")
+            if any(
+                table[name].null_count for name in _REQUIRED_COLUMNS if name in table.column_names
+            ):
+                raise ValueError("a row has no id, flight or arm")
             tables.append(table)
         except FileNotFoundError:
             continue
@@ -188,13 +189,13 @@ def _parts(
     return empty if columns is None else empty.select(columns)
 
 
-def _whole_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
-    """Return the bytes of a part whose digest is that of the manifest, if it has one.
+def _verified_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
+    """Return the bytes of a part, whose digest must match the manifest.
 
-    Both are read again if they differ, because a campaign that is flying may just change them.
+    A mismatch is read again, because a running campaign may be changing both files.
     """
     name = str(path.relative_to(folder))
-    for _ in range(_TRIES):
+    for _ in range(_READ_ATTEMPTS):
         data = bounded_bytes(path)
         digest = bytes_digest(data)
         if manifest.get("parts", {}).get(name, digest) == digest:
@@ -206,13 +207,13 @@ def _whole_bytes(folder: Path, path: Path, manifest: dict[str, Any]) -> bytes:
 def _damaged(path: Path, error: Exception) -> InputError:
     return InputError(
         "folder", str(path),
-        "a part that can be read; `lunarsim campaign run` with the same spec flies its "
-        f"flights again ({(str(error).splitlines() or [type(error).__name__])[0][:100]})",
+        f"cannot be read ({(str(error).splitlines() or [type(error).__name__])[0][:100]})",
+        "Fly its flights again with the same spec: lunarsim campaign run.",
     )  # fmt: skip
 
 
 def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Return rows and times of the journal by id; a line that is half there is none."""
+    """Return rows and times of the journal by id; ignore incomplete lines."""
     found = {}
     path = folder / "journal.jsonl"
     lines = bounded_bytes(path).split(b"\n") if path.exists() else []
@@ -226,20 +227,22 @@ def _journal(folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
 
 
 @dataclass(frozen=True)
-class Status:
-    """How far a campaign is.
+class CampaignStatus:
+    """Progress of a campaign.
 
     Attributes
     ----------
+    name
+        Name of the campaign.
     state
-        complete, stopped, interrupted, out of time, flying; killed: nobody is writing to the
-        folder, and the last who did took no leave.
+        complete, stopped, interrupted, out of time or flying; killed: no process is writing to the
+        folder, and the last one did not close it.
     done, wanted
-        Rows.
+        Number of rows so far, and of the complete campaign.
     outcomes
-        Rows by outcome.
+        Number of rows by outcome.
     rate
-        Rows a second of late; NaN where there are too few.
+        Recent rows per second; NaN if there are too few.
     """
 
     name: str
@@ -251,12 +254,12 @@ class Status:
 
     @property
     def seconds_left(self) -> float:
-        """Wall-clock time that is left at this rate, s."""
+        """Remaining wall-clock time at the recent rate, s."""
         return (self.wanted - self.done) / self.rate if self.rate > 0.0 else float("nan")
 
 
-def status_of(folder: str | Path) -> Status:
-    """Return how far a campaign is; it may be flying.
+def status_of(folder: str | Path) -> CampaignStatus:
+    """Return the progress of a campaign; it may be running.
 
     Raises
     ------
@@ -268,19 +271,19 @@ def status_of(folder: str | Path) -> Status:
     if state == "running":
         state = "flying" if _is_locked(found.folder) else "killed"
     ended = np.sort(np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64))
-    recent = ended[np.isfinite(ended)][-_RECENT:]
+    recent = ended[np.isfinite(ended)][-_RATE_ROWS:]
     rate = float("nan")
     if len(recent) > 1:
         span = (time.time() if state == "flying" else recent[-1]) - recent[0]
         rate = float((len(recent) - 1) / span) if span > 0.0 else rate
-    return Status(
+    return CampaignStatus(
         str(found.manifest["name"]), state, len(found.table), found.wanted,
         dict(Counter(found.table["outcome"].to_pylist())), rate,
     )  # fmt: skip
 
 
 def _is_locked(folder: Path) -> bool:
-    """Tell whether a process is writing to a folder."""
+    """Return whether a process is writing to a folder."""
     try:
         with (folder / ".lock").open("r", encoding="utf-8") as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -292,23 +295,23 @@ def _is_locked(folder: Path) -> bool:
 
 
 def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
-    """Write all rows into one file, CSV or Parquet by its ending; return their number.
+    """Write all rows into one CSV or Parquet file (by its suffix); return their number.
 
     Parameters
     ----------
     folder, out
-        Of the campaign; file to write.
+        Folder of the campaign; file to write.
     timing
-        Whether wall-clock times are written too.
+        Whether wall-clock times are included.
 
     Raises
     ------
     InputError
-        If the folder or the file will not do.
+        If the folder or the file name is not usable.
     """
     suffix = out.suffix.lower()
     if suffix not in (".csv", ".parquet"):
-        raise InputError("--out", str(out), "a file name that ends in .csv or .parquet")
+        raise InputError("--out", str(out), "must be a file name that ends in .csv or .parquet")
     check_output("--out", out, suffix)
     found = load_results(folder)
     table = found.table
@@ -321,7 +324,7 @@ def export(folder: str | Path, out: Path, *, timing: bool = False) -> int:
 
 
 def failures(found: Results) -> list[tuple[str, str, int]]:
-    """Return arm, what went wrong, and how often: causes of unsafe landings, errors of flights."""
+    """Return arm, cause and count of unsafe landings and of errors."""
     counts: Counter[tuple[str, str]] = Counter()
     table = found.table
     whys = table["failed"] if "failed" in table.column_names else table["error"]

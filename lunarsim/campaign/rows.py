@@ -1,4 +1,4 @@
-"""Rows of a campaign's results and times: their columns, and a finished flight as a row."""
+"""Define the columns of results and times, and convert finished flights to rows."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lunarsim.campaign.outcomes import Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.received_folders import MAX_FILE_BYTES
 
-# A row of results and its times.
+# A row of results and its row of times.
 Row = tuple[dict[str, Any], dict[str, Any]]
-# Kinds of columns, as a file has them and as plain values.
+# Kinds of columns and their Arrow types.
 KINDS = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
-_OF = {"bool": bool, "int": int, "float": float, "text": str}
+_PYTHON_TYPES = {"bool": bool, "int": int, "float": float, "text": str}
 TIMING = pa.schema(
     [("id", pa.string()), ("seconds", pa.float64()), ("finished_unix_s", pa.float64()),
      ("worker", pa.string()), ("tries", pa.int64())]
@@ -28,7 +28,7 @@ TIMING = pa.schema(
 
 
 def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schema:
-    """Return the columns of results with these inputs and metrics, by name and kind."""
+    """Return the Arrow schema of results with these inputs and metrics, by name and kind."""
     return pa.schema(
         [
             ("id", pa.string()),
@@ -50,12 +50,12 @@ def schema_of(inputs: Mapping[str, str], columns: Mapping[str, str]) -> pa.Schem
 def check_expanded(data: bytes) -> None:
     """Refuse a part that takes more than `MAX_FILE_BYTES` in memory.
 
-    Texts are measured as dictionaries: a column may hold one long text many times.
+    Texts are measured through dictionaries, because a column may repeat a long text many times.
 
     Raises
     ------
     ValueError
-        If it does.
+        If the part is too large.
     """
     file = pq.ParquetFile(pa.BufferReader(data))
     leaves = [file.schema.column(i) for i in range(len(file.schema))]
@@ -71,7 +71,7 @@ def check_expanded(data: bytes) -> None:
 
 
 def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
-    """Return the row of results of a finished flight; what it has no value for is None."""
+    """Return the results row of a finished flight; missing values are None."""
     metrics = done.metrics or {}
     inputs = plan.inputs_of(done.flight, done.arm)
     return {
@@ -79,27 +79,27 @@ def row_of(plan: Plan, done: Finished) -> dict[str, Any]:
         "flight": done.flight,
         "arm": plan.arms[done.arm][0],
         "seed": plan.seed,
-        **{key: plain(inputs.get(key), kind) for key, kind in plan.inputs.items()},
+        **{key: to_cell(inputs.get(key), kind) for key, kind in plan.inputs.items()},
         "outcome": done.outcome,
-        **{key: _typed(metrics.get(key), kind) for key, kind in plan.columns.items()},
-        "error": _writable(done.error),
-        "traceback": _writable(done.traceback),
+        **{key: _convert_metric(metrics.get(key), kind) for key, kind in plan.columns.items()},
+        "error": _escape_non_utf8(done.error),
+        "traceback": _escape_non_utf8(done.traceback),
         "campaign": plan.name,
         "version": lunarsim.__version__,
         "code": code_digest(),
     }
 
 
-def _typed(value: Any, kind: str) -> Any:
-    """Return a metric as a plain value, whatever kind of number it was."""
-    return None if value is None else _OF[kind](value)
+def _convert_metric(value: Any, kind: str) -> Any:
+    """Convert a metric to the Python type of its column."""
+    return None if value is None else _PYTHON_TYPES[kind](value)
 
 
-def _writable(text: str) -> str:
-    """Return a text that UTF-8 can hold: names of files may have bytes in them that it cannot."""
+def _escape_non_utf8(text: str) -> str:
+    """Escape characters that UTF-8 cannot encode; file names may contain them."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def plain(value: Any, kind: str) -> Any:
-    """Return an input as a cell of a column of its kind: lists and mixtures are texts."""
+def to_cell(value: Any, kind: str) -> Any:
+    """Convert an input to a cell of its column; lists and mixtures become JSON texts."""
     return json.dumps(value) if kind == "text" and not isinstance(value, str | None) else value

@@ -1,4 +1,4 @@
-"""Fly a plan: who flies, what is kept, and how it ends."""
+"""Run a plan: fly the missing flights with an engine and store their rows."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 from lunarsim.campaign.engines.contract import Engine
 from lunarsim.campaign.outcomes import FLOWN
 from lunarsim.campaign.plan import Group, Plan
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.whole_files import remover_of_new
 
@@ -23,23 +23,23 @@ COMPLETE, STOPPED, INTERRUPTED, OUT_OF_TIME = "complete", "stopped", "interrupte
 
 
 @dataclass(frozen=True)
-class Ran:
-    """How a run of a campaign ended.
+class RunResult:
+    """Result of a run of a campaign.
 
     Attributes
     ----------
     state
-        complete; stopped: the interval was narrow enough; interrupted; out of time.
+        complete; stopped: the interval is narrow enough; interrupted; out of time.
     flown, before
-        Rows of this run, and rows that were there already.
+        Number of rows of this run, and of earlier runs.
     failed
-        Rows of this run without a verdict.
+        Number of rows of this run without an outcome.
     flights
-        Indices that the campaign has, or was stopped at.
+        Number of flight indices of the campaign, or where it was stopped.
     notes
-        What was found wrong in the folder, in words.
+        Messages about damage found in the folder.
     unrecorded
-        Why flights of this run have no record or figures although they should; empty: all have.
+        Reason why flights of this run lack records or figures; empty if none does.
     """
 
     state: str
@@ -56,27 +56,27 @@ class Ran:
         return self.state in (COMPLETE, STOPPED)
 
 
-class Halt:
-    """Whether somebody asked for the end: an interrupt or a polite kill."""
+class StopRequest:
+    """Flag that is set by an interrupt (SIGINT) or a termination request (SIGTERM)."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.is_requested = False
 
     def __call__(self) -> bool:
-        """Tell whether to end at once."""
-        return self.asked
+        """Return whether to stop at once."""
+        return self.is_requested
 
     @contextlib.contextmanager
     def on_signals(self, engine: Engine) -> Iterator[None]:
-        """Take SIGINT and SIGTERM as the wish to end; a second one ends without care."""
-        if threading.current_thread() is not threading.main_thread() or not engine.asks_to_halt:
+        """Set the flag on SIGINT and SIGTERM; a second signal raises `KeyboardInterrupt`."""
+        if threading.current_thread() is not threading.main_thread() or not engine.polls_halt:
             yield
             return
 
         def take(number: int, frame: FrameType | None) -> None:
-            if self.asked:
+            if self.is_requested:
                 raise KeyboardInterrupt
-            self.asked = True
+            self.is_requested = True
 
         old = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -91,64 +91,67 @@ def run(
     engine: Engine,
     out: Path,
     *,
-    rule: WidthRule | None = None,
+    rule: IntervalWidthRule | None = None,
     time_budget: float | None = None,
     retry: bool = False,
     progress: Callable[[int], None] | None = None,
     files: Callable[[Path], None] | None = None,
-) -> Ran:
-    """Fly what a folder lacks of a plan.
+) -> RunResult:
+    """Fly the missing flights of a plan.
 
     Parameters
     ----------
     plan, engine, out
-        What, by whom, and the folder: new, or of the same campaign.
+        Plan, engine, and folder: new, or of the same campaign.
     rule, time_budget
-        When to stop early; wall-clock time after which no flight starts, s.
+        Early-stopping rule; wall-clock time after which no flight starts, s.
     retry
-        Whether flights without a verdict are flown again.
+        Whether flights without an outcome are flown again.
     progress, files
-        Called with the number of rows that have come; writes what else belongs into the folder.
+        Function called with the number of new rows; function that writes other files into the
+        folder.
 
     Raises
     ------
     InputError
-        If the folder is another's; nothing has been written then.
+        If the folder belongs to another campaign; nothing has been written then.
     OSError
-        If the folder cannot be written to. It is removed if it is new and no flight is finished.
+        If the folder cannot be written to. A new folder without a finished flight is removed.
     """
-    store, remove = _opened(out, plan, retry)
-    halt = Halt()
+    store, remove = _open_store(out, plan, retry)
+    halt = StopRequest()
     before = store.count
     try:
         if files is not None:
             files(out)
         store.save_manifest(engine=engine.name)
         if plan.chains is not None:
-            _shown_to_chains(plan, store)
+            _resume_chains(plan, store)
             before = store.count
         elif rule is not None:
-            _shown(rule, store, plan)
+            _replay_rows(rule, store, plan)
         if progress is not None and before:
             progress(before)
-        flown, failed, in_time, lost = _fly(plan, engine, store, halt, rule, time_budget, progress)
-        state = _closed(store, plan, rule, in_time)
+        flown, failed, in_time, lost = _fly_groups(
+            plan, engine, store, halt, rule, time_budget, progress
+        )
+        state = _close_store(store, plan, rule, in_time)
     except OSError as error:
-        store.abandon()
+        store.release()
         if not store.count:
             remove()
             raise
-        said = f"{error.strerror}. Finished flights are kept: free space and repeat the command"
-        raise OSError(error.errno, said, error.filename or str(out)) from error
+        message = f"{error.strerror}. Finished flights are kept. Free space and repeat the command"
+        raise OSError(error.errno, message, error.filename or str(out)) from error
     except BaseException:
-        store.abandon()
+        store.release()
         raise
     flights = int(store.manifest["flights"])
-    return Ran(state, flown, before, failed, flights, tuple(store.notes), lost)
+    return RunResult(state, flown, before, failed, flights, tuple(store.notes), lost)
 
 
-def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
-    """Return the store of a folder, and what removes the folder if it is new."""
+def _open_store(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], None]]:
+    """Open the store of a folder; return it with a function that removes a new folder."""
     is_new = not out.is_dir() or not any(out.iterdir())
     remove = remover_of_new(out) if is_new else lambda: None
     try:
@@ -158,16 +161,16 @@ def _opened(out: Path, plan: Plan, retry: bool) -> tuple[Store, Callable[[], Non
         raise
 
 
-def _fly(
+def _fly_groups(
     plan: Plan,
     engine: Engine,
     store: Store,
-    halt: Halt,
-    rule: WidthRule | None,
+    halt: StopRequest,
+    rule: IntervalWidthRule | None,
     time_budget: float | None,
     progress: Callable[[int], None] | None,
 ) -> tuple[int, int, bool, str]:
-    """Fly; return rows, rows without a verdict, whether time sufficed, and why records are lost."""
+    """Fly; return rows, rows without outcome, whether time sufficed, and why records are lost."""
     flown = failed = 0
     not_kept: list[str] = []
     began = time.monotonic()
@@ -175,7 +178,7 @@ def _fly(
 
     def groups() -> Iterator[Group | None]:
         nonlocal in_time
-        for group in _missing(plan, store):
+        for group in _missing_groups(plan, store):
             if time_budget is not None and time.monotonic() - began > time_budget:
                 in_time = False
                 return
@@ -192,9 +195,9 @@ def _fly(
                 if done.outcome == FLOWN and done.error:
                     not_kept.append(done.error)
                 if plan.chains is not None:
-                    plan.chains.see(done.flight, row)
+                    plan.chains.add(done.flight, row)
                 if rule is not None:
-                    rule.see(done.flight, done.arm, row)
+                    rule.add(done.flight, done.arm, row)
                 if progress is not None:
                     progress(1)
                 if rule is not None and rule.stop is not None:
@@ -203,8 +206,8 @@ def _fly(
     return flown, failed, in_time, lost
 
 
-def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
-    """Yield what has no row yet, in the order of flights; None where it waits for others to end."""
+def _missing_groups(plan: Plan, store: Store) -> Iterator[Group | None]:
+    """Yield flights without a row, in order; None while all wait for running flights."""
     if plan.chains is not None:
         yield from plan.chains.groups(store.has)
         return
@@ -217,34 +220,34 @@ def _missing(plan: Plan, store: Store) -> Iterator[Group | None]:
                 yield Group(flight, arms, draws)
 
 
-def _shown(rule: WidthRule, store: Store, plan: Plan) -> None:
+def _replay_rows(rule: IntervalWidthRule, store: Store, plan: Plan) -> None:
     names = {name: i for i, (name, _) in enumerate(plan.arms)}
     for row in store.rows():
-        rule.see(row["flight"], names[row["arm"]], row)
+        rule.add(row["flight"], names[row["arm"]], row)
 
 
-def _shown_to_chains(plan: Plan, store: Store) -> None:
-    """Show chains what is there; what follows from flights that are not is forgotten."""
+def _resume_chains(plan: Plan, store: Store) -> None:
+    """Add existing rows to the chains; delete rows whose predecessors are missing."""
     assert plan.chains is not None
     orphans = plan.chains.resume(store.rows())
     if orphans:
-        store.forget({(flight, 0) for flight in orphans})
+        store.delete_rows({(flight, 0) for flight in orphans})
         store.notes.append(
-            f"{len(orphans)} flights that were drawn from flights that are gone are flown again"
+            f"{len(orphans)} flights depend on flights that are missing; they are flown again."
         )
 
 
-def _closed(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
-    """Close a folder, at the flight that the campaign ended at where that was open; return how."""
-    state = _state(store, plan, rule, in_time)
+def _close_store(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
+    """Close the folder, truncated at the last flight of a stopped campaign; return the state."""
+    state = _final_state(store, plan, rule, in_time)
     by = plan.chains if plan.chains is not None else rule
     if state in (STOPPED, COMPLETE) and by is not None and by.stop is not None:
-        store.cut(by.stop)
+        store.truncate(by.stop)
     store.close(state)
     return state
 
 
-def _state(store: Store, plan: Plan, rule: WidthRule | None, in_time: bool) -> str:
+def _final_state(store: Store, plan: Plan, rule: IntervalWidthRule | None, in_time: bool) -> str:
     if rule is not None and rule.stop is not None:
         return STOPPED
     ended = plan.chains is not None and plan.chains.stop is not None

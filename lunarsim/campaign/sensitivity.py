@@ -1,9 +1,9 @@
-"""What of the dispersions a metric hangs on, with errors; by SALib (extra `sensitivity`).
+"""Sensitivity of a metric to the dispersions, with intervals; by SALib (extra `sensitivity`).
 
-Sobol indices come from a Saltelli design alone (`method = "saltelli"`). From any other method's
-flights PAWN is worked out (Pianosi and Wagener 2018): how far the distribution of the metric moves,
-as a Kolmogorov distance, when a key is held in a tenth of its range; the median of ten tenths. Its
-errors are bootstrapped, and a column drawn for nothing tells what chance alone gives.
+Sobol indices need a Saltelli design (`method = "saltelli"`). For other methods PAWN is computed
+(Pianosi and Wagener 2018): the Kolmogorov distance between the distribution of the metric and its
+distribution with a key limited to a tenth of its range; the median over ten tenths. Its intervals
+are bootstrapped. A random dummy column shows the value that chance alone gives.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from lunarsim.scenario.changes import path_of
 Array = NDArray[np.float64]
 Interval = tuple[float, float, float]
 
-# The factor of a Saltelli design that is no key: rocks, noise, navigation errors.
-WORLD = "world and noise"
-# Flights of an arm below which nothing is said, and rows that PAWN looks at at most.
-_LEAST, _MOST = 50, 1000
-_TENTHS = 10
+# Additional factor of a Saltelli design: rocks, noise, navigation errors.
+WORLD_FACTOR = "world and noise"
+# Minimum number of flights of an arm, and maximum number of rows for PAWN.
+_MIN_FLIGHTS, _MAX_PAWN_ROWS = 50, 1000
+_PAWN_BINS = 10
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Of one arm's metric.
+    """Sensitivity of a metric in one arm.
 
     Attributes
     ----------
     arm, metric, method
-        Of what; sobol or pawn.
+        Name of the arm; name of the metric; sobol or pawn.
     rows, left_out
-        Flights that it is from, and those that could not be used.
+        Number of flights used, and of flights that could not be used.
     names
-        Keys that were drawn; of Sobol indices the world as well.
+        Dispersed keys; for Sobol indices also the world.
     indices
-        By name of the index ("first order", "total"; "PAWN"), a value with its 95 % interval for
+        By name of the index ("first order", "total"; "PAWN"): a value with its 95 % interval for
         each of the names.
     chance
-        PAWN's 95 % quantile of a column drawn for nothing; NaN for Sobol indices.
+        95th percentile of PAWN for a dummy column; NaN for Sobol indices.
     why_not
-        Why there are no indices; "" where there are.
+        Reason why there are no indices; "" if there are.
     """
 
     arm: str
@@ -72,48 +72,51 @@ def check_installed() -> None:
         raise InputError(
             "sensitivity",
             "SALib",
-            'a package that is installed: pip install "lunarsim[sensitivity]"',
+            "the package is missing",
+            'Install it: pip install "lunarsim[sensitivity]".',
         ) from None
 
 
-def sensitivities(found: Results, metric: str = "safe", resamples: int = 100) -> list[Sensitivity]:
-    """Return the sensitivity of a metric in every arm.
+def sensitivities(
+    results: Results, metric: str = "safe", resamples: int = 100
+) -> list[Sensitivity]:
+    """Compute the sensitivity of a metric in every arm.
 
     Parameters
     ----------
-    found
-        A campaign with dispersions.
+    results
+        Results of a campaign with dispersions.
     metric
-        Column of numbers, or of true and false.
+        Numeric or boolean column.
     resamples
-        Of the bootstrap.
+        Number of bootstrap resamples.
 
     Raises
     ------
     InputError
-        If SALib is not installed, the campaign draws nothing, its flights do not count alike, or
-        the metric is no number.
+        If SALib is not installed, the campaign has no dispersions, flights have unequal weights,
+        or the metric is not numeric.
     """
-    found.check_even("folder")
-    identity = found.manifest["identity"]
+    results.check_equal_weights("folder")
+    identity = results.manifest["identity"]
     keys = list(identity.get("dispersions", {}))
     if not keys:
-        raise InputError("folder", str(found.folder), "a campaign with [dispersions]")
-    known = [n for n, kind in found.manifest["columns"].items() if kind != "text"]
+        raise InputError("folder", str(results.folder), "must be a campaign with [dispersions]")
+    known = [n for n, kind in results.manifest["columns"].items() if kind != "text"]
     if metric not in known:
         raise InputError("--metric", metric, suggestion(metric, known))
     check_installed()
-    flown = pc.equal(found.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
-    values = np.where(flown, column(found, metric), np.nan)
-    seed = int(found.manifest["seed"])
+    flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
+    values = np.where(flown, column(results, metric), np.nan)
+    seed = int(results.manifest["seed"])
     out = []
-    for arm, rows in arm_rows(found).items():
+    for arm, rows in arm_rows(results).items():
         rng = np.random.default_rng(design_seed(seed))
         if identity.get("method") == "saltelli":
-            flights = found.table["flight"].to_numpy()[rows]
+            flights = results.table["flight"].to_numpy()[rows]
             out.append(_sobol(arm, metric, keys, flights, values[rows], resamples, rng))
         else:
-            inputs = np.column_stack([_input(found, key)[rows] for key in keys])
+            inputs = np.column_stack([_input(results, key)[rows] for key in keys])
             out.append(_pawn(arm, metric, keys, inputs, values[rows], resamples, rng))
     return out
 
@@ -122,20 +125,20 @@ def _sobol(
     arm: str, metric: str, keys: Sequence[str], flights: NDArray[np.int64], values: Array,
     resamples: int, rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Return Sobol indices of whole blocks; a block with a flight without a value is left out."""
+    """Compute Sobol indices from complete blocks; omit blocks with a missing value."""
     from SALib.analyze import sobol  # noqa: PLC0415
 
-    names = (*keys, WORLD)
+    names = (*keys, WORLD_FACTOR)
     block = len(keys) + 3
     blocks = np.full((int(flights.max(initial=-1)) // block + 1, block), np.nan)
     blocks[flights // block, flights % block] = values
     whole = blocks[np.isfinite(blocks).all(axis=1)]
-    told = Sensitivity(
+    result = Sensitivity(
         arm, metric, "sobol", whole.size, len(values) - whole.size, names, {},
-        why_not=_why_not(whole.ravel()),
+        why_not=_reason_without_indices(whole.ravel()),
     )  # fmt: skip
-    if told.why_not:
-        return told
+    if result.why_not:
+        return result
     made = sobol.analyze(
         {"num_vars": len(names), "names": list(names)}, whole.ravel(), calc_second_order=False,
         num_resamples=resamples, seed=int(rng.integers(1, 2**31)),
@@ -147,23 +150,30 @@ def _sobol(
         ]
         for label, name in (("first order", "S1"), ("total", "ST"))
     }
-    return replace(told, indices=indices)
+    return replace(result, indices=indices)
 
 
 def _pawn(
     arm: str, metric: str, keys: Sequence[str], inputs: Array, values: Array, resamples: int,
     rng: np.random.Generator,
 ) -> Sensitivity:  # fmt: skip
-    """Return PAWN's medians with percentiles of a bootstrap, and what chance alone gives."""
+    """Compute PAWN medians with bootstrap intervals, and the value that chance alone gives."""
     good = np.isfinite(values) & np.isfinite(inputs).all(axis=1)
     inputs, y = inputs[good], values[good]
-    told = Sensitivity(
-        arm, metric, "pawn", len(y), len(values) - len(y), tuple(keys), {}, why_not=_why_not(y)
+    result = Sensitivity(
+        arm,
+        metric,
+        "pawn",
+        len(y),
+        len(values) - len(y),
+        tuple(keys),
+        {},
+        why_not=_reason_without_indices(y),
     )
-    if told.why_not:
-        return told
-    if len(y) > _MOST:
-        some = np.sort(rng.choice(len(y), _MOST, replace=False))
+    if result.why_not:
+        return result
+    if len(y) > _MAX_PAWN_ROWS:
+        some = np.sort(rng.choice(len(y), _MAX_PAWN_ROWS, replace=False))
         inputs, y = inputs[some], y[some]
     inputs = _ranks(inputs, rng)
     value = _pawn_medians(inputs, y)
@@ -172,20 +182,20 @@ def _pawn(
         rows = rng.integers(len(y), size=len(y))
         nothing = rng.random(len(y))
         drawn[i] = _pawn_medians(np.column_stack((inputs[rows], nothing)), y[rows])
-    # Fewer distinct flights make all distances greater: the spread is taken, not the place.
+    # Resamples have fewer distinct flights, which biases the distances: use only their spread.
     spread = drawn[:, :-1] - drawn[:, :-1].mean(axis=0)
     low, high = value + np.quantile(spread, (0.025, 0.975), axis=0)
     intervals = [
         (float(v), max(float(a), 0.0), float(b)) for v, a, b in zip(value, low, high, strict=True)
     ]
     chance = float(np.quantile(drawn[:, -1], 0.95))
-    return replace(told, indices={"PAWN": intervals}, chance=chance)
+    return replace(result, indices={"PAWN": intervals}, chance=chance)
 
 
 def _ranks(inputs: Array, rng: np.random.Generator) -> Array:
-    """Return the ranks of each column (n, keys), equal values in an order that is drawn.
+    """Return the ranks of each column (n, keys), with ties in random order.
 
-    Tenths are then tenths of the flights, also where a key has few values.
+    Tenths then contain equal numbers of flights, also for keys with few values.
     """
     out = np.empty(inputs.shape)
     for column_of, values in zip(out.T, inputs.T, strict=True):
@@ -198,19 +208,19 @@ def _pawn_medians(inputs: Array, values: Array) -> Array:
 
     names = [f"x{i}" for i in range(inputs.shape[1])]
     problem = {"num_vars": len(names), "names": names}
-    return np.asarray(pawn.analyze(problem, inputs, values, S=_TENTHS)["median"])
+    return np.asarray(pawn.analyze(problem, inputs, values, S=_PAWN_BINS)["median"])
 
 
-def _why_not(values: Array) -> str:
-    if len(values) < _LEAST:
-        return f"{len(values)} flights can be used, fewer than {_LEAST}"
+def _reason_without_indices(values: Array) -> str:
+    if len(values) < _MIN_FLIGHTS:
+        return f"only {len(values)} flights can be used, fewer than {_MIN_FLIGHTS}"
     return "" if np.ptp(values) > 0.0 else f"all flights have the value {values[0]:g}"
 
 
-def _input(found: Results, key: str) -> Array:
-    """Return the draws of a key as numbers: words by their order in the alphabet."""
+def _input(results: Results, key: str) -> Array:
+    """Return the draws of a key as numbers; texts as their alphabetical rank."""
     name = ".".join(path_of(key))
-    if found.manifest["inputs"].get(name) != "text":
-        return column(found, name)
-    words = found.table[name].to_pylist()
+    if results.manifest["inputs"].get(name) != "text":
+        return column(results, name)
+    words = results.table[name].to_pylist()
     return np.array([sorted(set(words)).index(w) for w in words], dtype=np.float64)

@@ -1,11 +1,11 @@
-"""The spec of a campaign: one TOML file that says all that is flown.
+"""The specification of a campaign: one TOML file that defines all flights.
 
 name = "rocks-and-policies"
 scenario = "golombek.toml"          # relative to this file; or a name, or a table
 flights = 200
 seed = 1
 
-[factors]                           # every combination; or [[arms]] with name and set
+[factors]                           # all combinations; or [[arms]] with name and set
 policy = ["no-divert", "safest"]
 "expected_rocks.cover" = [0.02, 0.1]
 
@@ -16,7 +16,7 @@ policy = ["no-divert", "safest"]
 keys = ["start.position_m.0", "start.velocity_m_s.0"]
 matrix = [[1.0, 0.5], [0.5, 1.0]]
 
-[stop]                              # plain Monte Carlo alone
+[stop]                              # with method monte-carlo only
 metric = "safe"
 width = 0.1
 """
@@ -34,19 +34,26 @@ import tomli_w
 from pydantic import ValidationError
 
 from lunarsim.campaign.dispersions import (
+    EXTENSIBLE_METHODS,
     KINDS,
-    OPEN,
     Choice,
     Correlation,
     Dispersions,
     Importance,
     distribution,
 )
-from lunarsim.campaign.factors import Arm, arms_of, check_plain, flattened, listed, product
+from lunarsim.campaign.factors import (
+    Arm,
+    build_arms,
+    check_plain,
+    flatten_keys,
+    parse_arms,
+    product,
+)
 from lunarsim.campaign.files import file_digests, module_digest, part_digests
 from lunarsim.campaign.plan import MAX_FLIGHTS
-from lunarsim.campaign.relative_paths import from_folder
-from lunarsim.campaign.subset_settings import Subset
+from lunarsim.campaign.relative_paths import resolve_paths
+from lunarsim.campaign.subset_settings import SubsetSettings
 from lunarsim.errors import InputError, suggestion
 from lunarsim.evaluation.outcome import COLUMNS
 from lunarsim.parts import allowed, quantity, settings_of
@@ -56,72 +63,78 @@ from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.files import read_toml
 from lunarsim.scenario.layout import CHOSEN
 
-# Draws whose extremes are tried on the scenario before anything is flown.
-_TRIED = 1000
+# Number of draws whose extremes are checked against the scenario before the first flight.
+_MAX_CHECKED_DRAWS = 1000
 RECORDS = ("none", "failures", "all")
 
 
 @dataclass(frozen=True)
-class Head:
-    """The plain keys of a spec.
+class CampaignSettings:
+    """Top-level keys of a campaign spec.
 
     Attributes
     ----------
     name
-        Of the campaign.
+        Name of the campaign.
     flights
-        Of each arm; of each level with method subset.
+        Number of flights of each arm; with method subset, of each level.
     seed
         Root seed.
     method
-        Of drawing the dispersions: monte-carlo, latin-hypercube, sobol, saltelli,
+        Sampling method of the dispersions: monte-carlo, latin-hypercube, sobol, saltelli,
         importance or subset.
     time_limit
-        Wall-clock time after which a flight is given up, s; None: never.
+        Wall-clock time after which a flight is aborted, s; None: no limit.
     time_budget
-        Wall-clock time after which no more flights start, s; None: never.
+        Wall-clock time after which no more flights start, s; None: no limit.
     records
-        Which flights' whole records are kept: none, failures or all.
+        Flights whose complete records are kept: none, failures or all.
     figures
-        Whether the first flight of each arm is drawn, and every one that was not safe.
+        Whether to draw the first flight of each arm and every flight that was not safe.
     """
 
-    name: str = quantity("campaign", help="of the campaign")
-    flights: int = quantity(20, ge=1, le=MAX_FLIGHTS, help="of each arm")
+    name: str = quantity("campaign", help="name of the campaign")
+    flights: int = quantity(20, ge=1, le=MAX_FLIGHTS, help="number of flights of each arm")
     seed: int = quantity(1, ge=0, lt=2**63, help="root seed")
-    method: str = quantity("monte-carlo", help="how the dispersions are drawn")
-    time_limit: float | None = quantity(None, "s", gt=0, help="a flight that takes longer is ended")
-    time_budget: float | None = quantity(None, "s", gt=0, help="no flight starts later")
-    records: str = quantity("none", help="none, failures or all: whole records kept")
-    figures: bool = quantity(False, help="draw the first flight of each arm, and every failed one")
+    method: str = quantity("monte-carlo", help="sampling method of the dispersions")
+    time_limit: float | None = quantity(None, "s", gt=0, help="wall-clock limit of a flight")
+    time_budget: float | None = quantity(
+        None, "s", gt=0, help="wall-clock time after which no flight starts"
+    )
+    records: str = quantity("none", help="flights with complete records: none, failures or all")
+    figures: bool = quantity(
+        False, help="whether to draw the first flight of each arm and every failed flight"
+    )
 
     def __post_init__(self) -> None:
         if not self.name:
-            raise InputError("name", self.name, "at least one character")
+            raise InputError("name", self.name, "must not be empty")
         if self.records not in RECORDS:
             raise InputError("records", self.records, suggestion(self.records, RECORDS))
         if self.method == "sobol" and self.flights & (self.flights - 1):
             below = 1 << (self.flights.bit_length() - 1)
             raise InputError(
                 "flights", self.flights,
-                f"a power of two, as Sobol points need: {below} or {2 * below}",
+                f"must be a power of two for Sobol points, for instance {below} or {2 * below}",
             )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Stop once an interval is narrow enough.
+class StopSettings:
+    """Rule that stops a campaign once an interval is narrow enough.
 
     Attributes
     ----------
     metric
-        A column that is true or false.
+        Boolean column.
     width
-        Of the 95 % confidence sequence of its share, in every arm.
+        Width of the 95 % confidence sequence of the metric's share, to be reached in every arm.
     """
 
-    metric: str = quantity("safe", help="a column that is true or false")
-    width: float = quantity(0.1, gt=0, lt=1, help="of its 95 % confidence sequence in every arm")
+    metric: str = quantity("safe", help="a boolean column")
+    width: float = quantity(
+        0.1, gt=0, lt=1, help="width of the 95 % confidence sequence in every arm"
+    )
 
     def __post_init__(self) -> None:
         known = [name for name, kind in COLUMNS.items() if kind == "bool"]
@@ -131,41 +144,41 @@ class Stop:
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Everything that a campaign flies; build one with `load` or `from_dict`, which check it.
+    """Complete specification of a campaign; `load` and `from_dict` create and check it.
 
     Attributes
     ----------
     head
-        Plain keys.
+        Top-level keys.
     scenario
-        That all arms start from.
+        Scenario that all arms modify.
     arms
-        Combinations that are compared.
+        Variants that are compared.
     dispersions
-        What is drawn for each flight.
+        Values drawn for each flight.
     stop
-        When to stop early, or None.
+        Early-stopping rule, or None.
     factors
-        Lists of values by key that the arms were made of; empty where they were listed.
+        Lists of values by key whose combinations are the arms; empty if the arms are listed.
     """
 
-    head: Head
+    head: CampaignSettings
     scenario: Scenario
     arms: tuple[Arm, ...]
     dispersions: Dispersions
-    stop: Stop | None = None
+    stop: StopSettings | None = None
     factors: Mapping[str, list[Any]] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> CampaignSpec:
         """Read a TOML file; relative paths in it start from its folder.
 
-        `allow_modules` names the modules that a `kind` in it may name as "module:Class".
+        `allow_modules` lists the modules that a `kind` in the file may name as "module:Class".
 
         Raises
         ------
         InputError
-            If the file is missing, is no TOML, or a field is wrong.
+            If the file is missing, is not TOML, or has a wrong field.
         """
         allowed.allow_modules(*allow_modules)
         path = Path(path)
@@ -179,31 +192,33 @@ class CampaignSpec:
         Raises
         ------
         InputError
-            Naming the first field that is wrong.
+            For the first wrong field.
         """
         rest = dict(data)
         tables = {name: rest.pop(name, None) for name in _TABLES}
         if folder is not None:
-            paths = {name: from_folder(tables[name], folder) for name in _WITH_PATHS}
+            paths = {name: resolve_paths(tables[name], folder) for name in _WITH_PATHS}
             tables |= paths
-        head = _made("", Head, rest)
+        head = _build("", CampaignSettings, rest)
         scenario = _scenario(tables["scenario"], folder)
         factors, arms = _arms(scenario, tables["factors"], tables["arms"])
-        dispersions = dispersions_of(tables, head.method, head.seed, head.flights)
-        stop = None if tables["stop"] is None else _made("stop", Stop, tables["stop"])
+        dispersions = build_dispersions(tables, head.method, head.seed, head.flights)
+        stop = None if tables["stop"] is None else _build("stop", StopSettings, tables["stop"])
         if stop is not None and head.method != "monte-carlo":
             raise InputError(
-                "stop", head.method, "monte-carlo as method: a design has a fixed number of flights"
-            )
+                "stop", head.method, "requires method monte-carlo",
+                "Other methods have a fixed number of flights.",
+            )  # fmt: skip
         if head.method == "subset" and len(arms) > 1:
             raise InputError(
                 "factors" if arms[0].values and tables["arms"] is None else "arms", len(arms),
-                "one arm with method subset, whose levels are of one arm: a spec for each",
+                "must be a single arm with method subset", "Write a spec for each arm.",
             )  # fmt: skip
         spec = cls(head, scenario, arms, dispersions, stop, factors)
         if spec.most_flights * len(arms) > MAX_FLIGHTS:
             most = (
-                f"at most {MAX_FLIGHTS // len(arms)} flights of {len(arms)} arms, levels included"
+                f"must be at most {MAX_FLIGHTS // len(arms)} flights for each of {len(arms)} arms, "
+                "all levels included"
             )
             raise InputError("flights", head.flights, most)
         spec.check_draws()
@@ -211,23 +226,23 @@ class CampaignSpec:
 
     @property
     def most_flights(self) -> int:
-        """Flights of each arm; with method subset if all levels are flown."""
+        """Maximum number of flights of each arm; with method subset, of all levels."""
         subset, count = self.dispersions.subset, self.head.flights
         if subset is None:
             return count
         return count + (subset.levels - 1) * (count - count // subset.steps)
 
     def scenario_of(self, flight: int, arm: int) -> Scenario:
-        """Return the scenario of a flight: the arm's with what is drawn for the flight."""
+        """Return the scenario of a flight: that of its arm with the values drawn."""
         return with_values(self.arms[arm].scenario, self.dispersions.draws(flight), "dispersions")
 
     def check_draws(self) -> None:
-        """Try the extremes of the first thousand draws of each key on every arm.
+        """Check the extremes of the first thousand draws of each key on every arm.
 
         Raises
         ------
         InputError
-            If an arm sets a key that is drawn, or the scenario refuses a draw.
+            If an arm sets a key that is also drawn, or the scenario refuses a draw.
         """
         laws = self.dispersions.distributions
         for key, law in laws.items():
@@ -236,15 +251,19 @@ class CampaignSpec:
         texts: dict[str, list[Any]] = {
             key: list(law.values) for key, law in laws.items() if isinstance(law, Choice)
         }
-        _check_apart(laws, texts, "dispersions")
+        _check_no_overlap(laws, texts, "dispersions")
         for arm in self.arms:
-            _check_apart(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
+            _check_no_overlap(arm.values, {k: [v] for k, v in arm.values.items()}, "arms")
         set_by_arms = {key: value for arm in self.arms for key, value in arm.values.items()}
         for name in laws:
             for key, value in set_by_arms.items():
-                if _overlap(_steps(name, texts.get(name, [0.0])), _steps(key, [value])):
-                    raise InputError(f"dispersions.{name}", name, f"no key that arms set, as {key}")
-        drawn = [self.dispersions.draws(i) for i in range(min(self.head.flights, _TRIED))]
+                if _overlap(_key_path(name, texts.get(name, [0.0])), _key_path(key, [value])):
+                    raise InputError(
+                        f"dispersions.{name}", name, f"must not be set by arms too (as {key})"
+                    )
+        drawn = [
+            self.dispersions.draws(i) for i in range(min(self.head.flights, _MAX_CHECKED_DRAWS))
+        ]
         for key in laws:
             values = [one[key] for one in drawn]
             for value in _extremes(values):
@@ -253,16 +272,16 @@ class CampaignSpec:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What makes results: all but how long to go on, and what is kept besides the rows."""
+        """Fields that determine the results: no limits of time, and no choice of outputs."""
         data = self.to_dict()
         for key in ("time_limit_s", "time_budget_s", "figures", "records"):
             data.pop(key, None)
-        if self.head.method in OPEN and self.stop is None:
+        if self.head.method in EXTENSIBLE_METHODS and self.stop is None:
             data.pop("flights")
-        return data | self._made_from()
+        return data | self._dependencies()
 
-    def _made_from(self) -> dict[str, Any]:
-        """Return digests of the files and of the code from elsewhere that flights are made from."""
+    def _dependencies(self) -> dict[str, Any]:
+        """Return digests of the files and external code that the flights depend on."""
         found: dict[str, str] = {}
         for arm in self.arms:
             tables = arm.scenario.to_dict()
@@ -276,24 +295,24 @@ class CampaignSpec:
         return {"made from": dict(sorted(found.items()))} if found else {}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain tables; the scenario is whole, so that nothing else is needed."""
+        """Return plain tables that contain the complete scenario."""
         head = {k: v for k, v in _keys(self.head).items() if v is not None}
         out: dict[str, Any] = {**head, "scenario": self.scenario.to_dict()}
         if self.factors:
             out["factors"] = dict(self.factors)
         else:
-            out["arms"] = [{"name": arm.name, "set": _set(arm)} for arm in self.arms]
+            out["arms"] = [{"name": arm.name, "set": _arm_values(arm)} for arm in self.arms]
         laws = self.dispersions.distributions
         if laws:
-            out["dispersions"] = {key: _law(law) for key, law in laws.items()}
+            out["dispersions"] = {key: _distribution_table(law) for key, law in laws.items()}
         if self.dispersions.correlations:
             out["correlations"] = [
                 {"keys": list(c.keys), "matrix": [list(row) for row in c.matrix]}
                 for c in self.dispersions.correlations
             ]
-        leaning = self.dispersions.importance
-        if leaning is not None:
-            values = {f.name: _plain(getattr(leaning, f.name)) for f in fields(leaning)}
+        importance = self.dispersions.importance
+        if importance is not None:
+            values = {f.name: _plain(getattr(importance, f.name)) for f in fields(importance)}
             out["importance"] = {k: v for k, v in values.items() if v is not None}
         subset = self.dispersions.subset
         if subset is not None:
@@ -307,79 +326,83 @@ class CampaignSpec:
         """Return the spec as TOML."""
         return tomli_w.dumps(self.to_dict())
 
-    def keeping(self, **values: Any) -> CampaignSpec:
-        """Return the spec with other plain keys; flights and seed stay what they are."""
+    def with_settings(self, **values: Any) -> CampaignSpec:
+        """Return the spec with other top-level keys; do not change flights or seed."""
         return replace(self, head=replace(self.head, **values))
 
 
 _TABLES = (
     "scenario", "factors", "arms", "dispersions", "correlations", "importance", "subset", "stop",
 )  # fmt: skip
-# Those of them whose values may name files.
+# Tables whose values may name files.
 _WITH_PATHS = ("factors", "arms", "dispersions")
 
 
-def dispersions_of(tables: Mapping[str, Any], method: str, seed: int, flights: int) -> Dispersions:
-    """Return what is drawn from the tables of a spec, or of a manifest's identity.
+def build_dispersions(
+    tables: Mapping[str, Any], method: str, seed: int, flights: int
+) -> Dispersions:
+    """Build the dispersions from the tables of a spec or of a manifest's identity.
 
     Raises
     ------
     InputError
-        Naming the first field that is wrong.
+        For the first wrong field.
     """
-    laws = flattened_laws(tables.get("dispersions") or {})
+    laws = parse_distributions(tables.get("dispersions") or {})
     correlations = tuple(
-        _made(f"correlations.{i}", Correlation, table)
+        _build(f"correlations.{i}", Correlation, table)
         for i, table in enumerate(_list(tables.get("correlations")))
     )
-    leaning, subset = _importance(tables.get("importance")), tables.get("subset")
-    near = None if subset is None else _made("subset", Subset, subset)
-    return Dispersions(laws, correlations, method, seed, flights, leaning, near)
+    importance, subset = _importance(tables.get("importance")), tables.get("subset")
+    near = None if subset is None else _build("subset", SubsetSettings, subset)
+    return Dispersions(laws, correlations, method, seed, flights, importance, near)
 
 
-def flattened_laws(table: Any) -> dict[str, Any]:
+def parse_distributions(table: Any) -> dict[str, Any]:
     """Return distributions by key from a table whose keys may be dotted or nested.
 
     Raises
     ------
     InputError
-        Naming what is no distribution.
+        If a value is not a distribution.
     """
     if not isinstance(table, Mapping):
-        raise InputError("dispersions", table, "a table")
+        raise InputError("dispersions", table, "must be a table")
     found = {}
-    for key, value in _laws(table):
+    for key, value in _distribution_tables(table):
         if key in found:
-            raise InputError(f"dispersions.{key}", value, "each key once")
+            raise InputError(f"dispersions.{key}", value, "must be given once")
         found[key] = distribution(key, value)
     return found
 
 
 def _importance(table: Any) -> Importance | None:
-    """Return where draws lean to; keys in its tables may be dotted or nested."""
+    """Build the importance settings; keys in their tables may be dotted or nested."""
     if table is None:
         return None
     if not isinstance(table, Mapping):
-        raise InputError("importance", table, "a table")
+        raise InputError("importance", table, "must be a table")
     flat = {
-        name: flattened(value, f"importance.{name}", (int, float)) if name in _LEAN else value
+        name: flatten_keys(value, f"importance.{name}", (int, float))
+        if name in _IMPORTANCE_TABLES
+        else value
         for name, value in table.items()
     }
-    made: Importance = _made("importance", Importance, flat)
+    made: Importance = _build("importance", Importance, flat)
     return made
 
 
-_LEAN = ("shifts", "scales")
+_IMPORTANCE_TABLES = ("shifts", "scales")
 
 
-def _laws(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Return key and table of each distribution: a table whose `kind` is a text, or no table."""
+def _distribution_tables(table: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Return the key and table of each distribution: a table with a text `kind`, or a non-table."""
     found = []
     for key, value in table.items():
         name = f"{before}{key}"
         inner = isinstance(value, Mapping) and not isinstance(value.get("kind"), str)
         deeper = inner and value and all(isinstance(v, Mapping) for v in value.values())
-        found += _laws(value, f"{name}.") if deeper else [(name, value)]
+        found += _distribution_tables(value, f"{name}.") if deeper else [(name, value)]
     return found
 
 
@@ -388,18 +411,18 @@ def _arms(
 ) -> tuple[dict[str, list[Any]], tuple[Arm, ...]]:
     if factors is not None and arms is not None:
         given = len(arms) if isinstance(arms, list) else arms
-        raise InputError("arms", given, "either [factors] or [[arms]], not both")
+        raise InputError("arms", given, "must not be combined with [factors]")
     if arms is not None:
-        return {}, arms_of(scenario, listed(arms), "arms")
-    levels = flattened(factors or {}, "factors", list)
-    return levels, arms_of(scenario, product(levels), "factors")
+        return {}, build_arms(scenario, parse_arms(arms), "arms")
+    levels = flatten_keys(factors or {}, "factors", list)
+    return levels, build_arms(scenario, product(levels), "factors")
 
 
 def _scenario(given: Any, folder: Path | None) -> Scenario:
     if isinstance(given, Mapping):
         return Scenario.from_dict(given, folder)
     if not isinstance(given, str):
-        raise InputError("scenario", given, "the path or name of a scenario, or its tables")
+        raise InputError("scenario", given, "must be the path or name of a scenario, or its tables")
     return Scenario.load(shipped.found(Path(given), folder))
 
 
@@ -407,14 +430,16 @@ def _list(given: Any) -> list[Any]:
     if given is None:
         return []
     if not isinstance(given, list):
-        raise InputError("correlations", given, "[[correlations]], each with keys and matrix")
+        raise InputError(
+            "correlations", given, "must be a list of [[correlations]], each with keys and matrix"
+        )
     return given
 
 
-def _made(path: str, of: type, table: Any) -> Any:
-    """Return a part of the spec from its table, checked."""
+def _build(path: str, of: type, table: Any) -> Any:
+    """Build and check a part of the spec from its table."""
     if not isinstance(table, Mapping):
-        raise InputError(path, table, "a table")
+        raise InputError(path, table, "must be a table")
     model = settings_of(of)
     before = f"{path}." if path else ""
     try:
@@ -430,18 +455,18 @@ def _made(path: str, of: type, table: Any) -> Any:
         raise error.renamed(before + error.field) from None
 
 
-def _keys(head: Head) -> dict[str, Any]:
+def _keys(head: CampaignSettings) -> dict[str, Any]:
     suffix = {"time_limit": "_s", "time_budget": "_s"}
     return {f.name + suffix.get(f.name, ""): getattr(head, f.name) for f in fields(head)}
 
 
-def _set(arm: Arm) -> dict[str, Any]:
-    """Return an arm's values; a policy object is told by what it says of itself."""
+def _arm_values(arm: Arm) -> dict[str, Any]:
+    """Return an arm's values; a policy object is represented by its `repr`."""
     values: dict[str, Any] = _plain(arm.values)
     return values if arm.policy is None else values | {"policy object": repr(arm.policy)}
 
 
-def _law(law: Any) -> dict[str, Any]:
+def _distribution_table(law: Any) -> dict[str, Any]:
     kind = next(name for name, of in KINDS.items() if of is type(law))
     values = {f.name: getattr(law, f.name) for f in fields(law)}
     return {"kind": kind} | {k: _plain(v) for k, v in values.items() if v is not None}
@@ -453,8 +478,8 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def _steps(key: str, values: Sequence[Any]) -> tuple[str, ...]:
-    """Return the steps of a key; the name of a part's table alone with texts means its kind."""
+def _key_path(key: str, values: Sequence[Any]) -> tuple[str, ...]:
+    """Split a key into steps; a part's table alone, with text values, means its kind."""
     texts = all(isinstance(value, str) for value in values)
     return path_of(key, "" if texts else values)
 
@@ -464,15 +489,15 @@ def _overlap(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
     return longer[: len(shorter)] == shorter
 
 
-def _check_apart(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
-    """Refuse two keys of which one is, or holds, the other: the order would say which one wins."""
+def _check_no_overlap(keys: Iterable[str], values: Mapping[str, Sequence[Any]], where: str) -> None:
+    """Refuse two keys of which one contains the other: the result would depend on their order."""
     for a, b in itertools.combinations(keys, 2):
-        if _overlap(_steps(a, values.get(a, [0.0])), _steps(b, values.get(b, [0.0]))):
-            raise InputError(f"{where}.{b}", b, f"no key that {a} sets too")
+        if _overlap(_key_path(a, values.get(a, [0.0])), _key_path(b, values.get(b, [0.0]))):
+            raise InputError(f"{where}.{b}", b, f"must not be set together with {a}")
 
 
 def _extremes(values: list[Any]) -> list[Any]:
-    """Return the least and the greatest of numbers, every one of other values."""
+    """Return the minimum and maximum of numbers; all distinct values of other types."""
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         return [min(values), max(values)]
     return [v for i, v in enumerate(values) if v not in values[:i]]

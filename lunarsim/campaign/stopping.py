@@ -1,4 +1,4 @@
-"""When a campaign has seen enough: a rule that looks at flights in their order."""
+"""Early stopping of a campaign by a rule that evaluates flights in order."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 from lunarsim.evaluation.sequences import share_sequence
 
 
-class WidthRule:
-    """Stops at the first flight after which every arm's confidence sequence is narrow enough.
+class IntervalWidthRule:
+    """Stops at the first flight after which the confidence sequences of all arms are narrow enough.
 
-    It looks at whole indices from 0 on, without a gap, so that where it stops does not depend on
-    who flew what when. A flight without a verdict counts as no success.
+    The rule evaluates consecutive flights from 0, so the stopping index does not depend on the
+    order in which flights finish. A flight without an outcome counts as a failure.
 
     Parameters
     ----------
     metric
-        Column that is true or false.
+        Boolean column.
     width
-        Of the 95 % confidence sequence of its share.
+        Required width of the 95 % confidence sequence of the metric's share.
     arms
         Number of arms.
 
@@ -36,8 +36,8 @@ class WidthRule:
         self._waiting: dict[int, dict[int, bool]] = {}
         self._next = 0
 
-    def see(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
-        """Take in a row, in whatever order."""
+    def add(self, flight: int, arm: int, row: Mapping[str, Any]) -> None:
+        """Add the row of a flight, in any order."""
         if self.stop is not None:
             return
         self._waiting.setdefault(flight, {})[arm] = bool(row[self.metric])

@@ -1,18 +1,18 @@
-"""The folder of a campaign: a journal of finished flights, Parquet parts, a manifest, one writer.
+"""Storage of a campaign: a journal of finished flights, Parquet parts and a manifest.
 
 ``manifest.json``
-    What is flown, by which code and where; what has become of it so far.
+    What is flown, with which code and on which machine; the state of the campaign.
 ``results/part-00000.parquet``
-    A row a flight: id, seed, inputs, outcome, metrics, versions; sorted by flight, then arm. The
-    same campaign has the same bytes, however often it was interrupted.
+    One row per flight and arm: id, seed, inputs, outcome, metrics, versions; sorted by flight,
+    then arm. The same campaign gives the same bytes, also after interruptions.
 ``timing/part-00000.parquet``
-    Wall-clock times of the same rows, which no two runs share.
+    Wall-clock times of the same rows; they differ between runs.
 ``journal.jsonl``
-    Finished flights that are in no part yet, a line each, written as they come.
+    Finished flights that are in no part yet, one line each, appended as they finish.
 
-A flight is in the journal before anything else happens to it; parts are renamed into place; the
-journal is cut down after that. So wherever the writer is killed, a finished flight is in a part, in
-the journal, or in both, and `Store.open` takes it from there.
+A flight is first written to the journal; parts are renamed into place; the journal is truncated
+after that. If the writer is killed, every finished flight is therefore in a part, in the journal,
+or in both, and `Store.open` recovers it. A folder has one writer.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lunarsim.campaign.files import bytes_digest, write_json
-from lunarsim.campaign.manifest import manifest_of, new_manifest, with_digest
+from lunarsim.campaign.manifest import matching_manifest, new_manifest, with_digest
 from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Plan, row_id
 from lunarsim.campaign.rows import TIMING, Row, check_expanded, row_of, schema_of
@@ -38,27 +38,25 @@ from lunarsim.errors import InputError
 from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole, write_whole
 
-# Rows of a part, about.
+# Approximate number of rows of a part.
 PART_ROWS = 5000
-# Of these, so many are tables of Python's at a time.
-_AT_ONCE = 500
-# The journal is brought to the disk at most this often, s; until then the system keeps it.
-_SYNC = 1.0
+# Number of rows converted to Python objects at a time, which limits memory.
+_ROWS_PER_BATCH = 500
+# Minimum time between two fsyncs of the journal, s.
+_FSYNC_INTERVAL_S = 1.0
 
 
 class Store:
-    """The open folder of a campaign; close it, or use it in a `with` statement.
-
-    Use `open` to make one.
+    """Open folder of a campaign; create it with `open`, and close it or use a `with` statement.
 
     Attributes
     ----------
     folder
-        Where it is.
+        Folder of the campaign.
     plan
-        What is flown.
+        Flights of the campaign.
     notes
-        What was found wrong when the folder was opened, and what could not be kept, in words.
+        Messages about damage found when the folder was opened, and about data not stored.
     """
 
     def __init__(self, folder: Path, plan: Plan, lock: IO[str], manifest: dict[str, Any]) -> None:
@@ -68,8 +66,8 @@ class Store:
         self._schema = schema_of(plan.inputs, plan.columns)
         self._per_part = max(1, PART_ROWS // len(plan.arms))
         self._full: set[int] = set()
-        # Rows of parts that are not full, by part, then (flight, arm): as lines of the journal, a
-        # tenth of what they take as tables.
+        # Rows of incomplete parts, by part, then (flight, arm). They are kept as journal lines,
+        # which take a tenth of the memory of dictionaries.
         self._open: dict[int, dict[tuple[int, int], str]] = {}
         self._journal: IO[str] | None = None
         self._synced = 0.0
@@ -78,30 +76,30 @@ class Store:
 
     @classmethod
     def open(cls, folder: Path, plan: Plan, *, retry: bool = False) -> Store:
-        """Take a new folder, or go on with one of the same campaign.
+        """Create the folder of a campaign, or resume one.
 
         Parameters
         ----------
         folder, plan
-            Where; what is flown.
+            Folder and flights of the campaign.
         retry
-            Whether flights that failed to give a verdict count as not flown.
+            Whether flights without an outcome are flown again.
 
         Raises
         ------
         InputError
-            If the folder holds anything else, another campaign, or results of other code; or
+            If the folder holds other data, another campaign or results of other code, or if
             another process is writing there. Nothing has been changed then.
         """
-        manifest = manifest_of(folder, plan)
-        # The first array makes pyarrow load pandas where it is: not while an interrupt waits.
+        manifest = matching_manifest(folder, plan)
+        # Creating the first array makes pyarrow load pandas; do it before interrupts are deferred.
         pa.array([], pa.int64())
         folder.mkdir(parents=True, exist_ok=True)
-        store = cls(folder, plan, _locked(folder), manifest or new_manifest(plan))
+        store = cls(folder, plan, _lock_folder(folder), manifest or new_manifest(plan))
         try:
             store.manifest["flights"] = plan.flights
-            store._take(retry)
-            # The manifest first: it is by this that a folder is known to be ours.
+            store._load(retry)
+            # The manifest comes first: it identifies the folder as a campaign.
             store.save_manifest(state="running")
             (folder / "results").mkdir(exist_ok=True)
             (folder / "timing").mkdir(exist_ok=True)
@@ -111,34 +109,34 @@ class Store:
             raise
         return store
 
-    def _take(self, retry: bool) -> None:
-        """Take in what is there: parts first, then the journal, whose rows are never older."""
+    def _load(self, retry: bool) -> None:
+        """Load the stored rows: parts first, then the journal, whose rows are never older."""
         for old in self.folder.rglob(".*.part"):
             old.unlink()
         for path in sorted((self.folder / "results").glob("part-*.parquet")):
-            self._take_part(path, retry)
+            self._load_part(path, retry)
         path = self.folder / "journal.jsonl"
         if path.exists():
-            self._take_journal(path, retry)
+            self._load_journal(path, retry)
             self._write_journal()
         for part in [p for p in self._open if self._is_full(p)]:
             self._write_part(part)
 
-    def _take_part(self, path: Path, retry: bool) -> None:
+    def _load_part(self, path: Path, retry: bool) -> None:
         try:
             number = int(path.stem.removeprefix("part-"))
             part = self._read_part(path)
         except (pa.ArrowException, OSError, ValueError) as error:
             self._parts().pop(f"results/{path.name}", None)
             path.replace(path.with_suffix(".broken"))
-            said = str(error).split("\n")[0]
+            reason = str(error).split("\n")[0]
             self.notes.append(
-                f"{path.name} cannot be read ({said}); it is kept as {path.stem}.broken and its "
-                "flights are flown again"
+                f"{path.name} cannot be read ({reason}). It is kept as {path.stem}.broken; its "
+                "flights are flown again."
             )
             return
         kept = {
-            key: _line(row)
+            key: _journal_line(row)
             for key, row in part.items()
             if key[0] < self.plan.flights and not (retry and row[0]["outcome"] != FLOWN)
         }
@@ -151,12 +149,12 @@ class Store:
         """Return a part's rows of results and of times by flight and arm."""
         table = pq.read_table(self._read("results", path.name), page_checksum_verification=True)
         if table.schema != self._schema:
-            raise pa.ArrowInvalid("other columns")
+            raise pa.ArrowInvalid("unexpected columns")
         try:
             times = pq.read_table(self._read("timing", path.name), schema=TIMING).to_pylist()
         except (pa.ArrowException, OSError, ValueError):
             times = []
-            self.notes.append(f"timing/{path.name} cannot be read: its times are lost")
+            self.notes.append(f"timing/{path.name} cannot be read: its times are lost.")
         timing = {time["id"]: time for time in times}
         names = {name: i for i, (name, _) in enumerate(self.plan.arms)}
         part = {}
@@ -165,28 +163,28 @@ class Store:
             if row["id"] != row_id(flight, arm) or path != self._path(
                 "results", self._part(flight)
             ):
-                raise ValueError(f"a row {row['id']} that has no place there")
+                raise ValueError(f"row {row['id']} does not belong to this part")
             unknown = dict.fromkeys(TIMING.names) | {"id": row["id"]}
             part[flight, arm] = row, timing.get(row["id"], unknown)
         if len(part) < len(table):
-            raise ValueError("a flight is there twice")
+            raise ValueError("a flight occurs twice")
         return part
 
     def _parts(self) -> dict[str, str]:
-        """Return the digest of every part that is there whole, by its path in the folder."""
+        """Return the digest of every complete part, by its path in the folder."""
         found: dict[str, str] = self.manifest.setdefault("parts", {})
         return found
 
     def _read(self, kind: str, name: str) -> pa.BufferReader:
-        """Return the bytes of a part; refuse others than those that were written."""
+        """Return the bytes of a part; refuse them if the digest differs."""
         data = bounded_bytes(self.folder / kind / name)
         if self._parts().get(f"{kind}/{name}", bytes_digest(data)) != bytes_digest(data):
             raise ValueError("its digest differs from the one in manifest.json")
         check_expanded(data)
         return pa.BufferReader(data)
 
-    def _forget_digests(self, part: int) -> None:
-        """Take a part that is about to change out of the manifest."""
+    def _drop_digests(self, part: int) -> None:
+        """Remove the digests of a part that is about to change."""
         known = [self._parts().pop(self._name(kind, part), None) for kind in ("results", "timing")]
         if any(known):
             self.save_manifest()
@@ -195,12 +193,12 @@ class Store:
         return str(self._path(kind, part).relative_to(self.folder))
 
     def _reopen(self, part: int) -> None:
-        """Take the rows of a full part into memory again."""
+        """Load the rows of a full part into memory again."""
         self._full.remove(part)
         rows = self._read_part(self._path("results", part))
-        self._open[part] = {key: _line(row) for key, row in rows.items()}
+        self._open[part] = {key: _journal_line(row) for key, row in rows.items()}
 
-    def _take_journal(self, path: Path, retry: bool) -> None:
+    def _load_journal(self, path: Path, retry: bool) -> None:
         lines = bounded_bytes(path).split(b"\n")
         for i, line in enumerate(lines):
             if not line:
@@ -209,25 +207,27 @@ class Store:
                 row, timing = json.loads(line)
                 flight, arm = (int(part) for part in row["id"].split("-"))
                 if (row["flight"], row["arm"]) != (flight, self.plan.arms[arm][0]):
-                    raise ValueError("no row of this campaign")
+                    raise ValueError("row of another campaign")
                 _check_types(row, timing, self._schema)
             except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
                 last = i == len(lines) - 1
                 if not last:
-                    self.notes.append(f"line {i + 1} of the journal cannot be read: flown again")
+                    self.notes.append(
+                        f"Line {i + 1} of the journal cannot be read; its flight is flown again."
+                    )
                 continue
             if (retry and row["outcome"] != FLOWN) or flight >= self.plan.flights:
                 continue
             part = self._part(flight)
             if part in self._full:
-                # Of a flight that was flown again; its part has still the row that failed.
+                # The flight was flown again, but its part still has the failed row.
                 self._reopen(part)
-            self._open.setdefault(part, {})[flight, arm] = _line((row, timing))
+            self._open.setdefault(part, {})[flight, arm] = _journal_line((row, timing))
 
     # --- what is there --------------------------------------------------------------------
 
     def has(self, flight: int, arm: int) -> bool:
-        """Tell whether a flight has its row."""
+        """Return whether the row of a flight is stored."""
         part = self._part(flight)
         return part in self._full or (flight, arm) in self._open.get(part, {})
 
@@ -263,9 +263,9 @@ class Store:
     # --- writing --------------------------------------------------------------------------
 
     def add(self, done: Finished) -> dict[str, Any]:
-        """Keep a finished flight; it is safe when this returns. Return its row."""
+        """Store a finished flight durably; return its row."""
         row = row_of(self.plan, done)
-        line = _line((row, done.timing()))
+        line = _journal_line((row, done.timing()))
         self._append(line + "\n")
         part = self._part(done.flight)
         self._open.setdefault(part, {})[done.flight, done.arm] = line
@@ -278,22 +278,22 @@ class Store:
         try:
             self._journal.write(line)
             self._journal.flush()
-            if time.monotonic() - self._synced > _SYNC:
+            if time.monotonic() - self._synced > _FSYNC_INTERVAL_S:
                 os.fsync(self._journal.fileno())
                 self._synced = time.monotonic()
         except OSError as error:
             raise OSError(error.errno, error.strerror, self._journal.name) from error
 
     def _write_part(self, part: int) -> None:
-        """Write a part, and take its rows out of the journal if it is full."""
+        """Write a part; if it is full, remove its rows from the journal."""
         lines = [self._open[part][key] for key in sorted(self._open[part])]
-        self._forget_digests(part)
+        self._drop_digests(part)
         if not lines:
             for kind in ("results", "timing"):
                 self._path(kind, part).unlink(missing_ok=True)
             return
         for kind, schema, column in (("timing", TIMING, 1), ("results", self._schema, 0)):
-            table = _table(lines, column, schema)
+            table = _column_table(lines, column, schema)
             write_whole(self._path(kind, part), lambda p, t=table: _write_table(t, p))  # type: ignore[misc]
             data = self._path(kind, part).read_bytes()
             self._parts()[self._name(kind, part)] = bytes_digest(data)
@@ -304,7 +304,7 @@ class Store:
             self._write_journal()
 
     def _write_journal(self) -> None:
-        """Write the journal anew with the rows of parts that are not full."""
+        """Rewrite the journal with the rows of incomplete parts."""
         path = self.folder / "journal.jsonl"
         lines = [line for part in sorted(self._open) for line in self._open[part].values()]
         text = "".join(f"{line}\n" for line in lines)
@@ -313,8 +313,8 @@ class Store:
             self._journal.close()
             self._journal = path.open("a", encoding="utf-8")
 
-    def cut(self, flights: int) -> None:
-        """Forget flights from number `flights` on: the campaign stopped there."""
+    def truncate(self, flights: int) -> None:
+        """Delete the rows from flight number `flights` on, where the campaign stopped."""
         self.manifest["flights"] = flights
         for part in sorted(self._full | set(self._open)):
             if self._flights(part).stop <= flights:
@@ -323,8 +323,8 @@ class Store:
                 self._reopen(part)
             self._open[part] = {k: row for k, row in self._open[part].items() if k[0] < flights}
 
-    def forget(self, rows: Set[tuple[int, int]]) -> None:
-        """Forget rows, by flight and arm, on the disk too, before others take their place."""
+    def delete_rows(self, rows: Set[tuple[int, int]]) -> None:
+        """Delete rows (by flight and arm) from disk too, before new ones replace them."""
         for part in sorted(self._full | set(self._open)):
             first, last = self._flights(part).start, self._flights(part).stop
             gone = {(flight, arm) for flight, arm in rows if first <= flight < last}
@@ -337,24 +337,24 @@ class Store:
         self._write_journal()
 
     def save_manifest(self, **values: Any) -> None:
-        """Write the manifest with other values."""
+        """Update values of the manifest and write it."""
         self.manifest |= values
         write_json(self.folder / "manifest.json", with_digest(self.manifest))
 
     def close(self, state: str) -> None:
-        """Write all rows into parts, empty the journal, note the state, let the folder go."""
+        """Write all rows into parts, empty the journal, record the state, release the folder."""
         try:
             for part in sorted(self._open):
                 self._write_part(part)
-            # Rows in parts that are not full are in both; they are taken from the parts.
+            # Rows of incomplete parts are in the journal too; the parts alone are kept.
             self._open.clear()
             self._write_journal()
             self.save_manifest(state=state, rows=self._rows_written())
         finally:
             self._release()
 
-    def abandon(self) -> None:
-        """Let the folder go as it is; what is finished is in the journal or in parts."""
+    def release(self) -> None:
+        """Release the folder as it is; finished flights are in the journal or in parts."""
         self._release()
 
     def _rows_written(self) -> int:
@@ -363,7 +363,7 @@ class Store:
 
     def _release(self) -> None:
         if self._journal is not None:
-            # What could not be written is in the buffer still, and cannot be written now either.
+            # Data that could not be written is still in the buffer; closing would fail again.
             with contextlib.suppress(OSError):
                 self._journal.close()
             self._journal = None
@@ -371,23 +371,23 @@ class Store:
 
 
 def _check_types(row: Any, timing: Any, schema: pa.Schema) -> None:
-    """Raise `ValueError` (of which Arrow's are) for values that their columns cannot hold."""
+    """Raise `ValueError` (base of Arrow's errors) for values that do not fit their columns."""
     pa.Table.from_pylist([row], schema)
     pa.Table.from_pylist([timing], TIMING)
 
 
-def _line(row: Row) -> str:
-    """Return a row and its times as a line of the journal, without its end."""
+def _journal_line(row: Row) -> str:
+    """Return a row and its times as a line of the journal, without the newline."""
     return json.dumps(list(row))
 
 
-def _table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
-    """Return the rows (0) or the times (1) of lines, some at a time: as tables they are big."""
+def _column_table(lines: list[str], column: int, schema: pa.Schema) -> pa.Table:
+    """Return the rows (column 0) or times (column 1) of lines, in batches to limit memory."""
     tables = [
         pa.Table.from_pylist(
-            [json.loads(line)[column] for line in lines[at : at + _AT_ONCE]], schema
+            [json.loads(line)[column] for line in lines[at : at + _ROWS_PER_BATCH]], schema
         )
-        for at in range(0, len(lines), _AT_ONCE)
+        for at in range(0, len(lines), _ROWS_PER_BATCH)
     ]
     return pa.concat_tables(tables).combine_chunks()
 
@@ -396,13 +396,13 @@ def _write_table(table: pa.Table, path: Path) -> None:
     pq.write_table(table, path, compression="zstd", write_page_checksum=True)
 
 
-def _locked(folder: Path) -> IO[str]:
-    """Return the open lock of a folder, which lasts as long as this process at most.
+def _lock_folder(folder: Path) -> IO[str]:
+    """Lock a folder until the process ends or the returned file is closed.
 
     Raises
     ------
     InputError
-        If another process has it.
+        If another process holds the lock.
     """
     lock = (folder / ".lock").open("a", encoding="utf-8")
     try:
@@ -410,6 +410,6 @@ def _locked(folder: Path) -> IO[str]:
     except OSError:
         lock.close()
         raise InputError(
-            "--out", str(folder), "a folder that no other process is writing to now"
+            "--out", str(folder), "another process is writing to this folder"
         ) from None
     return lock

@@ -1,13 +1,14 @@
-"""Subset simulation: rare failures by way of less rare ones (Au and Beck, 2001).
+"""Subset simulation for rare failures (Au and Beck, 2001).
 
-Flights of the first level are drawn as declared. Those of them that came nearest to failure, a
-share `keep`, begin chains whose flights stay at least as near; of these the nearest begin the
-chains of the next level, until enough fail. The share of failures is the product of the shares of
-the levels. A chain's step is that of Papaioannou et al. 2015 (conditional sampling): from normal
-scores z to sqrt(1 - s^2) z + s xi, taken if the flight is near enough, else the chain stays where
-it is. The world of a flight (rocks, noise, navigation errors) is part of the chain's state: a step
-keeps it or takes that of its own index, which is a draw from all worlds. Both leave the law of
-flights that are near enough as it is, so what chance does is in the share like everything else.
+Flights of the first level are drawn from the nominal distributions. The share `keep` of them that
+came closest to failure are the seeds of Markov chains whose flights stay at least as close. The
+closest of these are the seeds of the next level, until enough flights fail. The failure
+probability is the product of the conditional probabilities of the levels. The chains use
+conditional sampling (Papaioannou et al. 2015): the candidate for normal scores z is
+sqrt(1 - s^2) z + s xi; it is accepted if its flight is close enough, else the state is repeated.
+The world of a flight (rocks, noise, navigation errors) is part of the state: a step keeps it or
+uses the world of its own index, which is a draw from all worlds. Both leave the conditional
+distribution invariant, so the effect of chance is included in the probability.
 """
 
 from __future__ import annotations
@@ -28,66 +29,67 @@ from lunarsim.rng import Streams, flight_seed
 Array = NDArray[np.float64]
 Row = Mapping[str, Any]
 
-# Columns of the rows of such a campaign.
+# Additional result columns of such a campaign.
 LEVEL, CHAIN, WORLD = "level", "chain", "world"
-# Scale s of the first chains, and the share of steps that should be taken (Papaioannou et al.
-# 2015, section 4.2); each level's scale follows from what the one before has had.
-_SCALE, _TAKEN = 0.6, 0.44
-# A level that such a part of those who are not to be kept reaches is no step towards failure: the
-# metric has steps. (States of chains are there more than once: a few more than asked for are kept.)
-_MOST_MORE = 0.45
-# Margin of a flight that is at the limit.
-_LEAST = float(np.nextafter(0.0, 1.0))
+# Scale s of the first chains, and target acceptance rate (Papaioannou et al. 2015, section 4.2);
+# the scale of each level follows from the acceptance rate of the level before.
+_INITIAL_SCALE, _TARGET_ACCEPTANCE = 0.6, 0.44
+# If more than this share of the flights that should not be kept reach the threshold, the metric is
+# discrete and the level is no progress. (Repeated states always add a few flights.)
+_MAX_EXCESS_SHARE = 0.45
+# Margin of a flight exactly at the failure limit: not a failure.
+_MARGIN_AT_LIMIT = float(np.nextafter(0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class Level:
-    """What the flights of one level say.
+class SubsetLevel:
+    """Result of one level.
 
     Attributes
     ----------
     margins
-        How far each state of each chain is from failure (chains, steps); at or below 0 it fails.
-        The first level has one chain a flight, of one step.
+        Distance from failure, in units of the metric, of each state of each chain (chains,
+        steps); a value of 0 or less is a failure. In the first level each flight is a chain of
+        one state.
     worlds
-        Index whose world each state has (chains, steps).
+        Index of the world of each state (chains, steps).
     threshold
-        Margin that the chains of the next level stay at or below; 0 for the last.
+        Maximum margin in the chains of the next level; 0 for the last level.
     share
-        Of the states at or below the threshold.
-    taken
-        Share of the steps that were taken; NaN for the first level.
-    lost
-        Flights without a margin: without a verdict, or without a touchdown.
+        Share of the states at or below the threshold.
+    acceptance_rate
+        Acceptance rate of the steps; NaN for the first level.
+    missing_count
+        Number of flights without a margin: without an outcome or without a touchdown.
     """
 
     margins: Array
     worlds: NDArray[np.int64]
     threshold: float
     share: float
-    taken: float
-    lost: int
+    acceptance_rate: float
+    missing_count: int
 
 
-class Chains:
-    """Flights that are drawn from how earlier ones ended, and which of them can begin.
+class SubsetChains:
+    """Markov chains of a subset simulation, and the flights that can start next.
 
-    What a flight is depends on the root seed, its index and the rows of earlier flights of its own
-    chain and of the levels below; so it is the same whoever flies what when.
+    A flight depends on the root seed, its index and the rows of earlier flights of its own chain
+    and of the lower levels. It therefore does not depend on the engine or the order of execution.
 
     Parameters
     ----------
     dispersions
-        Of method subset.
+        Dispersions with method subset.
 
     Attributes
     ----------
     levels
-        Those that are complete.
+        Complete levels.
     stop
-        Number of flights of the whole campaign, once it is known.
-    stuck
-        Whether it ended because too many of a level's flights were as near as each other.
+        Number of flights of the complete campaign, once it is known.
+    is_stalled
+        Whether the campaign ended because too many flights of a level had equal margins.
     """
 
     def __init__(self, dispersions: Dispersions) -> None:
@@ -101,38 +103,38 @@ class Chains:
         self.reset()
 
     @property
-    def most(self) -> int:
+    def max_flights(self) -> int:
         """Number of flights if all levels are flown."""
-        return self._first(self._settings.levels)
+        return self._first_flight(self._settings.levels)
 
     @property
     def states(self) -> list[list[int]]:
-        """Flights that are the states so far of each chain of the level that is being flown."""
+        """Flights that are the states so far of each chain of the current level."""
         return [list(states) for states in self._states]
 
     def reset(self) -> None:
-        """Forget all rows."""
-        self.levels: list[Level] = []
+        """Delete all rows."""
+        self.levels: list[SubsetLevel] = []
         self.stop: int | None = None
-        self.stuck = False
-        self._scale = _SCALE
+        self.is_stalled = False
+        self._scale = _INITIAL_SCALE
         # By flight: margin, normal scores, index of the world.
         self._margins: dict[int, float] = {}
         self.scores: dict[int, Array] = {}
         self._worlds: dict[int, int] = {}
-        # Of each chain of the level that is being flown: its states so far.
+        # For each chain of the current level: its states so far.
         self._states: list[list[int]] = [[] for _ in range(self.flights)]
         self._left = self.flights
         self._waiting: deque[int] = deque(range(self.flights))
 
     # --- which flight is which ------------------------------------------------------------
 
-    def _first(self, level: int) -> int:
+    def _first_flight(self, level: int) -> int:
         """Return the first flight of a level."""
         return 0 if level == 0 else self.flights + (level - 1) * (self.flights - self.chains)
 
-    def _place(self, flight: int) -> tuple[int, int, int]:
-        """Return level, step and chain of a flight; the first level has steps of 0."""
+    def _locate(self, flight: int) -> tuple[int, int, int]:
+        """Return level, step and chain of a flight; flights of the first level have step 0."""
         if flight < self.flights:
             return 0, 0, flight
         level, rest = divmod(flight - self.flights, self.flights - self.chains)
@@ -145,9 +147,9 @@ class Chains:
         Raises
         ------
         LookupError
-            If flights that it follows from have not been seen.
+            If the flights that it depends on have not been added.
         """
-        level, step, chain = self._place(flight)
+        level, step, chain = self._locate(flight)
         if flight not in self.scores:
             self._draw(flight, level, step, chain)
         place = {LEVEL: level, CHAIN: chain if level else None, WORLD: self._worlds[flight]}
@@ -168,9 +170,9 @@ class Chains:
 
     # --- what has been flown --------------------------------------------------------------
 
-    def see(self, flight: int, row: Row) -> None:
-        """Take in the row of a flight whose draws were asked for."""
-        level, _, chain = self._place(flight)
+    def add(self, flight: int, row: Row) -> None:
+        """Add the row of a flight whose draws were requested."""
+        level, _, chain = self._locate(flight)
         if flight in self._margins or level != len(self.levels):
             return
         self._margins[flight] = self._margin(row)
@@ -181,19 +183,19 @@ class Chains:
             self._waiting.append(flight + self.chains)
         self._left -= 1
         if not self._left:
-            self._close()
+            self._close_level()
 
     def _margin(self, row: Row) -> float:
-        """Return how far a flight is from failure; one that has no value is taken as far away."""
+        """Return the distance of a flight from failure; infinity if it has no metric."""
         value = row.get(self._settings.metric)
         if value is None or not np.isfinite(value):
             return np.inf
         above, below = self._settings.above, self._settings.below
         margin = float(value) - below if above is None else above - float(value)  # type: ignore[operator]
-        return margin or _LEAST  # at the limit is not beyond it
+        return margin or _MARGIN_AT_LIMIT  # a flight at the limit is not a failure
 
-    def _close(self) -> None:
-        """Note a complete level, and begin the next."""
+    def _close_level(self) -> None:
+        """Record a complete level and start the next."""
         number = len(self.levels)
         states = np.array(self._states)
         margins = np.vectorize(self._margins.__getitem__, otypes=[float])(states)
@@ -202,22 +204,26 @@ class Chains:
         threshold = max(0.0, float(margins.ravel()[order[-1]]))
         kept = float(np.mean(margins <= threshold))
         keep = self._settings.keep
-        self.stuck = threshold > 0.0 and kept > keep + _MOST_MORE * (1.0 - keep)
-        last = threshold == 0.0 or self.stuck or number == self._settings.levels - 1
+        self.is_stalled = threshold > 0.0 and kept > keep + _MAX_EXCESS_SHARE * (1.0 - keep)
+        last = threshold == 0.0 or self.is_stalled or number == self._settings.levels - 1
         if last:
             threshold, kept = 0.0, float(np.mean(margins <= 0.0))
-        first, end = self._first(number), self._first(number + 1)
-        taken = float(np.mean(states[:, 1:] != states[:, :-1])) if number else np.nan
-        lost = sum(self._margins[i] == np.inf for i in range(first, end))
-        self.levels.append(Level(margins, worlds, threshold, kept, taken, lost))
+        first, end = self._first_flight(number), self._first_flight(number + 1)
+        acceptance_rate = float(np.mean(states[:, 1:] != states[:, :-1])) if number else np.nan
+        missing_count = sum(self._margins[i] == np.inf for i in range(first, end))
+        self.levels.append(
+            SubsetLevel(margins, worlds, threshold, kept, acceptance_rate, missing_count)
+        )
         if last:
             self.stop = end
             return
         if number:
-            self._scale = min(1.0, self._scale * float(np.exp(taken - _TAKEN)))
+            self._scale = min(
+                1.0, self._scale * float(np.exp(acceptance_rate - _TARGET_ACCEPTANCE))
+            )
         if kept * margins.size > self.chains:
-            # As many as are needed of those near enough, whichever they are: were the nearest
-            # taken, chains would not begin by the law of all that are near enough.
+            # Sample the seeds from all states at or below the threshold: taking the closest ones
+            # would not follow the conditional distribution.
             near = np.flatnonzero(margins.ravel() <= threshold)
             rng = Streams(flight_seed(self.laws.seed, end)).get("subset.seeds")
             order = np.sort(rng.choice(near, self.chains, replace=False))
@@ -226,12 +232,12 @@ class Chains:
         self._waiting = deque(range(end, end + self.chains))
 
     def resume(self, rows: Iterable[Row]) -> list[int]:
-        """Take in rows of a folder, by flight; return flights that follow from none that is there.
+        """Add the rows of a folder, sorted by flight; return flights whose predecessor is missing.
 
         Parameters
         ----------
         rows
-            Of the only arm.
+            Rows of the only arm.
         """
         self.reset()
         orphans: list[int] = []
@@ -245,21 +251,21 @@ class Chains:
             if any(drawn[key] != row.get(key) for key in self._compared):
                 orphans.append(flight)
             else:
-                self.see(flight, row)
+                self.add(flight, row)
         return orphans
 
     def value_of(self, margin: float) -> float:
-        """Return the value of the metric that a margin stands for."""
+        """Return the value of the metric that corresponds to a margin."""
         above, below = self._settings.above, self._settings.below
         return margin + below if above is None else above - margin  # type: ignore[operator]
 
     @property
     def metric(self) -> str:
-        """The column that tells how near failure is."""
+        """Column that measures the distance from failure."""
         return self._settings.metric
 
     def groups(self, has: Callable[[int, int], bool]) -> Iterator[Group | None]:
-        """Yield flights that can begin and have no row; None while all wait for others."""
+        """Yield flights that can start and have no row; None while all wait for others."""
         while self.stop is None:
             if not self._waiting:
                 yield None

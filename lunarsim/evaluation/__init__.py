@@ -1,1 +1,1 @@
-"""What judges: maps against the truth, probabilities against frequencies, flights and campaigns."""
+"""Evaluation of hazard maps, probabilities, flights and campaigns against the truth."""

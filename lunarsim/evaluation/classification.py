@@ -1,4 +1,4 @@
-"""How good a probability map is: three classes, confusion, reliability (paper, V.B and V.C)."""
+"""Evaluate a probability map: three classes, confusion, reliability (paper, V.B and V.C)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lunarsim.evaluation.statistics import Proportion
 
-# Edges of the bins of the reliability diagram: most of a map is at small probabilities.
+# Bin edges of the reliability diagram; most cells of a map have small probabilities.
 RELIABILITY_EDGES = np.array(
     [0.0, 1e-4, 3e-4, 1e-3, 2.5e-3, 5e-3, 1e-2, 3e-2, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0]
 )
@@ -17,18 +17,18 @@ RELIABILITY_EDGES = np.array(
 
 @dataclass(frozen=True)
 class Classification:
-    """Counts of cells; rates are NaN where there is nothing to count.
+    """Counts of cells; rates are NaN where the denominator is 0.
 
     Attributes
     ----------
     cells, clear, occupied
-        Of the map; truly clear; truly under a hazard.
+        Number of cells of the map; truly clear; truly occupied by a hazard.
     called_clear, called_occupied
-        By the thresholds; the rest is unknown.
+        Classified by the thresholds; the rest is unknown.
     clear_right, clear_wrong
-        Called clear and truly clear, or under a hazard.
+        Classified clear and truly clear, or truly occupied.
     occupied_right
-        Called occupied and under a hazard.
+        Classified occupied and truly occupied.
     """
 
     cells: int
@@ -41,13 +41,13 @@ class Classification:
     occupied_right: int
 
     def __add__(self, other: Classification) -> Classification:
-        """Pool the cells of two maps."""
+        """Add the counts of two maps."""
         mine, more = self.counts(), other.counts()
         return Classification(**{name: mine[name] + more[name] for name in mine})
 
     @property
     def rates(self) -> dict[str, float]:
-        """The paper's figures: recall of clear ground, and so on, each a share."""
+        """The paper's rates: recall of clear terrain and others, each a share."""
         return {
             "clear_recall": _share(self.clear_right, self.clear),
             "occupied_called_clear": _share(self.clear_wrong, self.occupied),
@@ -74,10 +74,10 @@ def classify(
     *,
     observed: NDArray[np.bool_],
 ) -> Classification:
-    """Compare a map of the probability of hazard (rows, cols) with the truth (rows, cols).
+    """Compare a map of the hazard probability (rows, cols) with the truth (rows, cols).
 
-    Clear is what was `observed` (rows, cols) and has a small probability: where few rocks are
-    expected that is small before any picture.
+    A cell is classified clear if it was `observed` (rows, cols) and has a small probability.
+    Where few rocks are expected, the probability is small before any image.
     """
     called_clear = observed & (probability < clear_below)
     called_occupied = probability > occupied_above

@@ -1,7 +1,7 @@
-"""Differences between arms that flew the same flights, and what may be said of them.
+"""Compare arms that flew the same flights.
 
-Arms meet the same worlds and noise, so flights are compared one by one. A test of many differences
-is corrected for their number by Holm's step-down procedure (Holm 1979, Scand. J. Statist. 6, 65).
+Arms meet the same worlds and noise, so flights are paired. Tests of several differences are
+corrected by Holm's step-down procedure (Holm 1979, Scand. J. Statist. 6, 65).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from scipy.stats import beta, binom, binomtest, bootstrap, norm, ttest_1samp
 
 Array = NDArray[np.float64]
 
-# Draws of the bootstrap; its cost grows with draws times values.
-_DRAWS = 2000
-# More values than this are no better off with a bootstrap than with the normal interval.
-_MOST_BOOTSTRAPPED = 20_000
+# Bootstrap resamples; the cost grows with resamples times values.
+_RESAMPLES = 2000
+# Above this number of values the normal interval is as good as a bootstrap.
+_MAX_BOOTSTRAP_VALUES = 20_000
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Second less first, on the flights that both have.
+    """Difference, second minus first, on the flights that both arms have.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Difference:
     value, low, high
         Mean difference and its 95 % interval.
     p
-        Of no difference, two-sided.
+        Two-sided p-value of no difference.
     corrected
-        The same after Holm's correction for all differences that were tested together.
+        p-value after Holm's correction for all differences tested together.
     """
 
     first: str
@@ -53,19 +53,19 @@ class Difference:
 def share_difference(
     first: ArrayLike, second: ArrayLike, names: tuple[str, str], level: float = 0.95
 ) -> Difference:
-    """Return the difference of two shares of the same flights.
+    """Compute the difference of two shares of the same flights.
 
     The interval is Newcombe's for paired shares (Newcombe 1998, Statist. Med. 17, 2635, method
-    10), the test McNemar's exact one.
+    10); the test is McNemar's exact test.
 
     Parameters
     ----------
     first, second
-        Successes of each flight (n,), true or false.
+        Success of each flight (n,), boolean.
     names
-        Of the arms.
+        Names of the arms.
     level
-        Of the interval.
+        Confidence level of the interval.
     """
     a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     n = len(a)
@@ -78,7 +78,7 @@ def share_difference(
 
 
 def _newcombe(both: int, gained: int, lost: int, neither: int, level: float) -> tuple[float, float]:
-    """Return Newcombe's interval of the second share less the first."""
+    """Return Newcombe's interval of the second share minus the first."""
     n = both + gained + lost + neither
     p1, p2 = (both + lost) / n, (both + gained) / n
     l1, u1 = (float(v) for v in binomtest(both + lost, n).proportion_ci(level, "wilson"))
@@ -97,9 +97,9 @@ def _newcombe(both: int, gained: int, lost: int, neither: int, level: float) -> 
 def mean_difference(
     first: ArrayLike, second: ArrayLike, names: tuple[str, str], rng: np.random.Generator
 ) -> Difference:
-    """Return the mean difference of a number over the same flights; NaN on either side is left out.
+    """Compute the mean difference of a metric over the same flights, ignoring NaN.
 
-    The interval is a bias-corrected bootstrap over flights, the test Student's of the differences.
+    The interval is a bias-corrected bootstrap over flights; the test is Student's paired t-test.
     """
     d = np.asarray(second, dtype=np.float64) - np.asarray(first, dtype=np.float64)
     d = d[np.isfinite(d)]
@@ -114,9 +114,9 @@ def mean_difference(
 def mean_bootstrap(
     values: ArrayLike, rng: np.random.Generator, level: float = 0.95
 ) -> tuple[float, float]:
-    """Return the bootstrap interval (BCa) of a mean; NaN is left out, and for fewer than 2 values.
+    """Return the bootstrap interval (BCa) of a mean, ignoring NaN; NaN for fewer than 2 values.
 
-    Over 20,000 values it is the normal interval, which then differs by nothing that shows.
+    Above 20,000 values the normal interval is used, which is then practically equal.
     """
     x = np.asarray(values, dtype=np.float64)
     x = x[np.isfinite(x)]
@@ -124,15 +124,17 @@ def mean_bootstrap(
         return float("nan"), float("nan")
     if np.ptp(x) == 0.0:
         return float(x[0]), float(x[0])
-    if len(x) > _MOST_BOOTSTRAPPED:
+    if len(x) > _MAX_BOOTSTRAP_VALUES:
         half = float(norm.ppf(0.5 + 0.5 * level) * x.std(ddof=1) / np.sqrt(len(x)))
         return float(x.mean()) - half, float(x.mean()) + half
-    found = bootstrap((x,), np.mean, n_resamples=_DRAWS, confidence_level=level, batch=200, rng=rng)
+    found = bootstrap(
+        (x,), np.mean, n_resamples=_RESAMPLES, confidence_level=level, batch=200, rng=rng
+    )
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def holm(p: Sequence[float]) -> Array:
-    """Return p values corrected for their number; NaN stays and counts as none."""
+    """Correct p-values for multiple tests (Holm); NaN stays NaN and is not counted."""
     values = np.asarray(p, dtype=np.float64)
     out = np.full(len(values), np.nan)
     known = np.flatnonzero(np.isfinite(values))
@@ -147,9 +149,9 @@ def holm(p: Sequence[float]) -> Array:
 def quantile_interval(
     values: ArrayLike, q: float, level: float = 0.95
 ) -> tuple[float, float, float]:
-    """Return a quantile and the interval of order statistics that covers it whatever the law is.
+    """Return a quantile and its distribution-free interval from order statistics.
 
-    NaN where there are too few values for such an interval (or none).
+    The bounds are NaN if there are too few values.
     """
     x = np.sort(np.asarray(values, dtype=np.float64))
     x = x[np.isfinite(x)]
@@ -165,20 +167,20 @@ def quantile_interval(
 
 @dataclass(frozen=True)
 class Ellipse:
-    """Where the share `level` of landings lies, taken as normal.
+    """Confidence ellipse of landing points, assuming a normal distribution.
 
     Attributes
     ----------
     centre
         East and north (2,), m.
     half_axes
-        Long and short (2,), m.
+        Semi-major and semi-minor axis (2,), m.
     azimuth
-        Of the long axis, counted from north to the east, rad.
+        Azimuth of the major axis, from north towards east, rad.
     level
-        Share.
+        Share of landings that the ellipse should contain.
     inside
-        Share of the landings that lie in it: far from `level` they are not normal.
+        Share of landings inside; a large difference from `level` shows a non-normal distribution.
     """
 
     centre: Array
@@ -189,7 +191,7 @@ class Ellipse:
 
 
 def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
-    """Return the ellipse of landing points (n, 2), m; NaN is left out; None of fewer than 3."""
+    """Return the ellipse of landing points (n, 2), m, ignoring NaN; None for fewer than 3."""
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 3:
@@ -197,7 +199,7 @@ def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
     centre, covariance = points.mean(axis=0), np.cov(points.T)
     values, vectors = np.linalg.eigh(covariance)
     bound = float(chdtri(2, 1.0 - level))
-    # Where a spread is nothing, rounding must not make it less.
+    # Rounding can make a zero variance negative.
     values = np.maximum(values, 0.0)
     off = (points - centre) @ vectors
     scaled = (off**2 / np.where(values > 0.0, values, np.inf)).sum(axis=1)
@@ -208,6 +210,6 @@ def landing_ellipse(xy: ArrayLike, level: float = 0.95) -> Ellipse | None:
     )  # fmt: skip
 
 
-def greatest_share(count: int, total: int, level: float = 0.95) -> float:
-    """Return the Clopper-Pearson upper bound of a share: of none in n it is about 3 / n."""
+def share_upper_bound(count: int, total: int, level: float = 0.95) -> float:
+    """Return the Clopper-Pearson upper bound of a share: about 3 / n for 0 of n."""
     return 1.0 if count >= total else float(beta.ppf(level, count + 1, total - count))

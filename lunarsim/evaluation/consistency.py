@@ -1,4 +1,4 @@
-"""Whether a filter errs by what it says: normalised errors and innovations, and their bounds."""
+"""Check filter consistency by normalised errors and innovations, and their bounds."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 
 def normalised_square(error: ArrayLike, covariance: ArrayLike) -> float:
-    """Return ``e' P^-1 e`` of an error (d,) and its stated covariance (d, d).
+    """Return ``e' P^-1 e`` of an error (d,) and its predicted covariance (d, d).
 
-    Chi-squared with d degrees of freedom for a consistent filter: the NEES of an estimate, the NIS
-    of an innovation (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
+    It is chi-squared with d degrees of freedom for a consistent filter: the NEES of an estimate,
+    the NIS of an innovation (Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
     """
     e = np.asarray(error, dtype=np.float64)
     return float(e @ np.linalg.solve(np.asarray(covariance, dtype=np.float64), e))
@@ -21,12 +21,12 @@ def normalised_square(error: ArrayLike, covariance: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Normalised squares added up over independent trials.
+    """Sum of normalised squares over independent trials.
 
     Attributes
     ----------
     total, degrees
-        Their sum, and its degrees of freedom.
+        The sum and its degrees of freedom.
     """
 
     total: float = 0.0
@@ -38,16 +38,16 @@ class Consistency:
 
     @property
     def ratio(self) -> float:
-        """Mean square over what is stated: 1 for a consistent filter; NaN without trials."""
+        """Mean square over its expected value: 1 for a consistent filter; NaN without trials."""
         return self.total / self.degrees if self.degrees else float("nan")
 
     def bounds(self, level: float = 0.95) -> tuple[float, float]:
-        """Return what `ratio` lies between with this probability, if the filter is consistent."""
+        """Return the interval that contains `ratio` with this probability if consistent."""
         tail = 0.5 * (1.0 - level)
         low, high = chi2.ppf([tail, 1.0 - tail], self.degrees) / self.degrees
         return float(low), float(high)
 
     def holds(self, level: float = 0.95) -> bool:
-        """Tell whether `ratio` lies within the bounds."""
+        """Return whether `ratio` lies within the bounds."""
         low, high = self.bounds(level)
         return low <= self.ratio <= high

@@ -1,4 +1,4 @@
-"""Precision and recall of hazard maps against exact safety: written once, for all that judge."""
+"""Precision and recall of hazard maps against the exact safety."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from lunarsim.world.truth import Truth
 
 @dataclass(frozen=True)
 class MapQuality:
-    """Counts of judged cells.
+    """Counts of evaluated cells.
 
     Attributes
     ----------
     hits
-        Called safe, and safe.
+        Classified safe, and truly safe.
     false_safe
-        Called safe, and not.
+        Classified safe, but truly unsafe.
     missed
-        Safe, and not called so.
+        Truly safe, but classified unsafe.
     rejected
-        Neither safe nor called so.
+        Classified unsafe, and truly unsafe.
     """
 
     hits: int
@@ -36,12 +36,12 @@ class MapQuality:
 
     @classmethod
     def none(cls) -> MapQuality:
-        """Return the counts of no map."""
+        """Return zero counts."""
         return cls(0, 0, 0, 0)
 
     @classmethod
     def of(cls, called: ArrayLike, safe: ArrayLike) -> MapQuality:
-        """Count cells called safe (n,) against cells that are (n,).
+        """Compare cells classified safe (n,) with cells that are safe (n,).
 
         Examples
         --------
@@ -54,7 +54,7 @@ class MapQuality:
                    int((~c & ~s).sum()))  # fmt: skip
 
     def __add__(self, other: MapQuality) -> MapQuality:
-        """Pool the cells of two maps."""
+        """Add the counts of two maps."""
         return MapQuality(
             self.hits + other.hits,
             self.false_safe + other.false_safe,
@@ -64,19 +64,19 @@ class MapQuality:
 
     @property
     def precision(self) -> float:
-        """Share of the cells called safe that are; NaN without any."""
+        """Share of the cells classified safe that are safe; NaN without any."""
         called = self.hits + self.false_safe
         return self.hits / called if called else float("nan")
 
     @property
     def recall(self) -> float:
-        """Share of the safe cells called so; NaN without any."""
+        """Share of the safe cells that are classified safe; NaN without any."""
         safe = self.hits + self.missed
         return self.hits / safe if safe else float("nan")
 
     @property
     def judged(self) -> int:
-        """Number of cells."""
+        """Number of evaluated cells."""
         return self.hits + self.false_safe + self.missed + self.rejected
 
     @property
@@ -88,16 +88,16 @@ class MapQuality:
 def map_quality(
     hazard_map: HazardMap, truth: Truth, error: ArrayLike, level: float = 0.5
 ) -> MapQuality:
-    """Compare what a map has observed with the truth, cell by cell.
+    """Compare the observed cells of a map with the truth.
 
     Parameters
     ----------
     hazard_map, truth
-        The map, and what judges it.
+        Hazard map, and exact safety of the world.
     error
-        Map less true coordinates (3,), m.
+        Map coordinates minus true coordinates (3,), m.
     level
-        p_safe above which a cell is called safe.
+        Threshold of p_safe above which a cell is classified safe.
     """
     seen = hazard_map.observed
     xy = hazard_map.grid.centres()[seen] - np.asarray(error)[:2]
@@ -105,25 +105,25 @@ def map_quality(
 
 
 def local_ground(terrain: Terrain, grid: Grid, error: ArrayLike) -> NDArray[np.float32]:
-    """Return the true elevation where a map has its cells, in the map's heights (rows, cols), m.
+    """Return the true elevation at the cells of a map, in the map's frame (rows, cols), m.
 
     Parameters
     ----------
     terrain
-        The true ground.
+        True terrain.
     grid
-        Of the map.
+        Grid of the map.
     error
-        Map less true coordinates (3,), m.
+        Map coordinates minus true coordinates (3,), m.
     """
     error = np.asarray(error, dtype=np.float64)
     return np.asarray(terrain.raster(grid.moved(-error)) + np.float32(error[2]))
 
 
 def precision_at_recall(p: NDArray[np.float32], safe: NDArray[np.bool_], recall: float) -> float:
-    """Return the precision at the level of p (n,) where this share of the safe cells is called.
+    """Return the precision at the threshold of p (n,) that gives this recall.
 
-    NaN where no level reaches it.
+    NaN if no threshold above 0 reaches it.
     """
     level = float(np.quantile(p[safe], 1.0 - recall))
     called = (p >= level) & (p > 0.0)

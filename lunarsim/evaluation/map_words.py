@@ -1,4 +1,4 @@
-"""What a map that tells nothing must be said of: it saw nothing, or it calls everything safe."""
+"""Describe hazard maps that contain no useful information."""
 
 from __future__ import annotations
 
@@ -7,38 +7,38 @@ import numpy as np
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
 
-# A map on which nothing is less safe than this calls all of it safe.
-_SAFE = 0.5
+# Threshold of p_safe: if all cells are above it, the map classifies everything safe.
+_SAFE_THRESHOLD = 0.5
 
 
 def map_words(hazard_map: HazardMap | None) -> str | None:
-    """Return a sentence on a map that tells one place from another nowhere, else None.
+    """Return a remark on a map that does not distinguish safe from unsafe terrain, else None.
 
     Parameters
     ----------
     hazard_map
-        As recorded; None where nothing was ever drawn.
+        Recorded map; None if no map was generated.
     """
     if hazard_map is None or not hazard_map.observed.any():
-        return "saw nothing: no cell of it was observed"
+        return "observed nothing: it has no observed cell"
     seen = hazard_map.p_safe[hazard_map.observed]
     low, high = float(np.min(seen)), float(np.max(seen))
     words = None
-    if low > _SAFE:
-        words = f"calls everything that it saw safe: p_safe {low:.2f} to {high:.2f}"
-    elif high <= _SAFE:
-        words = f"calls nothing that it saw safe: p_safe {low:.2f} to {high:.2f}"
+    if low > _SAFE_THRESHOLD:
+        words = f"classifies all observed terrain safe: p_safe {low:.2f} to {high:.2f}"
+    elif high <= _SAFE_THRESHOLD:
+        words = f"classifies no observed terrain safe: p_safe {low:.2f} to {high:.2f}"
     elif hazard_map.in_domain is not None and not hazard_map.in_domain[hazard_map.observed].any():
-        words = "is outside of what it was calibrated for"
+        words = "is outside its calibrated domain"
     if words is None or hazard_map.in_domain is None:
         return words
     if not hazard_map.in_domain[hazard_map.observed].any() and "calibrated" not in words:
-        words += ", outside of what it was calibrated for"
+        words += ", outside its calibrated domain"
     return words
 
 
 def words_on_maps(flight: Flight) -> dict[str, str]:
-    """Return what must be said of the maps of a flight, by mapper; of the deciding one always."""
+    """Return remarks on the maps of a flight by mapper, including a missing decision map."""
     names = dict.fromkeys([*flight.maps, *([flight.decided_on] if flight.decided_on else [])])
     found: dict[str, str] = {}
     for name in names:

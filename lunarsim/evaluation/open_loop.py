@@ -1,4 +1,4 @@
-"""Commands that were planned, flown by the simulator without anything that corrects them."""
+"""Fly planned commands in the simulator without feedback."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ Array = NDArray[np.float64]
 
 
 def flown(path: RigidPath, step: float = 0.01) -> tuple[Array, Array]:
-    """Return what the simulator makes of a rigid body's path.
+    """Simulate the commands of a rigid-body path open loop.
 
     Parameters
     ----------
     path
-        Its commands and start are flown.
+        Path whose start and commands are used.
     step
-        Longest step of the integration, s.
+        Maximum integration step, s.
 
     Returns
     -------
     times
-        s (K,).
+        Time (K,), s.
     states
-        (K, 15), as `State.as_vector`.
+        States (K, 15), as `State.as_vector`.
     """
     d, count = path.descent, len(path.thrust)
     length = path.duration / count

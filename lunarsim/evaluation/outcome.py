@@ -1,4 +1,4 @@
-"""The figures of one flight, for the results table: from its record and the truth alone."""
+"""Compute the result row of one flight from its record and the truth."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.evaluation.map_quality import MapQuality, map_quality
-from lunarsim.evaluation.reach import cost_from
+from lunarsim.evaluation.reach import divert_cost_from
 from lunarsim.simulation.flight import Flight
 from lunarsim.vehicle.touchdown import ABORTED, least_margin
 from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 
-# Columns that `evaluate` gives and what they hold.
+# Columns that `evaluate` returns, and their kinds.
 COLUMNS: dict[str, str] = {
     "policy": "text",
     "safe": "bool",
@@ -43,21 +43,21 @@ COLUMNS: dict[str, str] = {
     "map_missed": "int",
     "safe_site_in_reach": "bool",
 }
-# Safe cells tried for reachability; they are spread over the mapped ground.
-_TRIES = 400
+# Maximum number of safe cells tested for reachability; they are spread over the mapped terrain.
+_MAX_TESTED_SITES = 400
 
 
 def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
-    """Return one row of results: plain numbers, no wall-clock times.
+    """Return one row of results: plain numbers, without wall-clock times.
 
-    Map cells count where the map has observed them; a cell is called safe at p_safe > 0.5.
+    Map counts include observed cells only; a cell is classified safe if p_safe > 0.5.
 
     Parameters
     ----------
     flight
-        The record, as flown or as loaded.
+        Record of the flight.
     truth
-        Exact safety of the world that it was flown in.
+        Exact safety of its world.
     """
     touchdown = flight.verdict.touchdown
     nan = float("nan")
@@ -71,7 +71,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "duration_s": flight.duration,
         "divert_m": flight.divert_distance,
         "decisions": len(flight.decisions),
-        "target_exactly_safe": bool(truth.safe_at(first_aim(flight))),
+        "target_exactly_safe": bool(truth.safe_at(initial_aim_point(flight))),
         "touchdown_x_m": float(touchdown.position[0]) if touchdown else nan,
         "touchdown_y_m": float(touchdown.position[1]) if touchdown else nan,
         "touchdown_exactly_safe": bool(
@@ -85,7 +85,7 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
         "tip_margin": touchdown.tip_margin if touchdown else nan,
         "touchdown_margin": least_margin(truth.lander, touchdown) if touchdown else nan,
     }
-    row["p_safe"] = believed_safe(flight)
+    row["p_safe"] = predicted_p_safe(flight)
     quality = MapQuality.none()
     if flight.hazard_map is not None:
         quality = map_quality(flight.hazard_map, truth, flight.map_error)
@@ -97,8 +97,8 @@ def evaluate(flight: Flight, truth: Truth) -> dict[str, Any]:
     }
 
 
-def believed_safe(flight: Flight) -> float:
-    """Return the deciding map's probability of safety at the last site; NaN where it has none."""
+def predicted_p_safe(flight: Flight) -> float:
+    """Return p_safe of the decision map at the last site; NaN where it observed nothing."""
     m = flight.hazard_map
     if m is None or not m.grid.contains(flight.sites[-1, :2]):
         return float("nan")
@@ -106,7 +106,7 @@ def believed_safe(flight: Flight) -> float:
     return float(m.p_safe[row, col]) if m.observed[row, col] else float("nan")
 
 
-def first_aim(flight: Flight) -> Array:
+def initial_aim_point(flight: Flight) -> Array:
     """Return the true point (2,), m, that the lander aimed at before any divert."""
     t = flight.trajectory
     row = -1
@@ -117,14 +117,14 @@ def first_aim(flight: Flight) -> Array:
 
 
 def safe_site_in_reach(flight: Flight, truth: Truth) -> bool:
-    """Tell whether the mapped ground held an exactly safe site within reach when first mapped."""
+    """Return whether an exactly safe site was within reach when terrain was first mapped."""
     m, first = flight.hazard_map, flight.first_map
     if m is None or first is None:
         return False
     xy = m.grid.centres()[m.observed]
     spots = xy[truth.safe_at(xy - flight.map_error[:2])]
-    spots = spots[:: max(1, len(spots) // _TRIES)]
+    spots = spots[:: max(1, len(spots) // _MAX_TESTED_SITES)]
     if len(spots) == 0:
         return False
     sites = np.column_stack((spots, np.full(len(spots), flight.sites[-1, 2])))
-    return bool(cost_from(flight, first, sites).feasible.any())
+    return bool(divert_cost_from(flight, first, sites).feasible.any())

@@ -1,4 +1,4 @@
-"""Precision and recall of a probability of safety at every threshold."""
+"""Precision and recall of a safety probability at every threshold."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from lunarsim.evaluation.map_quality import MapQuality
 
 Array = NDArray[np.float64]
 
-# Symmetric about 0.5, finer at either end.
+# Symmetric about 0.5, finer towards 0 and 1.
 THRESHOLDS: Array = ndtr(np.linspace(-6.0, 6.0, 241))
 
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """Counts of cells between thresholds of probability.
+    """Histogram of cells over probability thresholds.
 
     Attributes
     ----------
     unsafe, safe
-        Numbers of cells at or below the first threshold, between each two, and above the last
-        (thresholds + 1,).
+        Number of unsafe and safe cells at or below the first threshold, between neighbouring
+        thresholds, and above the last (thresholds + 1,).
     """
 
     unsafe: Array
@@ -32,34 +32,34 @@ class PrecisionRecall:
 
     @classmethod
     def of(cls, probability: ArrayLike, safe: ArrayLike) -> PrecisionRecall:
-        """Count cells by their probability of safety (n,) and by whether they are safe (n,)."""
+        """Count cells by their safety probability (n,) and by whether they are safe (n,)."""
         place = np.searchsorted(THRESHOLDS, np.asarray(probability))
         good = np.asarray(safe, np.bool_)
         counts = (np.bincount(place[own], minlength=len(THRESHOLDS) + 1) for own in (~good, good))
         return cls(*(np.asarray(n, np.float64) for n in counts))
 
     def __add__(self, other: PrecisionRecall) -> PrecisionRecall:
-        """Pool the cells of two maps."""
+        """Add the counts of two maps."""
         return PrecisionRecall(self.unsafe + other.unsafe, self.safe + other.safe)
 
     def curve(self) -> tuple[Array, Array]:
-        """Return precision and recall as the threshold falls, from where any cell is called."""
+        """Return precision and recall for falling thresholds, from the first classified cell."""
         wrong, hits = np.cumsum(self.unsafe[::-1]), np.cumsum(self.safe[::-1])
         used = hits + wrong > 0
         return hits[used] / (hits + wrong)[used], hits[used] / max(hits[-1], 1.0)
 
     def at_half(self) -> MapQuality:
-        """Return the quality of what is called safe at p > 0.5."""
+        """Return the map quality at the threshold p > 0.5."""
         half = len(THRESHOLDS) // 2 + 1
         numbers = self.safe[half:], self.unsafe[half:], self.safe[:half], self.unsafe[:half]
         return MapQuality(*(int(n.sum()) for n in numbers))
 
     def precision_at(self, recall: float) -> float:
-        """Return the precision at the highest threshold with this recall, or at the lowest one."""
+        """Return the precision at the highest threshold with this recall, or at the lowest."""
         precision, found = self.curve()
         return float(precision[min(int(np.searchsorted(found, recall)), len(found) - 1)])
 
     def recall_at(self, precision: float) -> float:
-        """Return the greatest recall of a threshold with this precision or more; 0 without any."""
+        """Return the maximum recall of thresholds with at least this precision; 0 without any."""
         own, found = self.curve()
         return float(found[own >= precision].max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Where a lander could still have landed, from the record of its flight."""
+"""Compute from a flight record where the lander could have landed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lunarsim.simulation.flight import Flight
 
 Array = NDArray[np.float64]
 
-_APPROACH = 0.0
+_APPROACH_PHASE = 0.0
 
 
-def cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
-    """Return what the flight's law would have taken from an estimate to sites (n, 3), local."""
+def divert_cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
+    """Return the divert cost of the flight's guidance law to sites (n, 3), local frame."""
     scenario = Scenario.from_toml(flight.scenario)
     approach, lander = scenario.approach.make(), scenario.vehicle.make()
     cost: DivertCost = scenario.guidance.make().cost(
@@ -27,10 +27,10 @@ def cost_from(flight: Flight, here: Estimate, sites: Array) -> DivertCost:
     return cost
 
 
-def estimate_in(flight: Flight, row: int) -> Estimate:
-    """Return what the computer believed in a row of the trajectory; its attitude is the true one.
+def estimate_at_row(flight: Flight, row: int) -> Estimate:
+    """Return the navigation estimate in a row of the trajectory.
 
-    The covariance is not recorded: NaN.
+    The attitude and rate are the true ones, and the covariance is NaN: they are not recorded.
     """
     t = flight.trajectory
     position, velocity = (
@@ -44,10 +44,10 @@ def estimate_in(flight: Flight, row: int) -> Estimate:
     )  # fmt: skip
 
 
-def rows_of_decisions(flight: Flight) -> tuple[int, int] | None:
-    """Return the first and last row in which a policy could be asked; None without any.
+def decision_rows(flight: Flight) -> tuple[int, int] | None:
+    """Return the first and last row in which a policy could decide; None without any.
 
-    From the first map on, in the approach and between the heights of the scenario's decisions.
+    Decisions need a map, the approach phase, and a height within the scenario's limits.
     """
     if flight.first_map is None:
         return None
@@ -55,18 +55,18 @@ def rows_of_decisions(flight: Flight) -> tuple[int, int] | None:
     window, lander = scenario.decisions.make(), scenario.vehicle.make()
     height = t["estimated_z"] - t["site_z"] - lander.com_height
     asked = np.flatnonzero(
-        (t["phase"] == _APPROACH) & (t["time"] >= flight.first_map.time)
+        (t["phase"] == _APPROACH_PHASE) & (t["time"] >= flight.first_map.time)
         & (height <= window.first_altitude) & (height >= window.last_altitude)
     )  # fmt: skip
     return (int(asked[0]), int(asked[-1])) if len(asked) else None
 
 
-def reach_in(flight: Flight, row: int, grid: Grid) -> Reach:
-    """Return where the lander could still land in a row of the trajectory, over a local grid.
+def reach_at_row(flight: Flight, row: int, grid: Grid) -> Reach:
+    """Return where the lander could still land in a row of the trajectory, on a local grid.
 
-    The ground lies as the last map has it, at the height of the site elsewhere. What a window hides
-    counts as within reach.
+    Heights are those of the last map, and the height of the site elsewhere. Sites that are not
+    visible through the lander's window count as within reach.
     """
-    here, site = estimate_in(flight, row), flight.sites[row]
+    here, site = estimate_at_row(flight, row), flight.sites[row]
     height = heights_on(grid, flight.hazard_map, float(site[2]))
-    return Reach(grid, height, lambda sites: cost_from(flight, here, sites))
+    return Reach(grid, height, lambda sites: divert_cost_from(flight, here, sites))

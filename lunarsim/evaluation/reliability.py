@@ -1,4 +1,4 @@
-"""Whether what is said to happen with a probability happens that often."""
+"""Reliability of probabilities: compare predicted with observed frequencies."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# Finer at either end, where policies decide.
+# Bin edges, finer near 0 and 1, where policies have their thresholds.
 EDGES = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
 def reliability(probability: ArrayLike, happened: ArrayLike, edges: ArrayLike = EDGES) -> Array:
-    """Return number, sum of probabilities and number that happened for each bin (bins, 3).
+    """Return count, sum of probabilities and number of events per bin (bins, 3).
 
-    Tables of the same edges add up.
+    Tables with the same edges can be added.
 
     Parameters
     ----------
     probability, happened
-        Of the same shape.
+        Predicted probability, and whether the event happened; of the same shape.
     edges
-        Of the bins, rising; what lies beyond counts to the outermost.
+        Increasing bin edges; values outside count in the outermost bins.
     """
     edges = np.asarray(edges, dtype=np.float64)
     p = np.asarray(probability, dtype=np.float64).ravel()
@@ -35,19 +35,19 @@ def reliability(probability: ArrayLike, happened: ArrayLike, edges: ArrayLike = 
 
 
 def frequencies(table: Array) -> tuple[Array, Array]:
-    """Return mean probability and share that happened of each bin (bins,); NaN where empty."""
+    """Return mean probability and observed share per bin (bins,); NaN for empty bins."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return table[:, 1] / table[:, 0], table[:, 2] / table[:, 0]
 
 
 def brier_score(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the mean square of the probabilities less what happened (0 or 1)."""
+    """Return the Brier score: mean squared difference of probability and outcome (0 or 1)."""
     p = np.asarray(probability, dtype=np.float64)
     return float(np.mean((p - np.asarray(happened, dtype=np.float64)) ** 2))
 
 
 def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
-    """Return the Brier skill over the base rate; NaN where all is alike."""
+    """Return the Brier skill score relative to the base rate; NaN if all outcomes are equal."""
     base = float(np.mean(np.asarray(happened, dtype=np.float64)))
     if base in (0.0, 1.0):
         return float("nan")
@@ -55,7 +55,7 @@ def brier_skill(probability: ArrayLike, happened: ArrayLike) -> float:
 
 
 def calibration_error(table: Array) -> float:
-    """Return the mean distance of the two, weighted by number (ECE); NaN of an empty table."""
+    """Return the expected calibration error (ECE) of a table; NaN for an empty table."""
     count = table[:, 0].sum()
     return float(np.abs(table[:, 1] - table[:, 2]).sum() / count) if count else float("nan")
 
@@ -68,10 +68,10 @@ def calibration_error_by_chance(
     draws: int = 400,
     edges: ArrayLike = EDGES,
 ) -> float:
-    """Return the error that frequencies told rightly stay under this often; NaN of none.
+    """Return a quantile of the calibration error that correct probabilities have by chance.
 
-    Few sites leave a calibration error by chance alone: what happens is drawn with the
-    probabilities (n,) themselves, so often, each independent of all others.
+    The outcomes are drawn independently with the probabilities (n,), `draws` times. NaN without
+    probabilities.
     """
     p = np.asarray(probability, dtype=np.float64).ravel()
     if not len(p):

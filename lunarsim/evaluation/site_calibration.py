@@ -1,4 +1,4 @@
-"""A scenario's own sites: the last stage fitted to them, and how good it is on flights left out."""
+"""Refit the last calibration stage to a scenario's sites, and cross-validate it by flight."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from lunarsim.world.truth import Truth
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_SURE = 0.95
+_CONFIDENT_P = 0.95
 _RESAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class Sites:
+class SiteSamples:
     """Sites of maps (n,), by column.
 
     Attributes
@@ -40,15 +40,15 @@ class Sites:
     flight
         Index of the flight.
     log_odds, agreed
-        The lowest of the packaged regressions, and whether they agree.
+        Minimum log odds of the ensemble of packaged regressions, and whether they agree.
     ceiling, clear, bound, known
-        What p cannot exceed by what was seen, the chance that no rock lies unseen under the pads,
-        the bound outside the domain, and whether few enough rocks can stand unseen for the packaged
+        Upper limit of p from the observations; probability that no undetected rock lies under the
+        pads; bound outside the domain; whether few enough rocks can be undetected for the packaged
         regressions.
     hazards, tilting, noise, spacing
-        See `Domain`.
+        Expected counts of hazards, and ratios of noise and spacing, as in `Domain`.
     safe
-        Exactly.
+        Whether the site is exactly safe.
     """
 
     flight: NDArray[np.int64]
@@ -69,15 +69,15 @@ class Sites:
         return len(self.safe)
 
     @classmethod
-    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> Sites:
-        """Take sites of a map.
+    def of(cls, evidence: Evidence, where: BoolArray, safe: BoolArray, flight: int) -> SiteSamples:
+        """Collect the sites of a map.
 
         Parameters
         ----------
         evidence
-            Of the map.
+            Evidence of the map.
         where, safe
-            The sites, observed ones, and whether they are safe (rows, cols).
+            Mask of the observed sites to take, and whether they are safe (rows, cols).
         flight
             Index of the flight.
         """
@@ -101,95 +101,95 @@ class Sites:
         )
 
     @classmethod
-    def joined(cls, parts: list[Sites]) -> Sites:
-        """Put sites end to end; at least one part."""
+    def joined(cls, parts: list[SiteSamples]) -> SiteSamples:
+        """Concatenate sites of at least one part."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
-    def at(self, where: BoolArray) -> Sites:
+    def at(self, where: BoolArray) -> SiteSamples:
         """Return the sites of a mask (n,)."""
-        return Sites(*(getattr(self, f.name)[where] for f in fields(self)))
+        return SiteSamples(*(getattr(self, f.name)[where] for f in fields(self)))
 
     def domain(self) -> Domain:
         """Return the domain that the sites cover.
 
-        Sites outside the packaged domain count where there are enough to fit a stage to.
+        Sites outside the packaged domain are included if there are enough of them for a fit.
         """
         s = self if enough(self.safe[~self.known]) else self.at(self.known)
         return Domain.of(s.hazards, s.tilting, s.noise, s.spacing)
 
     def inside(self, domain: Domain) -> BoolArray:
-        """Tell which sites lie in a domain (n,)."""
+        """Return which sites lie in a domain (n,)."""
         few = domain.few(self.hazards, self.tilting)
         return np.asarray(few & domain.measured(self.noise, self.spacing))
 
     def probability(self, refit: ScenarioCalibration | None = None) -> Array:
-        """Return what a map says of the sites (n,): the packaged way, or with a refit."""
+        """Return p_safe of the sites (n,), with the packaged calibration or a refit."""
         covered = self.known if refit is None else self.inside(refit.domain)
         return judged(
             self.log_odds, self.ceiling, self.clear, self.bound, self.known, covered, refit
         )
 
     def fitted(self, lander: Lander) -> ScenarioCalibration:
-        """Fit the last stage to the sites in their domain.
+        """Fit the last calibration stage to the sites in their domain.
 
         Raises
         ------
         InputError
-            If there are not enough safe and unsafe ones.
+            If there are not enough safe and unsafe sites.
         """
-        check_enough(self)
+        check_site_counts(self)
         domain = self.domain()
         s = self.at(self.inside(domain))
         return ScenarioCalibration.fit(s.log_odds, s.safe, s.known, domain, lander, measured())
 
 
-def drawn_sites(
+def sample_sites(
     evidence: Evidence,
     truth: Truth,
     error: ArrayLike,
     count: int,
     flight: int,
     rng: np.random.Generator,
-) -> Sites:
-    """Draw sites of a map at random, where it has observed and the truth has a verdict.
+) -> SiteSamples:
+    """Sample sites of a map at random, where the map has observed and the truth is known.
 
     Parameters
     ----------
     evidence, truth
-        Of the map, and what judges it.
+        Evidence of the map, and exact safety of the world.
     error
-        Map less true coordinates (3,), m.
+        Map coordinates minus true coordinates (3,), m.
     count
-        Of sites; fewer where there are no more.
+        Maximum number of sites.
     flight, rng
-        Index of the flight, and what draws.
+        Index of the flight, and random generator.
     """
     grid = evidence.level.grid
     xy = grid.centres() - np.asarray(error)[:2]
     sites = np.flatnonzero(evidence.observed & truth.known_at(xy))
     where = np.zeros(grid.shape, np.bool_)
     where.ravel()[rng.choice(sites, min(count, len(sites)), replace=False)] = True
-    return Sites.of(evidence, where, truth.safe_at(xy), flight)
+    return SiteSamples.of(evidence, where, truth.safe_at(xy), flight)
 
 
 @dataclass(frozen=True)
-class Figures:
-    """How well probabilities tell which sites are safe; each with the ends of its 95 % interval.
+class ProbabilityQuality:
+    """Quality of safety probabilities; arrays hold value and ends of the 95 % interval (3,).
 
     Attributes
     ----------
     sites
-        Number of them.
+        Number of sites in the domain.
     share
-        Of all sites, those in the domain that is looked at.
+        Share of all sites that lie in the domain.
     safe
-        Share safe.
+        Observed share of safe sites.
     ece, skill
-        Expected calibration error, and Brier skill over the base rate.
+        Expected calibration error, and Brier skill score relative to the base rate.
     sure
-        Number with p > 0.95.
+        Number of sites with p > 0.95.
     gap
-        Mean p of these less the share safe.
+        Bias of the sites with p > 0.95: mean p minus observed share of safe sites.
     """
 
     sites: int
@@ -201,68 +201,69 @@ class Figures:
     gap: Array
 
     def plain(self) -> dict[str, float | None]:
-        """Return the figures without intervals; None for those that there are not."""
+        """Return the values without intervals; None for values that are not finite."""
         found = {"sites": float(self.sites), "sure": float(self.sure)}
         found |= {n: float(getattr(self, n)[0]) for n in ("share", "safe", "ece", "skill", "gap")}
         return {name: value if np.isfinite(value) else None for name, value in found.items()}
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """Packaged probability and refit on the same sites.
+class CalibrationComparison:
+    """Comparison of the packaged and refitted probability on the same sites.
 
     Attributes
     ----------
     packaged, refit
-        Figures of either.
+        Quality of each.
     gain
-        Brier score of the packaged less that of the refit, and the ends of its 95 % interval (3,).
+        Brier score of the packaged probability minus that of the refit, and the ends of its 95 %
+        interval (3,).
     """
 
-    packaged: Figures
-    refit: Figures
+    packaged: ProbabilityQuality
+    refit: ProbabilityQuality
     gain: Array
 
     @property
     def better(self) -> bool:
-        """Whether the refit is nearer the truth beyond what the flights' chance explains."""
+        """Whether the refit is significantly better."""
         return bool(self.gain[1] > 0.0)
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A refit judged by flights that it was not fitted to.
+class CrossValidation:
+    """Cross-validated quality of a refit: each flight is evaluated by a fit to the others.
 
     Attributes
     ----------
     packaged_domain, refit_domain
-        On the sites where the packaged regressions claim a frequency, and in the refit's domain.
+        Comparison on the sites where the packaged regressions apply, and in the refit's domain.
     """
 
-    packaged_domain: Judgement
-    refit_domain: Judgement
+    packaged_domain: CalibrationComparison
+    refit_domain: CalibrationComparison
 
 
-def judged_by_flights_left_out(
-    sites: Sites, flights: int, lander: Lander, rng: np.random.Generator
-) -> LeftOut:
-    """Judge each flight by a refit to all others.
+def cross_validate(
+    sites: SiteSamples, flights: int, lander: Lander, rng: np.random.Generator
+) -> CrossValidation:
+    """Cross-validate a refit: evaluate each flight by a fit to all others.
 
     Parameters
     ----------
     sites
-        Of all flights.
+        Sites of all flights.
     flights
-        Their number; those without a site count as well.
+        Number of flights, including those without a site.
     lander
-        Whose safety it is.
+        Lander that the safety refers to.
     rng
-        Draws flights for the intervals.
+        Random generator that resamples flights for the intervals.
 
     Raises
     ------
     InputError
-        If without some flight there are not enough safe and unsafe sites.
+        If there are not enough safe and unsafe sites without one of the flights.
     """
     after, inside = np.zeros(len(sites)), np.zeros(len(sites), np.bool_)
     for flight in np.unique(sites.flight):
@@ -274,44 +275,50 @@ def judged_by_flights_left_out(
     drawn = rng.multinomial(flights, np.full(flights, 1.0 / flights), _RESAMPLES)
     weights = np.vstack((np.ones(flights), drawn)).astype(np.float64)
     claimed = sites.known & sites.agreed
-    groups = (_judgement(sites, before, after, where, weights) for where in (claimed, inside))
-    return LeftOut(*groups)
+    groups = (
+        _compare_probabilities(sites, before, after, where, weights) for where in (claimed, inside)
+    )
+    return CrossValidation(*groups)
 
 
-def check_enough(sites: Sites) -> None:
-    """Raise `InputError` unless a stage can be fitted in the packaged domain or outside of it."""
+def check_site_counts(sites: SiteSamples) -> None:
+    """Raise `InputError` if there are too few sites for a fit in and outside the domain."""
     safe, known = sites.safe, sites.known
     if not (enough(safe[known]) or enough(safe[~known])):
         raise InputError(
             "safe sites", f"{safe.sum()} of {len(safe)}",
-            f"at least {LEAST_SITES} safe and as many unsafe ones, with any one flight left out: "
-            "take more flights or more sites, or a scenario whose ground has both",
+            f"must be at least {LEAST_SITES} safe and {LEAST_SITES} unsafe sites, even without "
+            "one of the flights",
+            "Use more flights or sites, or a scenario with both kinds of terrain.",
         )  # fmt: skip
 
 
-def _judgement(
-    sites: Sites, before: Array, after: Array, where: BoolArray, weights: Array
-) -> Judgement:
-    """Judge two probabilities (n,) on the sites of a mask (n,); see `_figures`."""
+def _compare_probabilities(
+    sites: SiteSamples, before: Array, after: Array, where: BoolArray, weights: Array
+) -> CalibrationComparison:
+    """Compare two probabilities (n,) on the sites of a mask (n,)."""
     flights = weights.shape[1]
     score = [(p - sites.safe) ** 2 for p in (before, after)]
     gain = _per_flight(sites.flight[where], (score[0] - score[1])[where], flights)
     with np.errstate(invalid="ignore"):
         gains = (weights @ gain) / (weights @ _per_flight(sites.flight[where], None, flights))
-    return Judgement(
-        _figures(sites, before, where, weights), _figures(sites, after, where, weights),
+    return CalibrationComparison(
+        _compute_quality(sites, before, where, weights),
+        _compute_quality(sites, after, where, weights),
         _interval(gains),
-    )  # fmt: skip
+    )
 
 
-def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figures:
-    """Return the figures of probabilities (n,) on the sites of a mask (n,).
+def _compute_quality(
+    sites: SiteSamples, p: Array, where: BoolArray, weights: Array
+) -> ProbabilityQuality:
+    """Compute the quality of probabilities (n,) on the sites of a mask (n,).
 
-    The first of `weights` (samples, flights) are ones, the others how often each flight was drawn.
+    The first row of `weights` (samples, flights) is ones; the others count resampled flights.
     """
     flights = weights.shape[1]
     s, p = sites.at(where), p[where]
-    sure = p > _SURE
+    sure = p > _CONFIDENT_P
 
     def total(values: Array | BoolArray | None, among: BoolArray | None = None) -> Array:
         at = s.flight if among is None else s.flight[among]
@@ -331,14 +338,14 @@ def _figures(sites: Sites, p: Array, where: BoolArray, weights: Array) -> Figure
         gap = total(p - s.safe, sure) / total(None, sure)
         share = number / (weights @ _per_flight(sites.flight, None, flights))
         ece = np.abs(table[..., 1] - table[..., 2]).sum(axis=1) / number
-    return Figures(
+    return ProbabilityQuality(
         len(s), _interval(share), _interval(base), _unbiased(ece), _interval(skill),
         int(sure.sum()), _interval(gap),
     )  # fmt: skip
 
 
 def _per_flight(flight: NDArray[np.int64], values: Array | BoolArray | None, flights: int) -> Array:
-    """Return the sums of values (n,), or the numbers, of each flight (flights,)."""
+    """Return the sums of values (n,), or the counts, of each flight (flights,)."""
     return np.bincount(flight, weights=values, minlength=flights).astype(np.float64)
 
 
@@ -350,9 +357,9 @@ def _interval(samples: Array) -> Array:
 
 
 def _unbiased(samples: Array) -> Array:
-    """Return the same for what is never negative and grows by chance alone, as the ECE does.
+    """Return the interval of a non-negative statistic that noise increases, such as the ECE.
 
-    Drawing flights anew adds chance: by the mean of what it adds the interval is moved back.
+    Resampling adds noise; the interval is shifted back by the mean increase.
     """
     value, low, high = _interval(samples)
     rest = samples[1:][np.isfinite(samples[1:])]
@@ -360,8 +367,8 @@ def _unbiased(samples: Array) -> Array:
     return np.array([value, max(low - added, 0.0), max(high - added, 0.0)])
 
 
-def with_figures(refit: ScenarioCalibration, left_out: LeftOut) -> ScenarioCalibration:
-    """Return a calibration that holds how good it is by the flights left out."""
+def with_quality(refit: ScenarioCalibration, left_out: CrossValidation) -> ScenarioCalibration:
+    """Return a calibration that contains its cross-validated quality."""
     groups = {
         "packaged_domain": left_out.packaged_domain,
         "refit_domain": left_out.refit_domain,

@@ -20,7 +20,7 @@ class Proportion:
     Attributes
     ----------
     count, total
-        Successes and trials.
+        Number of successes and of trials.
 
     Examples
     --------
@@ -33,7 +33,7 @@ class Proportion:
 
     @property
     def value(self) -> float:
-        """The share; NaN without trials."""
+        """Share of successes; NaN without trials."""
         return self.count / self.total if self.total else float("nan")
 
     @property
@@ -57,9 +57,9 @@ class MeanInterval:
     Attributes
     ----------
     mean
-        NaN without values.
+        Mean; NaN without values.
     half
-        Half the interval; NaN of fewer than two values.
+        Half width of the interval; NaN for fewer than two values.
     """
 
     mean: float
@@ -71,7 +71,7 @@ class MeanInterval:
 
 
 def mean_interval(values: ArrayLike) -> MeanInterval:
-    """Return the mean of values (n,) and half its 95 % interval (Student's t); NaN is left out.
+    """Return the mean of values (n,) with its 95 % interval (Student's t), ignoring NaN.
 
     Examples
     --------
@@ -88,10 +88,10 @@ def mean_interval(values: ArrayLike) -> MeanInterval:
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return the summary of each policy, in the order the policies appear.
+    """Summarise each policy, in the order in which the policies appear.
 
     Precision and recall pool the cells of all flights. ``safe_in_reach`` counts only flights in
-    which the scanned ground held an exactly safe site within reach.
+    which an exactly safe site of the mapped terrain was within reach.
     """
     summary: dict[str, dict[str, Any]] = {}
     for policy in dict.fromkeys(row["policy"] for row in rows):
@@ -113,16 +113,16 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             "propellant_median_kg": float(np.median(column("propellant_kg"))),
             "propellant_p95_kg": float(np.percentile(column("propellant_kg"), 95)),
             "divert_median_m": float(np.median(column("divert_m"))),
-            "vertical_speed_max_m_s": _peak(column("vertical_speed_m_s")),
-            "horizontal_speed_max_m_s": _peak(column("horizontal_speed_m_s")),
-            "tilt_max_deg": _peak(column("tilt_deg")),
+            "vertical_speed_max_m_s": _finite_max(column("vertical_speed_m_s")),
+            "horizontal_speed_max_m_s": _finite_max(column("horizontal_speed_m_s")),
+            "tilt_max_deg": _finite_max(column("tilt_deg")),
             "precision": quality.precision,
             "recall": quality.recall,
         }
     return summary
 
 
-def _peak(values: np.ndarray) -> float:
-    """Return the greatest finite value, NaN without any."""
+def _finite_max(values: np.ndarray) -> float:
+    """Return the maximum finite value, or NaN."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if finite.size else float("nan")

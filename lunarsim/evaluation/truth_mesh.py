@@ -1,4 +1,4 @@
-"""The truth that the quadtree paper compares with: a coarse mesh, and what leaves its planes."""
+"""Reference truth of the quadtree paper: a coarse mesh, and deviations from its planes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Array = NDArray[np.float64]
 
 
 class TruthMesh:
-    """Triangles between the means of squares of the true elevation (section 5).
+    """Triangular mesh between the means of squares of the true elevation (section 5).
 
     Parameters
     ----------
     elevation
         True elevation at full resolution (rows, cols), m.
     grid
-        Places it.
+        Grid of the elevation.
     spacing
-        Side of the squares, m: 2 lambda_z in the paper. It is rounded to whole cells.
+        Side of the squares, m: 2 lambda_z in the paper. It is rounded to a multiple of the posting.
     """
 
     def __init__(self, elevation: ArrayLike, grid: Grid, spacing: float) -> None:
@@ -30,7 +30,9 @@ class TruthMesh:
         rows, cols = grid.rows // n, grid.cols // n
         if n < 1 or rows < 2 or cols < 2:
             raise InputError(
-                "truth.spacing", spacing, f"from {grid.posting} m to half the side of the map"
+                "truth.spacing",
+                spacing,
+                f"must be from {grid.posting} m to half the side of the map",
             )
         self.spacing = n * grid.posting
         self.z = z[: rows * n, : cols * n].reshape(rows, n, cols, n).mean(axis=(1, 3))
@@ -40,8 +42,8 @@ class TruthMesh:
     def plane(self, xy: ArrayLike) -> tuple[Array, Array]:
         """Return the unit normals (..., 3) and heights (...,) of the mesh at points (..., 2).
 
-        NaN outside the outermost nodes. Between four nodes the diagonal runs from south-west to
-        north-east.
+        Points outside the outermost nodes give NaN. The diagonal between four nodes runs from
+        south-west to north-east.
         """
         xy = np.asarray(xy, dtype=np.float64)
         u = (xy[..., 0] - self.x0) / self.spacing
@@ -62,12 +64,12 @@ class TruthMesh:
         return np.where(inside[..., None], normal, np.nan), height
 
     def distance(self, elevation: ArrayLike, grid: Grid) -> Array:
-        """Return the orthogonal distance of each cell to the mesh (rows, cols), m, signed."""
+        """Return the signed orthogonal distance of each cell to the mesh (rows, cols), m."""
         normal, height = self.plane(grid.centres())
         return np.asarray((np.asarray(elevation, dtype=np.float64) - height) * normal[..., 2])
 
     def hazards(self, elevation: ArrayLike, grid: Grid, limit: float) -> Array:
-        """Return 1 where the ground leaves the mesh's planes by more than `limit` (m), else 0.
+        """Return 1 where the terrain deviates from the mesh by more than `limit` (m), else 0.
 
         NaN where there is no mesh (rows, cols).
         """

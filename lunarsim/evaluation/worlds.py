@@ -1,4 +1,4 @@
-"""The world that a recorded flight was flown in, drawn again from its scenario and seed."""
+"""Rebuild the world of a recorded flight from its scenario and seed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ from lunarsim.world import World
 
 
 def world_of(flight: Flight) -> World:
-    """Return the true world of a flight."""
+    """Rebuild the true world of a flight."""
     seed = np.random.SeedSequence(flight.seed["entropy"], spawn_key=tuple(flight.seed["spawn_key"]))
     return build_world(Scenario.world_of(flight.scenario), Streams(seed))

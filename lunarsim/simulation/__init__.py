@@ -1,4 +1,4 @@
-"""The whole loop: plant, onboard computer, what joins them, and the record of a flight."""
+"""Closed-loop simulation: plant, onboard computer, and the record of a flight."""
 
 from lunarsim.simulation.flight import Flight
 from lunarsim.simulation.loop import Simulation

@@ -1,4 +1,4 @@
-"""Compiled control cycle: the vehicle, its gyroscopes and the attitude loop, step by step."""
+"""Compiled control cycle: vehicle, gyroscopes and attitude loop, step by step."""
 
 from __future__ import annotations
 
@@ -23,17 +23,20 @@ def fly(
     ----------
     y
         True state (15,).
+    steps, dt
+        Number of steps; length of a step, s.
     thrust, figures, inertia, rig
-        Of the vehicle: see `advance_body`.
+        Thrust and parameters of the vehicle, as in `advance_body`.
     loop, target, gains, known_inertia, torque_max
-        Of the onboard attitude loop: see `demand`.
+        State and parameters of the onboard attitude loop, as in `demand`.
     matrix, offsets, quantum, remainder
-        Of the gyroscopes: see `sample`.
+        Parameters of the gyroscopes, as in `sample`.
 
     Returns
     -------
     history, increments, torques
-        States (steps, 15), what the gyroscopes gave and what was asked for (steps, 3).
+        States (steps, 15), gyroscope increments (steps, 3), rad, and commanded torques (steps, 3),
+        N m.
     """
     history = np.empty((steps, 15))
     increments = np.empty((steps, 3))

@@ -1,9 +1,9 @@
-"""A simulation as it stands, kept so that it can be gone on with more than once.
+"""Checkpoints: copies of a running simulation that can be resumed more than once.
 
-The copy shares nothing that flying changes. What is true of the ground is not copied: worlds and
-truths do not change. Arrays that look at the same memory still do so in the copy: a pickle by
-itself would make two of them. What cannot be copied with certainty (code that is not this
-package's, functions made on the way, handles of the graphics card) is refused, not guessed.
+The copy shares nothing that changes in flight. The true world and its truth are constant and are
+not copied. Arrays that share memory still do so in the copy; a plain pickle would separate them.
+Objects that cannot be copied reliably (external code, local functions, graphics handles) are
+refused.
 """
 
 from __future__ import annotations
@@ -19,28 +19,36 @@ from numpy.typing import NDArray
 
 from lunarsim.simulation.loop import Simulation
 
-# Whose objects are known to hold all of their state in themselves.
-_KNOWN = {"lunarsim", "numpy", "scipy", "filterpy"}
-# Of the standard library, what stands for things outside of the process.
-_OUTSIDE = {"ctypes", "mmap", "multiprocessing", "socket", "subprocess", "threading", "weakref"}
+# Packages whose objects hold all of their state.
+_TRUSTED_PACKAGES = {"lunarsim", "numpy", "scipy", "filterpy"}
+# Modules of the standard library whose objects refer to resources outside the process.
+_EXTERNAL_MODULES = {
+    "ctypes",
+    "mmap",
+    "multiprocessing",
+    "socket",
+    "subprocess",
+    "threading",
+    "weakref",
+}
 
 
-class NoCheckpointError(Exception):
-    """A simulation holds something of which no copy is certain."""
+class CheckpointError(Exception):
+    """The simulation contains an object that cannot be copied reliably."""
 
 
 class Checkpoint:
-    """A simulation at one moment.
+    """Copy of a simulation at one moment.
 
     Parameters
     ----------
     simulation
-        At the end of a cycle, or where a decision is due.
+        Simulation at the end of a cycle, or where a decision is due.
 
     Raises
     ------
-    NoCheckpointError
-        If it holds something of which no copy is certain.
+    CheckpointError
+        If the simulation contains an object that cannot be copied reliably.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -51,11 +59,11 @@ class Checkpoint:
         try:
             _Writer(file, self._shared).dump(simulation)
         except (pickle.PicklingError, TypeError, AttributeError, RecursionError) as error:
-            raise NoCheckpointError(str(error)) from error
+            raise CheckpointError(str(error)) from error
         self._data = file.getbuffer()
 
     def resumed(self) -> Simulation:
-        """Return a simulation that stands where the one that was kept stood."""
+        """Return a new simulation in the state of the checkpoint."""
         found = _Reader(io.BytesIO(self._data), self._shared).load()
         assert isinstance(found, Simulation)
         return found
@@ -64,44 +72,46 @@ class Checkpoint:
 class _Writer(pickle.Pickler):
     def __init__(self, file: io.BytesIO, shared: Sequence[Any]) -> None:
         super().__init__(file, protocol=5)
-        self._places = {id(one): place for place, one in enumerate(shared)}
-        # Owners of memory that is not an array's, and the array that stands for each.
+        self._shared_index = {id(one): place for place, one in enumerate(shared)}
+        # First array seen for each owner of memory that is not itself an array.
         self._owners: dict[int, NDArray[Any]] = {}
 
     def persistent_id(self, one: Any) -> int | None:
-        """Return the place of what is shared; refuse what nobody here knows."""
+        """Return the index of a shared object; refuse objects of unknown packages."""
         if isinstance(one, type):
-            room = one.__module__.partition(".")[0]
-            if room not in _KNOWN and (room in _OUTSIDE or room not in sys.stdlib_module_names):
+            package = one.__module__.partition(".")[0]
+            if package not in _TRUSTED_PACKAGES and (
+                package in _EXTERNAL_MODULES or package not in sys.stdlib_module_names
+            ):
                 raise pickle.PicklingError(f"{one.__module__}.{one.__qualname__}")
-        return self._places.get(id(one))
+        return self._shared_index.get(id(one))
 
     def reducer_override(self, one: Any) -> Any:
-        """Return how an array that looks at another's memory is made again: as such."""
+        """Pickle an array view so that it still shares memory with its base."""
         if type(one) is not np.ndarray or one.base is None:
             return NotImplemented
         root = one
         while type(root.base) is np.ndarray:
             root = root.base
         if root.base is not None:
-            # Of a kernel: several arrays may look at it, of which this pickle would make several.
+            # Memory of a kernel: several views would become several arrays.
             if self._owners.setdefault(id(root.base), root) is not root:
-                raise pickle.PicklingError("two arrays over memory that is no array's")
+                raise pickle.PicklingError("two arrays share memory that no array owns")
             if root is one:
                 return NotImplemented
         flat = root if root.flags.c_contiguous else root.T
         if not flat.flags.c_contiguous or root.dtype.hasobject:
-            raise pickle.PicklingError("a view of an array with gaps")
+            raise pickle.PicklingError("view of an array that is not contiguous")
         offset = one.__array_interface__["data"][0] - root.__array_interface__["data"][0]
         known = (one.shape, one.dtype, offset, one.strides, one.flags.writeable)
-        return _view, (root, *known)
+        return _rebuild_view, (root, *known)
 
 
-def _view(
+def _rebuild_view(
     root: NDArray[Any], shape: tuple[int, ...], dtype: Any, offset: int, strides: tuple[int, ...],
     writeable: bool,
 ) -> NDArray[Any]:  # fmt: skip
-    """Return an array over the memory of another."""
+    """Return an array view of the memory of another."""
     flat = root if root.flags.c_contiguous else root.T
     made: NDArray[Any] = np.ndarray(shape, dtype, flat, offset, strides)
     if made.flags.writeable and not writeable:
@@ -115,5 +125,5 @@ class _Reader(pickle.Unpickler):
         self._shared = shared
 
     def persistent_load(self, place: int) -> Any:
-        """Return what is shared."""
+        """Return a shared object."""
         return self._shared[place]

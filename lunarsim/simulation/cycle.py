@@ -1,7 +1,7 @@
-"""One control cycle: vehicle, gyroscopes and attitude loop together, step by step.
+"""Control cycle: vehicle, gyroscopes and attitude loop together, step by step.
 
-The attitude loop runs on the onboard computer at the rate of the gyroscopes. A law that the
-compiled cycle knows is flown by it; any other goes through the same steps in Python.
+The attitude loop runs on the onboard computer at the rate of the gyroscopes. A control law that the
+compiled cycle supports runs there; any other law runs the same steps in Python.
 """
 
 from __future__ import annotations
@@ -27,36 +27,47 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cycle:
-    """What came of a control cycle.
+class ControlCycleResult:
+    """Result of a control cycle.
 
     Attributes
     ----------
     measurements
-        Of the plant, at its end.
+        Measurements of the plant at the end of the cycle.
     torques
-        Asked for by the attitude loop at each step (n, 3), N m; none with an ideal actuator.
+        Commanded torque of the attitude loop at each step (n, 3), N m; empty with an ideal
+        actuator.
     """
 
     measurements: Measurements
     torques: Array
 
 
-def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> Cycle:
-    """Move the plant for one control cycle under a command."""
+def fly_cycle(plant: Plant, loop: AttitudeLoop, command: Command) -> ControlCycleResult:
+    """Advance the plant by one control cycle under a command."""
     command = plant.throttled(command)
     if not loop.law.torques:
         slew = loop.law.slew_limit  # type: ignore[attr-defined]
         history = plant.dynamics.advance_ideal(plant.state, command, slew, plant.steps)
-        return Cycle(plant.moved(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3)))
+        return ControlCycleResult(
+            plant.adopt_motion(history, {}, command.tasks, abort=command.abort), np.zeros((0, 3))
+        )
     name, imu = next(iter(plant.imus.items()))
-    fly = _driven if plant.actuators else _compiled if loop.compiled else _stepped
+    fly = (
+        _fly_with_actuators
+        if plant.actuators
+        else _fly_compiled
+        if loop.compiled
+        else _fly_in_python
+    )
     history, increments, torques = fly(plant, loop, imu, command.thrust)
-    measurements = plant.moved(history, {name: increments}, command.tasks, abort=command.abort)
-    return Cycle(measurements, torques)
+    measurements = plant.adopt_motion(
+        history, {name: increments}, command.tasks, abort=command.abort
+    )
+    return ControlCycleResult(measurements, torques)
 
 
-def _compiled(
+def _fly_compiled(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     d, gyros = plant.dynamics, imu.gyroscopes
@@ -68,13 +79,13 @@ def _compiled(
     return history, increments, torques
 
 
-def _driven(
+def _fly_with_actuators(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
-    """Fly a vehicle whose thrusters, gimbal and throttle are given orders."""
+    """Fly a vehicle with actuators: thrusters, gimbal and throttle."""
     actuators = plant.actuators
     if actuators is None or not isinstance(loop, JetLoop):
-        raise TypeError("a lander with thrusters is flown by a loop that orders firings")
+        raise TypeError("a lander with thrusters requires an attitude loop that commands firings")
     throttle = actuators.throttled(thrust)
 
     def advance(state: State) -> tuple[State, Array]:
@@ -84,28 +95,28 @@ def _driven(
             actuators.order(loop.on_times, loop.gimbal)
         return actuators.advance(plant.dynamics, state, throttle), torque
 
-    return _step_by_step(plant, loop, imu, advance)
+    return _fly_stepwise(plant, loop, imu, advance)
 
 
-def _stepped(
+def _fly_in_python(
     plant: Plant, loop: AttitudeLoop, imu: Imu, thrust: float
 ) -> tuple[Array, Array, Array]:
     def advance(state: State) -> tuple[State, Array]:
         torque = loop.torque()
         return plant.dynamics.advance(state, thrust, torque), torque
 
-    return _step_by_step(plant, loop, imu, advance)
+    return _fly_stepwise(plant, loop, imu, advance)
 
 
-def _step_by_step(
+def _fly_stepwise(
     plant: Plant,
     loop: AttitudeLoop,
     imu: Imu,
     advance: Callable[[State], tuple[State, Array]],
 ) -> tuple[Array, Array, Array]:
-    """Return states, increments of the gyroscopes and torques asked for, step by step.
+    """Return states, gyroscope increments and commanded torques, step by step.
 
-    `advance` asks the loop for a torque, and returns the state a step on with that torque.
+    `advance` gets a torque from the loop, and returns the next state and the torque.
     """
     gyros = imu.gyroscopes
     offsets = gyros.offsets(plant.steps)

@@ -1,21 +1,21 @@
-"""`Flight`: the record of one descent, in files that other tools open.
+"""Record of one descent, in files that other tools can open.
 
-A flight is saved as one folder:
+A flight is saved as a folder:
 
 ``flight.json``
-    Scenario, seed, policy, target, verdict, decisions, events, digests of the other files.
+    Scenario, seed, policy, target, outcome, decisions, events, digests of the other files.
 ``trajectory.parquet``
-    One row a control cycle (pandas, polars, DuckDB).
+    One row per control cycle (pandas, polars, DuckDB).
 ``maps/NAME.nc``
     The last hazard map of each mapper, NetCDF-4 with coordinates and units (xarray).
 ``maps/NAME.TABLE.parquet``
-    What else a mapper keeps, for instance the rocks that it tracks.
+    Other data of a mapper, for instance the rocks that it tracks.
 ``scans.parquet``
     LiDAR returns in the local frame, thinned.
 ``candidates.parquet``
-    Sites that the policy chose from at the last decision.
+    Candidate sites of the last decision.
 
-`Flight.load` gives back what was saved, to the last bit; the covariance of the first map's estimate
+`Flight.load` restores everything exactly, except the covariance of the first map's estimate, which
 is not saved.
 """
 
@@ -63,16 +63,16 @@ COLUMNS: dict[str, str] = {
     **{f"site_{a}": "m" for a in "xyz"},
     "time_to_go": "s",
     "phase": "0 approach, 1 vertical descent, 2 abort, 3 braking",
-    "lost": "1 while navigation says that it is lost",
+    "lost": "1 while navigation reports that it is lost",
 }
-# In which frame positions are, by what they are of; see `lunarsim.frames`.
-_TRUE, _LOCAL = (
-    "true ENU: origin at the middle of the terrain, at its mean elevation",
-    "local ENU, where the computer keeps its maps; navigation_error_m of a map leads to the true",
+# Frames of the recorded positions, as in `lunarsim.frames`.
+_TRUE_FRAME, _LOCAL_FRAME = (
+    "true ENU: origin at the centre of the terrain, at its mean elevation",
+    "local ENU, the frame of the onboard maps; subtract a map's navigation_error_m for true ENU",
 )
 FRAMES: dict[str, str] = {
-    "position, velocity, target, verdict": _TRUE,
-    "estimated, site, decisions, scans, candidates, maps": _LOCAL,
+    "position, velocity, target, verdict": _TRUE_FRAME,
+    "estimated, site, decisions, scans, candidates, maps": _LOCAL_FRAME,
 }
 _SCAN_COLUMNS = ("x", "y", "z", "time")
 _CANDIDATE_COLUMNS = ("x", "y", "z", "p_safe", "propellant")
@@ -80,7 +80,7 @@ _LAYERS = {
     "p_safe": "1", "observed": "1", "elevation": "m", "variance": "m2",
     "eligible": "1", "value": "1", "in_domain": "1",
 }  # fmt: skip
-_TRUE_OR_FALSE = ("observed", "eligible", "in_domain")
+_BOOLEAN_LAYERS = ("observed", "eligible", "in_domain")
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,12 @@ class MapRecord:
     Attributes
     ----------
     hazard_map
-        In the local frame, to 16 significant bits.
+        Map in the local frame, with 16 significant bits.
     error
-        Local less true coordinates when it was last drawn (3,), m: subtract it for the true frame.
+        Local minus true coordinates when the map was last updated (3,), m. Subtract it to get the
+        true frame.
     tables
-        What else the mapper keeps: name to columns (n,), local frame.
+        Other data of the mapper: name to columns (n,), local frame.
     """
 
     hazard_map: HazardMap
@@ -105,18 +106,18 @@ class MapRecord:
         m = self.hazard_map
         rounded = replace(
             m,
-            p_safe=_rounded(m.p_safe),
-            elevation=None if m.elevation is None else _rounded(m.elevation),
-            variance=None if m.variance is None else _rounded(m.variance),
-            value=None if m.value is None else _rounded(m.value),
+            p_safe=_round_layer(m.p_safe),
+            elevation=None if m.elevation is None else _round_layer(m.elevation),
+            variance=None if m.variance is None else _round_layer(m.variance),
+            value=None if m.value is None else _round_layer(m.value),
         )
         object.__setattr__(self, "hazard_map", rounded)
 
 
-def _rounded(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a layer rounded to 16 significant bits, which packs far shorter.
+def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Round a layer to 16 significant bits, which compress much better.
 
-    Heights within 256 m of the frame's origin are so kept to 2 mm, those within 1 km to 8 mm.
+    The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
     """
     bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32)
     whole = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)
@@ -125,34 +126,33 @@ def _rounded(layer: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @dataclass
 class Flight:
-    """The record of one descent.
+    """Record of one descent.
 
     Attributes
     ----------
     scenario
-        The scenario as TOML.
+        Scenario as TOML.
     seed
         Root entropy and spawn key of the flight's seed sequence.
     policy
         Name of the policy.
     verdict
-        How it ended.
+        Landing outcome.
     target
-        Where the mission wanted to land (3,), true frame, m.
+        Target of the mission (3,), true frame, m.
     trajectory
-        Columns (n,) by name, from cycle 0 on: the site is that before the cycle's decision; see
-        `COLUMNS`.
+        Columns (n,) by name from cycle 0 on, as listed in `COLUMNS`; the site is that before the
+        decision of the cycle.
     decisions
-        One dictionary a decision that changed the site.
+        One dictionary per decision that changed the site.
     events
-        One dictionary an event: time, name, details.
+        One dictionary per event: time, name, details.
     maps
-        The last map of each mapper that mapped anything, by name.
+        Last map of each mapper that mapped anything, by name.
     decided_on
-        Name of the mapper whose map decided.
+        Name of the mapper whose map the decisions used.
     first_map
-        Where the computer believed the lander to be when something was first mapped, or None; its
-        covariance is not kept.
+        Navigation estimate when a map was first updated, or None; its covariance is not saved.
     scans
         LiDAR returns, local frame, and scan time (n, 4), thinned, float32.
     candidates
@@ -181,13 +181,13 @@ class Flight:
 
     @property
     def hazard_map(self) -> HazardMap | None:
-        """The map that decided, or None if it was never drawn."""
+        """The decision map, or None if it was never updated."""
         record = self.maps.get(self.decided_on)
         return None if record is None else record.hazard_map
 
     @property
     def map_error(self) -> Array:
-        """Local less true coordinates of that map (3,), m."""
+        """Local minus true coordinates of the decision map (3,), m."""
         record = self.maps.get(self.decided_on)
         return np.zeros(3) if record is None else record.error
 
@@ -198,34 +198,34 @@ class Flight:
 
     @property
     def sites(self) -> Array:
-        """Where the computer was flying to, before each cycle's decision (n, 3), local frame, m."""
+        """Site before each cycle's decision (n, 3), local frame, m."""
         return np.column_stack([self.trajectory[f"site_{a}"] for a in "xyz"])
 
     @property
     def propellant_used(self) -> float:
-        """Propellant burnt, kg."""
+        """Propellant used, kg."""
         mass = self.trajectory["mass"]
         return float(mass[0] - mass[-1])
 
     @property
     def duration(self) -> float:
-        """Time of flight, s."""
+        """Flight time, s."""
         return float(self.trajectory["time"][-1])
 
     @property
     def lost(self) -> bool:
-        """Whether navigation said at the end that it was lost."""
+        """Whether navigation was lost at the end."""
         return bool(self.trajectory["lost"][-1])
 
     @property
     def first_lost(self) -> float | None:
-        """When navigation first said that it was lost, s; None if it never did."""
+        """Time at which navigation was first lost, s; None if never."""
         rows = np.flatnonzero(self.trajectory["lost"])
         return float(self.trajectory["time"][rows[0]]) if len(rows) else None
 
     @property
     def divert_distance(self) -> float:
-        """Distance over the ground from the site before the first divert to the last one, m."""
+        """Horizontal distance from the site before the first divert to the last site, m."""
         if not self.decisions:
             return 0.0
         first, last = self.decisions[0]["from"], self.decisions[-1]["to"]
@@ -234,7 +234,7 @@ class Flight:
     # --- files ----------------------------------------------------------------------------
 
     def save(self, folder: str | Path) -> Path:
-        """Write the flight into `folder`, which is made; return it."""
+        """Write the flight into `folder`, creating it; return the folder."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         table = pa.table({name: self.trajectory[name] for name in COLUMNS})
@@ -244,10 +244,10 @@ class Flight:
         for name, columns in (("scans", _SCAN_COLUMNS), ("candidates", _CANDIDATE_COLUMNS)):
             data = getattr(self, name)
             cloud = {column: data[:, i] for i, column in enumerate(columns)}
-            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL})
+            placed = pa.table(cloud).replace_schema_metadata({"frame": _LOCAL_FRAME})
             _save_table(placed, folder / f"{name}.parquet")
         for old in (folder / "maps").glob("*"):
-            old.unlink()  # of a flight that was saved here before
+            old.unlink()  # map of an earlier flight in this folder
         for name, record in self.maps.items():
             _save_map(name, record, folder / "maps")
         written = sorted(folder.glob("*.parquet")) + sorted((folder / "maps").glob("*"))
@@ -279,12 +279,12 @@ class Flight:
 
     @classmethod
     def load(cls, folder: str | Path) -> Flight:
-        """Read what `save` wrote.
+        """Read a saved flight.
 
         Raises
         ------
         InputError
-            If the folder holds no flight, or a file in it is damaged.
+            If the folder holds no flight, or one of its files is damaged.
         """
         folder = Path(folder)
         record = read_record(folder)
@@ -350,7 +350,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
     layers = {
         layer: (
             ("y", "x"),
-            data.astype(np.int8) if layer in _TRUE_OR_FALSE else data,
+            data.astype(np.int8) if layer in _BOOLEAN_LAYERS else data,
             {"units": unit},
         )
         for layer, unit in _LAYERS.items()
@@ -375,7 +375,7 @@ def _save_map(name: str, record: MapRecord, folder: Path) -> None:
 
 def _load_map(name: str, folder: Path) -> MapRecord:
     path = folder / "maps" / f"{name}.nc"
-    grid, layers, error = read_layers(folder, path, list(_LAYERS), _TRUE_OR_FALSE)
+    grid, layers, error = read_layers(folder, path, list(_LAYERS), _BOOLEAN_LAYERS)
     tables = {
         table.name.removeprefix(f"{name}.").removesuffix(".parquet"): read_columns(folder, table)
         for table in sorted(path.parent.glob(f"{name}.*.parquet"))

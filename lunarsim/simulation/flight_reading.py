@@ -1,7 +1,7 @@
-"""Reads the folder of a recorded flight, which may be damaged or come from somebody else.
+"""Read the folder of a recorded flight, which may be damaged or from an untrusted source.
 
 Every file is compared with its digest in ``flight.json``. Types, columns and shapes are checked
-before anything is made of them, sizes before anything is expanded.
+before use, and sizes before anything is decompressed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lunarsim.scenario.files import parsed_toml
 
 Array = NDArray[np.float64]
 
-# Bytes of a table or a layer when it is expanded. A flight of three hours has a table of 25 MB.
+# Maximum decompressed size of a table or layer, bytes. A flight of three hours has 25 MB.
 MAX_EXPANDED_BYTES = 2**28
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=100)]
@@ -88,7 +88,7 @@ class _Estimate(_Strict):
 
 
 class FlightRecord(_Strict):
-    """What ``flight.json`` must hold; keys are those of `lunarsim.simulation.flight.Flight`."""
+    """Required content of ``flight.json``; keys as in `lunarsim.simulation.flight.Flight`."""
 
     scenario: str
     seed: _Seed
@@ -105,17 +105,17 @@ class FlightRecord(_Strict):
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever fails while a file is read into one error that names it."""
+    """Turn any error while a file is read into one `InputError` that names the file."""
     try:
         yield
-    except Exception as error:  # the libraries raise dozens of types on damaged files
+    except Exception as error:  # the libraries raise many types on damaged files
         if isinstance(error, InputError) and error.field == "flight":
             raise
         raise _damaged(path, _reason(error)) from None
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of what an error says, with the field that it is about."""
+    """Return the first line of an error, with the field it refers to."""
     if isinstance(error, ValidationError):
         first = error.errors()[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
@@ -128,13 +128,13 @@ def _reason(error: Exception) -> str:
 
 def _damaged(path: Path, reason: str) -> InputError:
     return InputError(
-        "flight", str(path),
-        f"a whole record of this version ({reason[:100]}). Restore it from a copy, or fly again",
+        "flight", str(path), f"is not a complete record of this version ({reason[:100]})",
+        "Restore it from a copy, or fly again.",
     )  # fmt: skip
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Return the checked tables of ``flight.json``; every file that it names is whole.
+    """Return the checked tables of ``flight.json``; the digests of all its files must match.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     """
     file = folder / "flight.json"
     if not file.is_file():
-        raise InputError("flight", str(folder), "a folder that holds flight.json")
+        raise InputError("flight", str(folder), "must be a folder that contains flight.json")
     with reading(file):
         check_contents(folder)
         tables: dict[str, Any] = read_json(file)
@@ -163,27 +163,27 @@ def digest_of(path: Path) -> str:
 
 
 def _inside(folder: Path, path: Path) -> Path:
-    """Return a path; refuse one that leads out of the folder."""
+    """Return a path; refuse one outside the folder."""
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError("it leads out of the folder")
+        raise ValueError("the path is outside the folder")
     return path
 
 
 def read_columns(
-    folder: Path, path: Path, required: Sequence[str] | None = None, least: int = 0
+    folder: Path, path: Path, required: Sequence[str] | None = None, min_rows: int = 0
 ) -> dict[str, Array]:
-    """Return the numeric columns of a Parquet file (n,), as they are.
+    """Read numeric columns of a Parquet file, each (n,).
 
     Parameters
     ----------
     folder
-        The flight's, which the file must lie in.
+        Folder of the flight, which must contain the file.
     path
-        Of the file.
+        Path of the file.
     required
-        Columns of numbers that must be there, which are returned; None: all that there are.
-    least
-        Rows that there must be.
+        Names of the columns to read; None: all columns.
+    min_rows
+        Minimum number of rows.
 
     Raises
     ------
@@ -197,19 +197,19 @@ def read_columns(
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or kind == pa.bool_()):
                 raise ValueError(f"column {name} is of type {kind}")
         if 8 * f.metadata.num_rows * max(len(names), 1) > MAX_EXPANDED_BYTES:
-            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when expanded")
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
         table = f.read(names)
-        if len(table) < least:
-            raise ValueError(f"{len(table)} rows")
+        if len(table) < min_rows:
+            raise ValueError(f"only {len(table)} rows")
         if any(column.null_count for column in table.columns):
             raise ValueError("values are missing")
         return {name: np.array(table[name].to_numpy()) for name in names}
 
 
 def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of the trajectory (n,), with at least one row and finite times."""
+    """Read the columns of the trajectory (n,), which needs a row and finite times."""
     path = folder / "trajectory.parquet"
-    found = read_columns(folder, path, names, least=1)
+    found = read_columns(folder, path, names, min_rows=1)
     with reading(path):
         if not np.isfinite(found["time"]).all():
             raise ValueError("times are not finite")
@@ -217,7 +217,7 @@ def read_trajectory(folder: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.float32]:
-    """Return columns of a Parquet file side by side (n, columns)."""
+    """Read columns of a Parquet file as an array (n, columns)."""
     found = read_columns(folder, folder / f"{name}.parquet", columns)
     return np.column_stack([found[c] for c in columns]).astype(np.float32)
 
@@ -225,14 +225,14 @@ def read_rows(folder: Path, name: str, columns: Sequence[str]) -> NDArray[np.flo
 def read_layers(
     folder: Path, path: Path, names: Sequence[str], flags: Sequence[str]
 ) -> tuple[Grid, dict[str, NDArray[Any]], Array]:
-    """Return grid, layers (rows, cols) and navigation error (3,) of a map.
+    """Read grid, layers (rows, cols) and navigation error (3,) of a map.
 
     Parameters
     ----------
     folder, path
-        Of the flight, and of the NetCDF file in it.
+        Folder of the flight; NetCDF file in it.
     names, flags
-        Layers that there may be, and those of them that are true or false.
+        Names of possible layers; names of the boolean ones among them.
 
     Raises
     ------
@@ -242,15 +242,15 @@ def read_layers(
     import h5py  # noqa: PLC0415  (loads slowly)
 
     with reading(path), h5py.File(_inside(folder, path)) as file:
-        found = {name: _own_dataset(file, name) for name in names if name in file}
+        found = {name: _local_dataset(file, name) for name in names if name in file}
         shape = found["p_safe"].shape
         for name, layer in found.items():
             if layer.shape != shape or layer.dtype.kind not in "fi":
                 raise ValueError(f"layer {name} is {layer.dtype} of shape {layer.shape}")
-        if shape != tuple(_own_dataset(file, name).size for name in "yx"):
-            raise ValueError(f"layers of shape {shape} are no map over y and x")
+        if shape != tuple(_local_dataset(file, name).size for name in "yx"):
+            raise ValueError(f"layers of shape {shape} do not fit the axes y and x")
         if 8 * math.prod(shape) > MAX_EXPANDED_BYTES:
-            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when expanded")
+            raise ValueError(f"more than {MAX_EXPANDED_BYTES} bytes when decompressed")
         layers = {
             name: layer[()].astype(np.bool_ if name in flags else np.float32)
             for name, layer in found.items()
@@ -264,11 +264,11 @@ def read_layers(
         return grid, layers, error
 
 
-def _own_dataset(file: Any, name: str) -> Any:
-    """Return a dataset of an HDF5 file; refuse links, and data that lie in other files."""
+def _local_dataset(file: Any, name: str) -> Any:
+    """Return a dataset of an HDF5 file; refuse links and data in other files."""
     import h5py  # noqa: PLC0415  (loads slowly)
 
     link, dataset = file.get(name, getlink=True), file[name]
     if not isinstance(link, h5py.HardLink) or dataset.external or dataset.is_virtual:
-        raise ValueError(f"{name} leads out of the file")
+        raise ValueError(f"{name} links to another place or file")
     return dataset

@@ -1,21 +1,21 @@
-"""Whether a flight can find its place on its prior map, told before it is flown."""
+"""Forecast whether navigation can lock onto the prior map, before a flight."""
 
 from __future__ import annotations
 
 from lunarsim.messages.briefing import Briefing
 from lunarsim.onboard.navigation.map_information import LockForecast, can_lock
 
-# A lander without a sweep sees about so much of the ground, m.
-_UNSWEPT = 40.0
+# Side of the terrain seen by a lander without a sweep, approximate, m.
+_DEFAULT_SWEEP_M = 40.0
 
 
 def lock_forecast(briefing: Briefing) -> LockForecast | None:
-    """Return what the prior map promises for the sweep of a flight; None if none is used."""
+    """Forecast map locking for the sweep of a flight; None if no prior map is used."""
     software = briefing.software
     if briefing.prior_map is None or not software.navigation.uses_prior_map:
         return None
     sizes = [float(getattr(part, "size", 0.0)) for part in software.tasking.values()]
-    swept = max(sizes, default=0.0) or _UNSWEPT
+    swept = max(sizes, default=0.0) or _DEFAULT_SWEEP_M
     east, north = (float(v) for v in briefing.target[:2])
     sigma = max(briefing.start.position_sigma, briefing.prior_map.grid.posting)
     return can_lock(briefing.prior_map, (east, north), swept, sigma)

@@ -1,4 +1,4 @@
-"""The closed loop: the one room that holds both plant and onboard computer."""
+"""Closed loop of plant and onboard computer; only this module holds both."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ Array = NDArray[np.float64]
 
 
 def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> Any:
-    """Return a policy: an object as it is, a name by the registry with its defaults.
+    """Return a policy object unchanged, or create the policy of a name.
 
-    The scenario's own settings are taken where it names that kind itself.
+    A named policy has the scenario's settings if the scenario uses it, else the default settings.
 
     Raises
     ------
     InputError
-        If there is no such policy.
+        If the policy does not exist.
     """
     made: Any = policy
     if isinstance(policy, str):
@@ -51,19 +51,21 @@ def make_policy(scenario: Scenario, policy: RetargetingPolicy | str | None) -> A
         table = scenario.policy if own else settings_of(resolve("policy", policy, "policy"))()
         made = table.make()
     if getattr(made, "knows_truth", False) and "truth" not in made.name:
-        raise InputError("policy", made.name, "a name with 'truth' in it: it is told the truth")
+        raise InputError(
+            "policy", made.name, "must have 'truth' in its name, because it uses the truth"
+        )
     return made
 
 
 def _actuators(scenario: Scenario, lander: Lander, step: float) -> Actuators | None:
-    """Return valves, gimbal and throttle of a lander that has them, with what fails on it."""
+    """Create the actuators of a lander that has them, with their faults."""
     if not isinstance(lander, JetLander):
         return None
     return Actuators(lander, step, None if scenario.faults is None else scenario.faults.make())
 
 
 def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
-    """Return what fails on a lander without actuators."""
+    """Create the faults of a lander without actuators."""
     if scenario.faults is None or isinstance(lander, JetLander):
         return None
     made: Faults = scenario.faults.make()
@@ -71,36 +73,36 @@ def _faults(scenario: Scenario, lander: Lander) -> Faults | None:
 
 
 class Simulation:
-    """One descent, stepped a control cycle at a time.
+    """One descent, advanced one control cycle at a time.
 
-    `step` is the only clock; the command line, the environments and campaigns all step this object.
+    `step` is the only clock: the command line, the environments and campaigns all call it.
 
     Parameters
     ----------
     scenario
-        The study.
+        Scenario to fly.
     seed
-        The flight's seed sequence or an integer; every random draw derives from it.
+        Seed sequence of the flight, or an integer; every random draw derives from it.
     policy
-        A policy, its name, or None to take decisions from outside by `apply`.
+        A policy, its name, or None if a caller applies decisions with `apply`.
     world
-        The true world; drawn from the seed when left out.
+        True world; omitted: generated from the seed.
     truth
-        Exact safety of that world, if it has been evaluated already.
+        Exact safety of that world, if already computed.
     tap
-        Where all messages go that cross the wall, if anywhere.
+        Recorder of all messages between plant and computer, or None.
 
     Attributes
     ----------
     plant, computer
-        What is true, and what is known.
+        True world and vehicle; onboard computer.
     briefing
-        What the computer was told before the start.
+        Data that the computer was given before the start.
 
     Raises
     ------
     InputError
-        If the scenario cannot be flown: see the message.
+        If the scenario cannot be flown.
     """
 
     def __init__(
@@ -113,13 +115,13 @@ class Simulation:
         truth: Truth | None = None,
         tap: Tap | None = None,
     ) -> None:
-        forks.check()  # parallel kernels check it too, but some flights meet them late
+        forks.check()  # parallel kernels check too, but some flights reach them late
         if scenario.variation is not None:
             raise InputError(
                 "variation",
                 "given",
-                "must be omitted: only the environments Guidance-v0 and Control-v0 vary the lander "
-                "(`lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo`)",
+                "must be omitted: only Guidance-v0 and Control-v0 randomise the lander",
+                "Use: lunarsim evaluate Guidance-v0 --scenario FILE --agent apollo.",
             )
         self.scenario = scenario
         self.streams = Streams(seed)
@@ -143,7 +145,7 @@ class Simulation:
             actuators=_actuators(scenario, briefing.lander, clock.step),
             faults=_faults(scenario, briefing.lander),
         )
-        # What is told the truth is asked here; every other policy is the computer's.
+        # A policy that uses the truth is queried here; any other runs on the computer.
         self._oracle = self.policy if getattr(self.policy, "knows_truth", False) else None
         self.computer = OnboardComputer(briefing, None if self._oracle else self.policy)
         self.recorder = Recorder(briefing.target)
@@ -152,7 +154,7 @@ class Simulation:
             tap.briefing = briefing
         self._take(self.plant.measure())
 
-    # --- taps -----------------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------
 
     @property
     def world(self) -> World:
@@ -161,7 +163,7 @@ class Simulation:
 
     @property
     def lander(self) -> Lander:
-        """The vehicle's figures."""
+        """Parameters of the vehicle."""
         return self.plant.lander
 
     @property
@@ -176,22 +178,22 @@ class Simulation:
 
     @property
     def verdict(self) -> Verdict | None:
-        """How the flight ended, or None."""
+        """Landing outcome, or None during the flight."""
         return self.plant.verdict
 
     @property
     def done(self) -> bool:
-        """True once the flight has ended."""
+        """Whether the flight has ended."""
         return self.plant.verdict is not None
 
     @property
     def estimate(self) -> Estimate:
-        """Where the computer believes the lander to be, local frame."""
+        """Navigation estimate of the lander's state, local frame."""
         return self.computer.estimate
 
     @property
     def site(self) -> Array:
-        """Where the computer is flying to (3,), local frame, m."""
+        """Current landing site (3,), local frame, m."""
         return self.computer.site
 
     @property
@@ -201,16 +203,16 @@ class Simulation:
 
     @property
     def truth(self) -> Truth:
-        """Exact safety of the world, evaluated when first asked for."""
+        """Exact safety of the world, computed on first use."""
         if self._truth is None:
             self._truth = Truth.of(self.world, self.lander)
         return self._truth
 
     @property
     def true_to_local(self) -> Shift:
-        """From the true frame to the local one, by where the lander believes to be.
+        """Shift from the true to the local frame, from the error of the estimated position.
 
-        A local frame with an azimuth of its own is turned besides, by what the lander's is off.
+        If the local frame has its own azimuth, the shift includes the lander's azimuth error.
         """
         e, turn = self.estimate, 0.0
         if self.computer.navigation.own_azimuth:
@@ -220,63 +222,63 @@ class Simulation:
 
     @property
     def navigation_error(self) -> Array:
-        """Local less true coordinates of the ground at the site (3,), m.
+        """Local minus true coordinates of the terrain at the site (3,), m.
 
-        A point of a map less this is where it truly is. Where the local frame is turned this holds
-        about the site; elsewhere it is the error of the lander's position.
+        Subtract it from a point of a map to get the true point. If the local frame is rotated, this
+        is valid only near the site; elsewhere use the error of the lander's position.
         """
         return np.asarray(self.site - self.true_to_local.to_site(self.site))
 
     @property
     def site_error(self) -> Array:
-        """Estimated position in the site frame less the true one (3,), m."""
+        """Estimated minus true position in the site frame (3,), m."""
         shift = self.computer.navigation.site_to_local
         return np.asarray(shift.to_site(self.estimate.position) - self.state.position)
 
     @property
     def decision_due(self) -> bool:
-        """True when the policy is to be asked in this cycle."""
+        """Whether the policy must decide in this cycle."""
         return self.computer.decision_due
 
     @one_blas_thread()
     def observe(self) -> Observation:
-        """Return what a policy is shown now."""
+        """Return the observation that a policy receives now."""
         return self.computer.observe()
 
     # --- the loop -------------------------------------------------------------------------
 
     def apply(self, decision: Decision) -> bool:
-        """Hand a decision to the computer; return False if its site is out of reach."""
+        """Give a decision to the computer; return False if its site is not reachable."""
         return self.computer.apply(decision)
 
     @one_blas_thread()
     def _take(self, measurements: Measurements) -> None:
-        """Let the computer take in what was measured, and note both sides as they are now."""
+        """Pass measurements to the computer, and record both sides."""
         self._measurements = measurements
         c = self.computer
         c.update(measurements)
-        self.recorder.measured(measurements, c, self.navigation_error)
+        self.recorder.record_measurements(measurements, c, self.navigation_error)
         left = 0.0 if self.done else max(c.time_to_go, 0.0)
-        self.recorder.row(self.time, self.state, c.estimate, c.site, left, c.phase)
+        self.recorder.add_row(self.time, self.state, c.estimate, c.site, left, c.phase)
 
     @one_blas_thread()
     def decide(self) -> None:
-        """Ask the policy, if there is one and a decision is due."""
+        """Query the policy, if there is one and a decision is due."""
         if self._oracle is None:
             self.computer.decide()
         elif self.decision_due:
             self.apply(self.ask(self._oracle, self.observe()))
 
     def ask(self, policy: Any, observation: Observation) -> Decision:
-        """Return what a policy, this flight's or another, decides now; nothing is applied."""
+        """Return the decision of a policy, this flight's or another, without applying it."""
         if getattr(policy, "knows_truth", False):
-            told = self.truth, self.navigation_error, self.computer.cost_of
-            return policy.decide_by_truth(observation, *told)  # type: ignore[no-any-return]
+            truth_inputs = self.truth, self.navigation_error, self.computer.cost_of
+            return policy.decide_by_truth(observation, *truth_inputs)  # type: ignore[no-any-return]
         return policy.decide(observation)  # type: ignore[no-any-return]
 
     @one_blas_thread()
     def move(self) -> None:
-        """Let the computer command, the plant move and measure, and the computer take that in."""
+        """Advance by one cycle: command, plant motion, measurements, computer update."""
         if self.done:
             raise RuntimeError("the flight has ended")
         command = self.computer.command()
@@ -286,7 +288,7 @@ class Simulation:
         self._take(cycle.measurements)
 
     def step(self) -> None:
-        """Advance one control cycle."""
+        """Decide if due, and advance by one control cycle."""
         if self.done:
             raise RuntimeError("the flight has ended")
         self.decide()
@@ -307,18 +309,18 @@ class Simulation:
             seed={"entropy": seed.entropy, "spawn_key": list(seed.spawn_key)},
             policy=self.policy.name if self.policy is not None else "external",
             verdict=self.verdict or Verdict(False, ("unfinished",), None),
-            ending=self._spent(),
+            ending=self._ending_details(),
         )
 
-    def _spent(self) -> dict[str, Any]:
-        """Return what thrusters have burnt and what the legs did; empty without both."""
+    def _ending_details(self) -> dict[str, Any]:
+        """Return values of thrusters, slosh and legs for the last event; empty without them."""
         actuators, rest = self.plant.actuators, self.plant.rest
-        told: dict[str, Any] = {} if rest is None else rest.told()
+        details: dict[str, Any] = {} if rest is None else rest.told()
         if actuators is None:
-            return told
+            return details
         if actuators.liquid is not None:
-            told["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
-        return told | {
+            details["slosh_most_deg"] = np.rad2deg(actuators.liquid.most)
+        return details | {
             "thruster_propellant_kg": actuators.spent,
             "thruster_on_time_s": actuators.on_time,
             "thruster_firings": actuators.firings,

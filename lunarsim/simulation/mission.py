@@ -1,6 +1,6 @@
-"""The mission: where a flight starts and lands, and the briefing that its computer gets.
+"""Plan the mission: target, start, and the briefing of the onboard computer.
 
-It is written on the plant's side, since it knows the truth and adds to it what a mission errs by.
+This module is on the plant's side: it knows the truth, and adds the errors of the mission's data.
 """
 
 from __future__ import annotations
@@ -31,45 +31,46 @@ Array = NDArray[np.float64]
 
 
 def draw_target(target: MissionTarget, terrain: Terrain, lander: Lander, streams: Streams) -> Array:
-    """Return the target on the true ground (3,), m.
+    """Draw the target on the true terrain (3,), m.
 
     Raises
     ------
     InputError
-        If it may lie off the map.
+        If the target may lie outside the map.
     """
     offset = streams.get("target").uniform(-1.0, 1.0, 2) * np.asarray(target.scatter)
     xy = np.asarray(target.position) + offset
     west, east, south, north = terrain.bounds
     reach = np.abs(target.scatter)
     low, high = target.position - reach, target.position + reach
-    room = lander.leg_radius + lander.pad_diameter
+    margin = lander.leg_radius + lander.pad_diameter
     if (
-        low[0] < west + room
-        or high[0] > east - room
-        or low[1] < south + room
-        or high[1] > north - room
+        low[0] < west + margin
+        or high[0] > east - margin
+        or low[1] < south + margin
+        or high[1] > north - margin
     ):
         raise InputError(
             "target.position_m",
             target.position,
-            f"within the map with its scatter of {target.scatter} m: east {west + room:.0f} "
-            f"to {east - room:.0f}, north {south + room:.0f} to {north - room:.0f} m",
+            f"must be within the map with its scatter of {target.scatter} m: "
+            f"east {west + margin:.0f} to {east - margin:.0f}, "
+            f"north {south + margin:.0f} to {north - margin:.0f} m",
         )
-    # The mission knows the relief under its site, not the rocks on it.
+    # The mission knows the terrain elevation at its site, but not the rocks.
     elevation = float(Terrain(terrain.relief).elevation(xy))
     if not np.isfinite(elevation):
-        raise InputError("target.position_m", tuple(xy), "a point with a measured elevation")
+        raise InputError("target.position_m", tuple(xy), "must have a measured elevation")
     return np.array([xy[0], xy[1], elevation])
 
 
 def draw_start(start: Start, world: World, lander: Lander, streams: Streams, site: Array) -> State:
-    """Return the true state at the start, upright.
+    """Draw the true state at the start, upright.
 
     Raises
     ------
     InputError
-        If it lies under the ground.
+        If the start lies below the terrain.
     """
     rng = streams.get("start")
     position = site + np.asarray(start.position) + start.position_sigma * rng.standard_normal(3)
@@ -81,7 +82,7 @@ def draw_start(start: Start, world: World, lander: Lander, streams: Streams, sit
         raise InputError(
             "start.position_m",
             start.position,
-            f"above the ground, which lies {ground - site[2]:.0f} m from the target's level",
+            f"must be above the terrain, which is {ground - site[2]:.0f} m above the target",
         )
     mass = lander.wet_mass
     up = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
@@ -96,7 +97,7 @@ def plan_time_to_go(
     Raises
     ------
     InputError
-        If the target cannot be reached; it names what forbids it.
+        If the target is not reachable; the error names the limiting fields.
     """
     approach: Approach = software.approach
     if software.braking is not None:
@@ -123,8 +124,8 @@ def _as_estimate(state: State) -> Estimate:
     )
 
 
-def steered(state: State, briefing: Briefing) -> State:
-    """Return a start with the attitude and thrust that guidance asks for there."""
+def trimmed_start_state(state: State, briefing: Briefing) -> State:
+    """Return a start with the attitude and thrust that guidance commands there."""
     software, lander = briefing.software, briefing.lander
     braking = software.braking
     part = software.guidance if braking is None else braking.part()
@@ -144,8 +145,10 @@ def steered(state: State, briefing: Briefing) -> State:
     return replace(state, attitude=command.attitude, thrust=command.thrust)
 
 
-def told(state: State, knowledge: StartKnowledge, rng: np.random.Generator) -> StartEstimate:
-    """Return a start as the computer is told it: the truth plus errors."""
+def perturbed_start_estimate(
+    state: State, knowledge: StartKnowledge, rng: np.random.Generator
+) -> StartEstimate:
+    """Return the computer's estimate of the start: the truth with random errors."""
     drawn = rng.standard_normal((3, 3))
     turn = quat_from_rotation_vector(knowledge.attitude * drawn[2])
     return StartEstimate(
@@ -160,16 +163,18 @@ def told(state: State, knowledge: StartKnowledge, rng: np.random.Generator) -> S
 
 
 def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Briefing]:
-    """Return the true start of a flight, and what its computer is told.
+    """Return the true start of a flight, and the briefing of its computer.
 
     Raises
     ------
     InputError
-        If the scenario cannot be flown: see the message.
+        If the scenario cannot be flown.
     """
     if world.gravity != scenario.gravity_m_s2:
-        # The computer is told the scenario's, and would fly by that.
-        raise InputError("world.gravity", world.gravity, f"the scenario's {scenario.gravity_m_s2}")
+        # The computer uses the gravity of the scenario.
+        raise InputError(
+            "world.gravity", world.gravity, f"must equal the scenario's {scenario.gravity_m_s2}"
+        )
     lander: Lander = scenario.vehicle.make()
     lander.check_hover(scenario.gravity_m_s2)
     start: Start = scenario.start.make()
@@ -194,7 +199,9 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         gravity=world.moon or UniformGravity(scenario.gravity_m_s2),
         target=target,
         heading=start.heading,
-        start=told(planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)),
+        start=perturbed_start_estimate(
+            planned, StartKnowledge(0.0, 0.0, 0.0), np.random.default_rng(0)
+        ),
         time_to_go=time_to_go,
         sun=world.light.direction,
         rocks=scenario.expected_rocks.make(),
@@ -202,12 +209,12 @@ def plan(scenario: Scenario, world: World, streams: Streams) -> tuple[State, Bri
         step=clock.step,
         cycle=clock.cycle,
     )
-    state = steered(state, upright)
+    state = trimmed_start_state(state, upright)
     knowledge = (
         StartKnowledge() if scenario.start_knowledge is None else scenario.start_knowledge.make()
     )
     rng = streams.get("navigation")
-    believed = told(state, knowledge, rng)
-    # Nobody has been there to measure how high the ground lies.
-    known = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
-    return state, replace(upright, start=believed, target=known)
+    start_estimate = perturbed_start_estimate(state, knowledge, rng)
+    # The elevation of the terrain at the target is known only with an error.
+    known_target = target + np.array([0.0, 0.0, knowledge.ground * rng.standard_normal()])
+    return state, replace(upright, start=start_estimate, target=known_target)

@@ -1,4 +1,4 @@
-"""The upper bound: a policy that is told the truth, and so lives with the loop."""
+"""Policy that uses the truth, as an upper bound; it therefore belongs to the simulation."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from lunarsim.world.truth import Truth
 
 Array = NDArray[np.float64]
 
-# Sites tried for reachability, nearest first.
-_TRIES = 64
-# Room in deviations of the expected miss: 0.95 of all misses are less.
-_ROOM = 2.5
+# Maximum number of sites tested for reachability, nearest first.
+_MAX_TESTED_SITES = 64
+# Clearance in standard deviations of the expected miss; 0.95 of all misses are smaller.
+_CLEARANCE_SIGMAS = 2.5
 
 
 @dataclass(frozen=True)
 class TruthOracle:
-    """Flies to the nearest site that is exactly safe with room around it; it is told the truth.
+    """Flies to the nearest exactly safe site with enough clearance; it uses the truth.
 
     Attributes
     ----------
     room
-        Distance to the nearest unsafe cell that is enough, m; more where the lander drifts.
+        Required distance to the nearest unsafe cell, m; increased by the expected miss.
     """
 
-    room: float = quantity(1.0, "m", ge=0, help="to the nearest unsafe cell that is enough")
+    room: float = quantity(1.0, "m", ge=0, help="required distance to the nearest unsafe cell")
     name: str = hidden("truth-oracle")
 
     knows_truth: ClassVar[bool] = True
 
     def decide(self, observation: Observation) -> Decision:
-        """Refuse: it has to be told the truth."""
-        raise RuntimeError("the truth oracle decides by decide_by_truth: the loop tells it")
+        """Raise an error, because this policy needs the truth."""
+        raise RuntimeError("the truth oracle decides by decide_by_truth, which the loop calls")
 
     def decide_by_truth(
         self,
@@ -48,35 +48,35 @@ class TruthOracle:
         error: Array,
         cost_of: Callable[[Array], DivertCost],
     ) -> Decision:
-        """Keep a site with room around it, else pick the nearest such site within reach.
+        """Keep a site with enough clearance, else choose the nearest such site within reach.
 
         Parameters
         ----------
         observation
-            As other policies are shown it.
+            Observation that other policies receive.
         truth
             Exact safety of the true terrain.
         error
-            Estimated minus true position now (3,), m.
+            Estimated minus true position (3,), m.
         cost_of
-            Returns what it costs to fly to sites (n, 3), local frame.
+            Function that returns the divert cost of sites (n, 3), local frame.
         """
         grid = truth.safety.grid
         clearance = truth.clearance
         here = observation.site - error
-        room = max(self.room, _ROOM * observation.expected_miss)
+        required = max(self.room, _CLEARANCE_SIGMAS * observation.expected_miss)
         row, col = (int(v) for v in grid.cell(here[:2]))
-        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= room:
+        if 0 <= row < grid.rows and 0 <= col < grid.cols and clearance[row, col] >= required:
             return Decision.keep("truly safe")
-        # Where no site has that much room, the roomiest will have to do.
-        enough = min(room, 0.8 * float(clearance.max()))
+        # If no site has this clearance, accept 0.8 of the maximum clearance.
+        enough = min(required, 0.8 * float(clearance.max()))
         cells = np.argwhere(clearance >= max(enough, 1e-9))
         if len(cells) == 0:
             return Decision.keep("no truly safe site")
         xy = grid.centre_of(cells[:, 0], cells[:, 1])
         distance = np.hypot(xy[:, 0] - here[0], xy[:, 1] - here[1])
         order = np.argsort(distance, kind="stable")
-        order = order[:: max(1, len(order) // _TRIES)]
+        order = order[:: max(1, len(order) // _MAX_TESTED_SITES)]
         z = truth.elevation[cells[order, 0], cells[order, 1]].astype(np.float64)
         sites = np.column_stack((xy[order], z)) + error
         cost = cost_of(sites)

@@ -1,4 +1,4 @@
-"""One picture of a scenario's ground, for the command line and for figures."""
+"""Render one camera image of a scenario's terrain for the command line and for figures."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ from lunarsim.vehicle import State
 from lunarsim.whole_files import write_whole
 from lunarsim.world import World
 
-# From higher up ground of kilometres is no picture any more, m.
-_HIGHEST = 1e6
+# Maximum altitude of the camera above the terrain, m.
+_MAX_ALTITUDE_M = 1e6
 
 
 def camera_state(
     camera: Camera, world: World, target: tuple[float, float], altitude: float,
     off_nadir: float, heading: float,
 ) -> State:  # fmt: skip
-    """Return a state in which the camera looks at the ground at `target` (E, N; m).
+    """Return a state in which the camera points at the terrain at `target` (E, N; m).
 
     Parameters
     ----------
     camera, world
-        What looks, and at what.
+        Camera, and world that it sees.
     target
-        Middle of the picture.
+        Centre of the image.
     altitude
-        Of the camera above the ground there, m.
+        Height of the camera above the terrain there, m.
     off_nadir
-        Angle of the boresight from straight down, rad.
+        Angle of the boresight from nadir, rad.
     heading
-        Azimuth of the top of the picture, rad.
+        Azimuth of the top of the image, rad.
     """
     ground = float(world.terrain.elevation(target))
     if not np.isfinite(ground):
-        raise InputError("target.position_m", target, "a point with known elevation")
-    if not 0.0 < altitude < _HIGHEST:
-        raise InputError(
-            "--altitude", altitude, f"metres above the ground, more than 0, less than {_HIGHEST:g}"
-        )
+        raise InputError("target.position_m", target, "must be a point with known elevation")
+    if not 0.0 < altitude < _MAX_ALTITUDE_M:
+        raise InputError("--altitude", altitude, f"must be above 0 and below {_MAX_ALTITUDE_M:g} m")
     if not np.isfinite(heading):
-        raise InputError("--heading", float(np.rad2deg(heading)), "a finite angle in deg")
+        raise InputError("--heading", float(np.rad2deg(heading)), "must be a finite angle in deg")
     if not 0.0 <= off_nadir < np.deg2rad(85.0):
-        raise InputError("--off-nadir", float(np.rad2deg(off_nadir)), "from 0 to 85 deg")
+        raise InputError(
+            "--off-nadir", float(np.rad2deg(off_nadir)), "must be 0 or more and below 85 deg"
+        )
     forward = np.array([np.sin(heading), np.cos(heading), 0.0])
     boresight = np.sin(off_nadir) * forward - np.array([0.0, 0.0, np.cos(off_nadir)])
     if off_nadir < 1e-6:
@@ -67,8 +67,8 @@ def camera_state(
     return State(position, np.zeros(3), attitude, np.zeros(3), 1.0)
 
 
-def metered(camera: Camera, world: World, state: State) -> float:
-    """Return the exposure (s) at which all but the brightest 0.5 % stay below 0.9 of the well."""
+def auto_exposure(camera: Camera, world: World, state: State) -> float:
+    """Return the exposure (s) for which all but the brightest 0.5 % stay below 0.9 full well."""
     radiance = renderer_of(world.terrain).render(camera.view(state), world.light).radiance
     bright = float(np.percentile(radiance, 99.5))
     if bright <= 0.0:
@@ -77,7 +77,7 @@ def metered(camera: Camera, world: World, state: State) -> float:
 
 
 def camera_of(scenario: Scenario) -> Camera:
-    """Return the scenario's first camera; a standard one where the lander carries none."""
+    """Return the scenario's first camera, or a standard camera if it has none."""
     parts = [part.make() for part in scenario.sensors.values()]
     found = next((part for part in parts if isinstance(part, FramingCamera)), FramingCamera())
     return found.camera()
@@ -89,14 +89,14 @@ def take_picture(
     exposure: float | None = None, ideal: bool = False, seed: int = 1,
     flight: int = 0, truth: Path | None = None,
 ) -> str:  # fmt: skip
-    """Write a picture of the scenario's target to a PNG file and return what it shows in words.
+    """Write an image of the scenario's target to a PNG file; return a description of it.
 
-    Without an `exposure` (s) the camera sets its own.
+    Without an `exposure` (s) the camera chooses one.
 
     Raises
     ------
     InputError
-        If a value cannot be used; nothing is written.
+        If a value is not usable; nothing is written then.
     """
     check_output("--out", out, ".png")
     if truth is not None:
@@ -117,7 +117,7 @@ def take_picture(
         camera, world, scenario.target.position_m, altitude,
         np.deg2rad(off_nadir_deg), np.deg2rad(heading_deg),
     )  # fmt: skip
-    camera = replace(camera, exposure=exposure or metered(camera, world, state))
+    camera = replace(camera, exposure=exposure or auto_exposure(camera, world, state))
     photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
     if truth is not None:
         write_whole(truth, partial(_save_truth, photo))
@@ -129,10 +129,10 @@ def take_picture(
         raise
     sun = scenario.sun
     return (
-        f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m, Sun "
-        f"{sun.elevation_deg:g} deg high at azimuth {sun.azimuth_deg:g} deg, "
-        f"{len(world.terrain.rocks)} rocks, exposed for {1e3 * camera.exposure:.3g} ms, "
-        f"{altitude / np.cos(np.deg2rad(off_nadir_deg)) / camera.fx:.3g} m a pixel"
+        f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m; Sun elevation "
+        f"{sun.elevation_deg:g} deg, azimuth {sun.azimuth_deg:g} deg; "
+        f"{len(world.terrain.rocks)} rocks; exposure {1e3 * camera.exposure:.3g} ms; "
+        f"{altitude / np.cos(np.deg2rad(off_nadir_deg)) / camera.fx:.3g} m per pixel"
     )
 
 

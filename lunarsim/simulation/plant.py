@@ -1,6 +1,6 @@
-"""The plant: the true world, the vehicle in it, and the sensors on the vehicle.
+"""Plant: the true world, the vehicle in it, and its sensors.
 
-It takes commands and gives measurements; what the onboard computer makes of them it never sees.
+The plant receives commands and returns measurements. It never sees the onboard computer's data.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
-# Pads are looked for under the lander only below this height above the highest ground, m.
-_CONTACT_HEIGHT = 40.0
-# A lander that climbs away has done so this high above it (m), at this speed (m/s).
-_CLEAR_HEIGHT, _CLEAR_SPEED = 50.0, 5.0
+# Pad contacts are computed only below this height above the highest terrain, m.
+_MAX_CONTACT_HEIGHT_M = 40.0
+# Height above the highest terrain (m) and climb rate (m/s) that complete an abort.
+_ABORT_CLEAR_HEIGHT_M, _ABORT_CLIMB_SPEED_M_S = 50.0, 5.0
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """A sensor on the lander.
+    """Sensor on the lander.
 
     Attributes
     ----------
     sensor, rng
-        What measures, and the source of its noise.
+        Sensor, and random generator of its noise.
     tasked
-        Whether it measures only when told to; else once a cycle.
+        Whether it measures only on command; else once per cycle.
     gimbal_limit
-        Greatest angle of its boresight from body -z, rad.
+        Maximum angle of its boresight from body -z, rad.
     part
-        Its part of the scenario.
+        Part of the scenario that it was built from.
     """
 
     sensor: Sensor
@@ -60,7 +60,7 @@ class Instrument:
 
     @classmethod
     def of(cls, part: SensorPart, rng: np.random.Generator, step: float) -> Instrument:
-        """Return the sensor of one flight; `step` is that of the integration, s."""
+        """Build the sensor for one flight; `step` is the integration step, s."""
         build = getattr(part, "build", None)
         sensor: Any = part if build is None else build(rng, step)
         limit = getattr(part.calibration(), "gimbal_limit", np.pi)
@@ -68,31 +68,31 @@ class Instrument:
 
 
 class Plant:
-    """Truth in motion.
+    """True vehicle and world in motion.
 
     Parameters
     ----------
     world, dynamics, state
-        The world, how the vehicle moves in it, and where it starts.
+        True world, dynamics of the vehicle, and initial state.
     sensors
-        Parts by name, each with its random stream.
+        Sensor parts by name, each with its random generator.
     steps
-        Integration steps in a control cycle.
+        Integration steps per control cycle.
     max_time
-        A flight that is not over by then is, s.
+        Time limit of a flight, s.
     actuators
-        Valves, gimbal and throttle of a lander that has them; None: torques act as asked.
+        Valves, gimbal and throttle of a lander that has them; None: torques act as commanded.
     faults
-        What fails on a lander without actuators: an engine that sticks.
+        Faults of a lander without actuators: an engine throttle that sticks.
     legs
-        With them the motion after the touchdown gives the verdict; None: the state at it does.
+        Legs whose motion after touchdown gives the outcome; None: the state at touchdown does.
 
     Attributes
     ----------
     rest
-        What became of the lander on its legs; None without a touchdown on legs.
+        Result of the motion on the legs; None without a touchdown on legs.
     state, time, verdict
-        Now; the verdict is None in flight.
+        Current state; time, s; landing outcome, None during the flight.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Plant:
                 raise InputError(
                     f"sensors.{name}",
                     type(unit).__name__,
-                    "an inertial unit whose build gives an Imu",
+                    "must be an inertial unit whose build returns an Imu",
                 )
         self.imus: dict[str, Imu] = {n: u for n, u in units if isinstance(u, Imu)}
         self._instruments = {n: i for n, i in made.items() if n not in self.imus}
@@ -137,7 +137,7 @@ class Plant:
         self._low, self._high = world.terrain.z_range
 
     def throttled(self, command: Command) -> Command:
-        """Return a command with the thrust that the throttle is set to: it may stick."""
+        """Return a command with the actual thrust: the throttle may stick."""
         if self._faults is None:
             return command
         thrust = self._faults.throttle(self.time, self._throttle, command.thrust)
@@ -145,7 +145,7 @@ class Plant:
         return replace(command, thrust=thrust)
 
     def measure(self, tasks: Sequence[SensorTask] = ()) -> Measurements:
-        """Return what sensors measure now: those that need no telling, and those told to."""
+        """Return the measurements of all untasked sensors, and of the tasks."""
         items: list[tuple[str, object]] = [
             (name, self._measure(name, None))
             for name, instrument in self._instruments.items()
@@ -163,7 +163,7 @@ class Plant:
             raise wrong_result(f"sensors.{name}", i.part, "measure", found, wanted, self.time)
         return found
 
-    def moved(
+    def adopt_motion(
         self,
         history: Array,
         gyroscopes: Mapping[str, Array],
@@ -171,18 +171,18 @@ class Plant:
         *,
         abort: bool = False,
     ) -> Measurements:
-        """Take over where a control cycle has brought the vehicle; return what was measured.
+        """Adopt the motion of a control cycle; return the measurements at its end.
 
         Parameters
         ----------
         history
-            State vectors after each step (n, 15); what comes after a touchdown does not count.
+            State vectors after each step (n, 15); states after a touchdown are ignored.
         gyroscopes
-            What gyroscopes gave already on the way, by name (n, 3), rad.
+            Gyroscope increments already sampled during the cycle, by name (n, 3), rad.
         tasks
             Measurements to make at the end.
         abort
-            Whether the lander climbs away: the flight ends once it is clear of the ground.
+            Whether the lander is aborting: the flight ends once it is clear of the terrain.
         """
         touched = self._first_contact(history)
         steps = len(history) if touched is None else touched + 1
@@ -192,17 +192,17 @@ class Plant:
         samples: list[tuple[str, object]] = []
         for name, imu in self.imus.items():
             angle = gyroscopes[name][:steps] if name in gyroscopes else None
-            sensed = imu.sense(*self.unpulled(rows), self.time, angle)
+            sensed = imu.sense(*self.gravity_free_states(rows), self.time, angle)
             samples.append((name, sensed))
-        self._judge(touched is not None, abort)
+        self._evaluate_outcome(touched is not None, abort)
         measured = self.measure(tasks if self.verdict is None else ())
         return Measurements(self.time, (*samples, *measured.items))
 
-    def unpulled(self, rows: Array) -> tuple[Array, float, float]:
-        """Return states, step and downward acceleration from which an inertial unit senses.
+    def gravity_free_states(self, rows: Array) -> tuple[Array, float, float]:
+        """Return states, step and downward gravity from which an inertial unit senses.
 
-        Where gravity is not the same everywhere what it has given is taken out of the velocities,
-        and nothing is left to be taken out.
+        In a gravity field that varies, the velocity gained from gravity is removed from the states,
+        and the returned gravity is 0.
         """
         step, moon = self.dynamics.step, self.world.moon
         if moon is None:
@@ -212,8 +212,8 @@ class Plant:
         out[1:, 3:6] -= np.cumsum(step * moon.felt(middle[:, :3], middle[:, 3:]), axis=0)
         return out, step, 0.0
 
-    def _judge(self, touched: bool, abort: bool) -> None:
-        """Set the verdict if the flight is over."""
+    def _evaluate_outcome(self, touched: bool, abort: bool) -> None:
+        """Set the landing outcome if the flight is over."""
         terrain = self.world.terrain
         if touched and self.legs is not None:
             self.verdict, self.rest = judge_motion(self.legs, self.dynamics, self.state, terrain)
@@ -228,13 +228,15 @@ class Plant:
 
     @property
     def _clear(self) -> bool:
-        """Whether the lander climbs, well above all ground."""
+        """Whether the lander climbs, well above all terrain."""
         height = self.world.height(self.state.position) - self._high
-        return bool(height > _CLEAR_HEIGHT and self.state.velocity[2] > _CLEAR_SPEED)
+        return bool(
+            height > _ABORT_CLEAR_HEIGHT_M and self.state.velocity[2] > _ABORT_CLIMB_SPEED_M_S
+        )
 
     def _first_contact(self, history: Array) -> int | None:
-        """Return the first step at which a pad is at or below the ground, or None."""
-        if self.world.height(history[-1, :3]) - self._high > _CONTACT_HEIGHT:
+        """Return the first step at which a pad touches the terrain, or None."""
+        if self.world.height(history[-1, :3]) - self._high > _MAX_CONTACT_HEIGHT_M:
             return None
         mounted = self.lander.pads - com_of(self.lander, float(history[0, 13]))
         pads = history[:, None, 0:3] + quat_rotate(history[:, None, 6:10], mounted)

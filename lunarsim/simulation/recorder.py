@@ -1,4 +1,4 @@
-"""Collects what happens in a flight, on both sides of the wall."""
+"""Record a flight: trajectory, events, decisions, scans and maps."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from lunarsim.vehicle.touchdown import Verdict
 
 Array = NDArray[np.float64]
 
-# LiDAR returns kept of each scan: enough to draw it.
-_KEPT_RETURNS = 4096
-# Least time between two scans kept, s.
-_SCAN_INTERVAL = 0.5
-# Measurements of a sensor closer than this in time are one run, s.
-_RUN = 1.0
+# Maximum number of LiDAR returns kept per scan, enough for a figure.
+_MAX_RETURNS = 4096
+# Minimum time between two recorded scans, s.
+_MIN_SCAN_INTERVAL_S = 0.5
+# Measurements of a sensor closer in time than this form one sequence, s.
+_SEQUENCE_GAP_S = 1.0
 
 
 @dataclass
 class Tap:
-    """All messages that crossed the wall in a flight.
+    """All messages between plant and onboard computer in a flight.
 
     Attributes
     ----------
     briefing
-        What the computer was built from.
+        Briefing that the computer was built from.
     exchanges
-        A cycle each: measurements in, command out, torques of the attitude loop (n, 3).
+        For each cycle: measurements, command, torques of the attitude loop (n, 3), N m.
     """
 
     briefing: Briefing | None = None
     exchanges: list[tuple[Measurements, Command, Array]] = field(default_factory=list)
 
     def exchange(self, measurements: Measurements, command: Command, torques: Array) -> None:
-        """Keep one cycle."""
+        """Record the messages of one cycle."""
         self.exchanges.append((measurements, command, torques))
 
 
@@ -54,19 +54,19 @@ class Recorder:
     Parameters
     ----------
     target
-        Where the mission wants to land (3,), m.
+        Target of the mission (3,), m.
     """
 
     def __init__(self, target: Array) -> None:
         self._target = target
         self._rows: list[Array] = []
         self._scans: list[Array] = []
-        self._seen: list[dict[str, Any]] = []
+        self._sensor_events: list[dict[str, Any]] = []
         self._last: dict[str, float] = {}
         self._errors: dict[str, Array] = {}
         self._first_map: Estimate | None = None
 
-    def row(
+    def add_row(
         self,
         time: float,
         state: State,
@@ -95,37 +95,39 @@ class Recorder:
         table = np.array(self._rows).reshape(-1, len(COLUMNS))
         return {name: table[:, i].copy() for i, name in enumerate(COLUMNS)}
 
-    def measured(self, measurements: Measurements, computer: OnboardComputer, error: Array) -> None:
-        """Note what the computer has just taken in; `error` is that of its position, m."""
+    def record_measurements(
+        self, measurements: Measurements, computer: OnboardComputer, error: Array
+    ) -> None:
+        """Record measurements that the computer has processed; `error` is its position error, m."""
         for sensor, measurement in measurements.items:
             if isinstance(measurement, LidarScan | Picture):
-                self._pointed(sensor, measurement, computer)
+                self._record_sensor(sensor, measurement, computer)
         for name in computer.mapped:
             self._errors[name] = error
             if self._first_map is None:
                 self._first_map = computer.estimate
 
-    def _pointed(
+    def _record_sensor(
         self, sensor: str, measurement: LidarScan | Picture, computer: OnboardComputer
     ) -> None:
-        """Note the first of a run of scans or pictures, and keep some returns of scans."""
+        """Record the first of a sequence of scans or images, and returns of scans."""
         time = measurement.time
         seen = {"time": time, "name": "picture", "sensor": sensor, "altitude": computer.altitude}
         if isinstance(measurement, LidarScan):
-            self._keep(measurement, computer.estimate)
+            self._keep_scan(measurement, computer.estimate)
             seen |= {"name": "scan", "returns": int(np.isfinite(measurement.range).sum())}
-        if time > self._last.get(sensor, -np.inf) + _RUN:
-            self._seen.append(seen)
+        if time > self._last.get(sensor, -np.inf) + _SEQUENCE_GAP_S:
+            self._sensor_events.append(seen)
         self._last[sensor] = time
 
-    def _keep(self, scan: LidarScan, estimate: Estimate) -> None:
-        """Keep a thinned copy of a scan, as the lander placed it, two a second at the most."""
-        if self._scans and scan.time < self._scans[-1][0, 3] + _SCAN_INTERVAL - 1e-9:
+    def _keep_scan(self, scan: LidarScan, estimate: Estimate) -> None:
+        """Keep a thinned copy of a scan in the estimated frame, at most two per second."""
+        if self._scans and scan.time < self._scans[-1][0, 3] + _MIN_SCAN_INTERVAL_S - 1e-9:
             return
         points = scan.points(estimate.position, estimate.attitude)
         points = points[np.isfinite(points).all(axis=1)]
-        # Every so many in the detector's order would draw lines that are not on the ground.
-        kept = np.random.default_rng(0).permutation(len(points))[:_KEPT_RETURNS]
+        # A regular subset in detector order would draw artificial lines.
+        kept = np.random.default_rng(0).permutation(len(points))[:_MAX_RETURNS]
         points = points[np.sort(kept)]
         if len(points):
             self._scans.append(np.column_stack((points, np.full(len(points), scan.time))))
@@ -140,7 +142,7 @@ class Recorder:
         verdict: Verdict,
         ending: dict[str, Any] | None = None,
     ) -> Flight:
-        """Return the record so far; `ending` goes into its last event."""
+        """Return the record so far; `ending` is added to its last event."""
         maps = {
             name: MapRecord(
                 mapper.hazard_map(), self._errors.get(name, np.zeros(3)), mapper.tables()
@@ -155,7 +157,9 @@ class Recorder:
         ]
         if verdict.failed == ("unfinished",):
             last = []
-        told = [{"time": time, "name": name, **more} for time, name, more in computer.telemetry]
+        telemetry = [
+            {"time": time, "name": name, **more} for time, name, more in computer.telemetry
+        ]
         return Flight(
             scenario=scenario,
             seed=seed,
@@ -164,7 +168,9 @@ class Recorder:
             target=self._target,
             trajectory=self.trajectory(),
             decisions=[_as_dict(*divert) for divert in computer.diverts],
-            events=sorted(self._seen + told + last, key=lambda event: float(event["time"])),
+            events=sorted(
+                self._sensor_events + telemetry + last, key=lambda event: float(event["time"])
+            ),
             maps=maps,
             decided_on=decided,
             first_map=self._first_map,
@@ -178,7 +184,7 @@ def _as_dict(time: float, old: Array, new: Decision) -> dict[str, Any]:
 
 
 def _table(candidates: Candidates | None) -> Array:
-    """Return the sites that the policy chose from last (n, 5)."""
+    """Return the candidate sites of the last decision (n, 5)."""
     if candidates is None:
         return np.zeros((0, 5))
     return np.column_stack((candidates.position, candidates.p_safe, candidates.propellant))

@@ -1,4 +1,4 @@
-"""Which limit alone leaves no path from the start to the target."""
+"""Find the limit that leaves no path from the start to the target."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# Values of the fields of `[approach]` that do not limit a path. An approach tilts by less than 85
-# deg, and an end at the default height and speed is one that every lander can fly to.
+# Values of the fields of `[approach]` that do not limit a path. The tilt of an approach must be
+# below 85 deg; the default height and speed of the end suit every lander.
 _WITHOUT_LIMIT: dict[str, Any] = {
     "max_tilt": np.deg2rad(84.0),
     "glideslope": 0.0,
@@ -41,7 +41,7 @@ _DRY_SHARE = 0.5
 
 @dataclass(frozen=True)
 class _Case:
-    """What decides whether there is a path."""
+    """Inputs that determine whether there is a path."""
 
     here: Estimate
     target: Array
@@ -52,7 +52,7 @@ class _Case:
 
     @property
     def feasible(self) -> bool:
-        """Whether a path keeps all limits."""
+        """Whether a path satisfies all limits."""
         end = self.approach.end(self.target[None, :], self.lander)
         cost = self.software.guidance.cost(
             self.here, end, self.lander, self.gravity, self.approach.limits
@@ -63,11 +63,12 @@ class _Case:
 def unreachable(
     here: Estimate, target: Array, software: Software, lander: Lander, gravity: float
 ) -> InputError:
-    """Return the error of a start from which the target (3,) cannot be reached.
+    """Return the error for a start from which the target (3,) is not reachable.
 
-    Each limit is relaxed alone. The error names those without which there is a path: fields of
-    `[approach]` that are not at their defaults first, then its other fields, the lander's limits
-    and the velocity at the start. It names the start's position if no single limit is the cause.
+    Each limit is relaxed separately. The error names the limits without which there is a path:
+    first the fields of `[approach]` that differ from their defaults, then its other fields, the
+    lander's limits and the start velocity. If no single limit is the cause, it names the start
+    position.
     """
     approach, plain = software.approach, Approach()
     above = here.position - target
@@ -75,19 +76,21 @@ def unreachable(
     if ends >= above[2] > plain.vertical_altitude + lander.com_height:
         return InputError(
             "approach.vertical_altitude_m", approach.vertical_altitude,
-            f"must be less: the start's centre of mass is {above[2]:g} m above the target",
+            f"must be lower: the start's centre of mass is {above[2]:g} m above the target",
         )  # fmt: skip
     case = _Case(here, target, software, approach, lander, gravity)
     causes = [(f, v) for f, v, relaxed in _relaxed(case) if relaxed.feasible]
     if not causes:
         return InputError(
             "start.position_m", tuple(float(v) for v in above),
-            "no path to the target keeps thrust, tilt, glide slope and propellant within their "
-            "limits. Start elsewhere, or relax several limits",
+            "no path to the target satisfies the thrust, tilt, glideslope and propellant limits",
+            "Start elsewhere, or relax several limits.",
         )  # fmt: skip
     (field, value), *others = causes
     also = "".join(f", or {other} = {v}" for other, v in others)
-    return InputError(field, value, f"leaves no path from the start to the target. Relax it{also}")
+    return InputError(
+        field, value, "leaves no path from the start to the target", f"Relax it{also}."
+    )
 
 
 def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
@@ -97,7 +100,7 @@ def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
     for name in sorted(fields, key=lambda n: getattr(approach, n) == getattr(plain, n)):
         value = getattr(approach, name)
         shown = round(float(np.rad2deg(value)), 9) if _UNITS.get(name) == "_deg" else value
-        # A jerk limits no path, but needs a velocity over ground.
+        # A jerk does not limit a path, but requires a horizontal velocity.
         eased = replace(approach, **({"jerk": None} | {name: _WITHOUT_LIMIT[name]}))
         yield f"approach.{name}{_UNITS.get(name, '')}", shown, replace(case, approach=eased)
     yield (
@@ -106,7 +109,7 @@ def _relaxed(case: _Case) -> Iterator[tuple[str, Any, _Case]]:
     )  # fmt: skip
     stronger = replace(lander, thrust_max=_MORE_THRUST * lander.thrust_max)
     yield "vehicle.thrust_max_n", lander.thrust_max, replace(case, lander=stronger)
-    # Of the same mass, more is propellant.
+    # A lower dry mass at equal total mass means more propellant.
     lighter = replace(lander, dry_mass=_DRY_SHARE * lander.dry_mass)
     yield "vehicle.propellant_mass_kg", lander.propellant_mass, replace(case, lander=lighter)
     velocity = tuple(float(v) for v in case.here.velocity)

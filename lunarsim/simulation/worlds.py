@@ -1,4 +1,4 @@
-"""The true world of a flight, drawn for it from the scenario."""
+"""Build the true world of a flight from the scenario."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lunarsim.world.terrain import Terrain
 
 
 def build_world(scenario: Scenario, streams: Streams, terrain: Terrain | None = None) -> World:
-    """Return the true world of one flight: the scenario's ground with what is drawn for it.
+    """Build the true world of one flight: the scenario's terrain and its random draws.
 
     Parameters
     ----------
     scenario, streams
-        The study and the flight's seeds.
+        Scenario, and random streams of the flight.
     terrain
-        Relief and rocks, where a world of the same ground and seed has them already.
+        Terrain with rocks, if a world with the same tables and seed already has it.
 
     Raises
     ------

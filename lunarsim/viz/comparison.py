@@ -1,4 +1,4 @@
-"""The figure of a comparison of policies."""
+"""Draw the figure of a comparison of policies."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from lunarsim.viz.style import COLOURS, literal, new_figure, policy_colour, save
 
 Rows = list[dict[str, Any]]
 
-# Told apart in grey too.
+# Distinguish causes in greyscale prints too.
 _HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++", "---")
 
 
 def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
-    """Draw safety, causes of failure, figures against limits, differences and maps by policy.
+    """Draw safety, failure causes, metrics with limits, paired differences and map quality.
 
     Parameters
     ----------
     rows
-        One a flight and policy, see `lunarsim.evaluation.outcome`.
+        One row per flight and policy, with the columns of `lunarsim.evaluation.outcome`.
     scenario
-        That was flown: its lander's limits are drawn.
+        Scenario that was flown; it gives the limits of the lander.
     path
         PNG file to write.
     """
@@ -39,11 +39,11 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
     _draw_safety(axes[0], rows, names)
     _draw_causes(axes[1], rows, names)
     boxes = (
-        ("propellant_kg", f"propellant (kg; {lander.propellant_mass:g} carried)", None),
-        ("divert_m", "divert distance (m)", None),
-        ("vertical_speed_m_s", "touchdown speed, down (m/s)", lander.vertical_speed_limit),
-        ("horizontal_speed_m_s", "touchdown speed, aside (m/s)", lander.horizontal_speed_limit),
-        ("tilt_deg", "tilt at touchdown (deg)", float(np.rad2deg(lander.tilt_limit))),
+        ("propellant_kg", f"Propellant used (kg; {lander.propellant_mass:g} loaded)", None),
+        ("divert_m", "Divert distance (m)", None),
+        ("vertical_speed_m_s", "Vertical touchdown speed (m/s)", lander.vertical_speed_limit),
+        ("horizontal_speed_m_s", "Lateral touchdown speed (m/s)", lander.horizontal_speed_limit),
+        ("tilt_deg", "Tilt at touchdown (deg)", float(np.rad2deg(lander.tilt_limit))),
     )
     for ax, (column, label, limit) in zip(axes[2:7], boxes, strict=True):
         _draw_boxes(ax, rows, names, column, label)
@@ -52,7 +52,7 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
             ax.legend(loc="best")
     _draw_differences(axes[7], rows, names)
     limits = {column: (label.partition(" (")[0], limit) for column, label, limit in boxes if limit}
-    _draw_shifts(axes[8], rows, names, limits)
+    _draw_limit_differences(axes[8], rows, names, limits)
     _draw_maps(axes[9], rows, names)
     shown = [literal(name) for name in names]
     for i, ax in enumerate(axes):
@@ -60,7 +60,7 @@ def draw_comparison(rows: Rows, scenario: Scenario, path: Path) -> None:
         ax.set_ylim(len(names) - 0.5, -0.5)
         ax.grid(axis="x", alpha=0.3)
     flights = sum(row["policy"] == names[0] for row in rows)
-    figure.suptitle(f"{literal(scenario.name)}: {flights} flights a policy over the same worlds")
+    figure.suptitle(f"{literal(scenario.name)}: {flights} flights per policy over the same worlds")
     save(figure, path)
 
 
@@ -74,11 +74,11 @@ def _draw_safety(ax: Any, rows: Rows, names: list[str]) -> None:
     spread = np.maximum(np.stack((low, high)), 0.0)
     ax.errorbar(share, place, xerr=spread, fmt="none", ecolor="black", capsize=3)
     ax.set_xlim(0.0, 1.0)
-    ax.set_xlabel("landed safe (95 % Wilson interval)")
+    ax.set_xlabel("Safe landings, share (95 % Wilson interval)")
 
 
 def _draw_causes(ax: Any, rows: Rows, names: list[str]) -> None:
-    """Draw how many flights failed by what; one that failed by several counts with the first."""
+    """Draw the number of failed flights by their first cause."""
     first = [(row["policy"], row["failed"].split(",")[0]) for row in rows if not row["safe"]]
     causes = [cause for cause, _ in Counter(cause for _, cause in first).most_common()]
     left = np.zeros(len(names))
@@ -90,12 +90,12 @@ def _draw_causes(ax: Any, rows: Rows, names: list[str]) -> None:
         )  # fmt: skip
         left += counts
     ax.set_xlim(0.0, max(1.0, 1.3 * left.max()))
-    ax.set_xlabel("flights that failed, by first cause")
+    ax.set_xlabel("Failed flights, by first cause")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     if causes:
         ax.legend(loc="best")
     else:
-        ax.text(0.5, 0.5, "none failed", transform=ax.transAxes, ha="center")
+        ax.text(0.5, 0.5, "no failures", transform=ax.transAxes, ha="center")
 
 
 def _draw_boxes(ax: Any, rows: Rows, names: list[str], column: str, label: str) -> None:
@@ -115,7 +115,7 @@ def _draw_boxes(ax: Any, rows: Rows, names: list[str], column: str, label: str) 
 
 
 def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
-    """Draw flights of the same world that ended otherwise than under the first policy."""
+    """Draw the number of flights that are safe under only one of a policy and the first."""
     safe = {(row["policy"], row["flight"]): row["safe"] for row in rows}
     flights = sorted({row["flight"] for row in rows})
     for place, name in enumerate(names):
@@ -128,23 +128,23 @@ def _draw_differences(ax: Any, rows: Rows, names: list[str]) -> None:
         worse = sum(a and not b for a, b in pairs)
         ax.barh(
             place, better, height=0.5, color=COLOURS[0],
-            label="safe here alone" if not place else None,
+            label="safe only under this policy" if not place else None,
         )  # fmt: skip
         ax.barh(place, -worse, height=0.5, color=COLOURS[1], hatch="///", ec="black", lw=0.5,
-                label=f"safe with {literal(names[0])} alone" if not place else None)  # fmt: skip
+                label=f"safe only under {literal(names[0])}" if not place else None)  # fmt: skip
         if place:
-            # Above the bar: the first policy is at the top.
+            # Above the bar, where the bar of the first policy is far away.
             ax.text(0.0, place - 0.28, f" {better} better, {worse} worse", va="bottom", fontsize=7)
     ax.axvline(0.0, color="black", lw=0.8)
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, -1.0), max(high, 1.0))
     ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    ax.set_xlabel(f"flights that ended otherwise\nthan under {literal(names[0])}")
+    ax.set_xlabel(f"Flights with another outcome\nthan under {literal(names[0])}")
     ax.legend(loc="best")
 
 
 def paired(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float64]:
-    """Return how a column differs from that under the first policy, flight by flight (n,)."""
+    """Return the paired difference of a column from the first policy, by flight (n,)."""
     values = {(row["policy"], row["flight"]): row[column] for row in rows}
     flights = sorted({flight for policy, flight in values if policy == other})
     pairs = [(values.get((first, f), np.nan), values[other, f]) for f in flights]
@@ -152,29 +152,29 @@ def paired(rows: Rows, first: str, other: str, column: str) -> NDArray[np.float6
     return shift[np.isfinite(shift)]
 
 
-def _draw_shifts(
+def _draw_limit_differences(
     ax: Any, rows: Rows, names: list[str], limits: dict[str, tuple[str, float]]
 ) -> None:
-    """Draw paired differences of speeds and tilt from the first policy, in shares of their limits.
+    """Draw paired differences of speeds and tilt from the first policy, relative to their limits.
 
-    The mark is the mean, the thick bar its 95 % interval (Student's t), the thin one holds all.
+    Marker: mean; thick bar: its 95 % interval (Student's t); thin bar: range of all flights.
     """
     markers = ("o", "s", "^")
     for n, (column, (label, limit)) in enumerate(limits.items()):
-        colour, aside = COLOURS[n], 0.22 * (n - 1)
+        colour, offset = COLOURS[n], 0.22 * (n - 1)
         ax.plot([], [], markers[n], color=colour, mec="black", mew=0.6, label=label)
         for place, name in enumerate(names[1:], 1):
             shift = paired(rows, names[0], name, column) / limit
             if not shift.size:
                 continue
-            at, found = place + aside, mean_interval(shift)
+            at, found = place + offset, mean_interval(shift)
             low, high = found.mean - found.half, found.mean + found.half
             ax.plot([shift.min(), shift.max()], [at, at], color=colour, lw=0.8)
-            ax.plot([low, high], [at, at], color=colour, lw=3.0)  # NaN of one flight: no bar
+            ax.plot([low, high], [at, at], color=colour, lw=3.0)  # no bar for a single flight (NaN)
             ax.plot(found.mean, at, markers[n], color=colour, mec="black", mew=0.6)
     ax.axvline(0.0, color="black", lw=0.8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set_xlabel(f"difference from {literal(names[0])}\non the same world, over the limit")
+    ax.set_xlabel(f"Paired difference from {literal(names[0])},\nrelative to the limit")
     ax.legend(loc="upper left")
 
 
@@ -187,7 +187,7 @@ def _draw_maps(ax: Any, rows: Rows, names: list[str]) -> None:
         ax.plot(figures[1], place + 0.12, "D", color=COLOURS[4], mec="black", mew=0.6,
                 label="recall" if not place else None, clip_on=False)  # fmt: skip
         if np.isnan(figures[0]):
-            ax.text(0.02, place - 0.12, "nothing called safe: no precision", va="center", size=7)
+            ax.text(0.02, place - 0.12, "no cell classified safe", va="center", size=7)
     ax.set_xlim(0.0, 1.03)
-    ax.set_xlabel("of the map, cells with p > 0.5")
+    ax.set_xlabel("Map precision and recall, cells with p > 0.5")
     ax.legend(loc="best")

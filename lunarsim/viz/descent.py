@@ -1,4 +1,4 @@
-"""The figure of a descent: its profile, and what happened over time."""
+"""Draw the figure of a descent: its profile, and time histories."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.style import COLOURS, end_of, new_figure, save
 
-# More marks of one kind than this are a run: only the first is drawn.
-_MOST_MARKS = 8
-# Events that are marked, and how they are called, drawn and coloured.
-_MARKED = {
+# If an event occurs more often, only the first is drawn.
+_MAX_MARKS = 8
+# Events that are marked: label, marker and colour.
+_EVENT_STYLES = {
     "scan": ("LiDAR scan", "s", COLOURS[2]),
-    "picture": ("first picture", "o", COLOURS[3]),
+    "picture": ("first camera image", "o", COLOURS[3]),
     "lock": ("lock onto the map", "^", COLOURS[4]),
 }
-_LOST = ("navigation lost", "X", "black")
-_DIVERT = ("divert", "D", COLOURS[1])
-# Names of the phases of the trajectory.
+_LOST_STYLE = ("navigation lost", "X", "black")
+_DIVERT_STYLE = ("divert", "D", COLOURS[1])
+# Names of the phases in the trajectory.
 _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 
 
 def draw_descent(flight: Flight, path: Path) -> None:
-    """Draw the profile, and speeds, tilt, thrust, propellant and events on one time axis."""
+    """Draw the profile, and speeds, tilt, thrust, propellant and events over time."""
     figure = new_figure(12, 8.2)
     names = ("events", "speed", "tilt", "thrust", "propellant")
     axes: dict[str, Any] = figure.subplot_mosaic(
@@ -38,7 +38,7 @@ def draw_descent(flight: Flight, path: Path) -> None:
         width_ratios=[1.0, 1.15],
     )
     lander = Scenario.world_of(flight.scenario).vehicle.make()
-    marks = _marks(flight)
+    marks = _event_marks(flight)
     _draw_profile(axes["profile"], flight, marks)
     _draw_events(axes["events"], marks)
     _draw_speed_and_tilt(axes["speed"], axes["tilt"], flight)
@@ -46,34 +46,34 @@ def draw_descent(flight: Flight, path: Path) -> None:
     for name in names:
         _share_time(axes[name], flight, marks, named=name == names[0])
         axes[name].tick_params(labelbottom=name == names[-1])
-    axes[names[-1]].set_xlabel("time (s)")
+    axes[names[-1]].set_xlabel("Time (s)")
     figure.suptitle(end_of(flight))
     save(figure, path)
 
 
-def _marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
-    """Return name, marker, colour and times of what happened."""
+def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:
+    """Return label, marker, colour and times of each kind of event."""
     found = []
-    for name, (label, marker, colour) in _MARKED.items():
+    for name, (label, marker, colour) in _EVENT_STYLES.items():
         times = [float(e["time"]) for e in flight.events if e["name"] == name]
-        if len(times) > _MOST_MARKS:
+        if len(times) > _MAX_MARKS:
             found.append((f"first of {len(times)}: {label}", marker, colour, times[:1]))
         elif times:
             found.append((label, marker, colour, times))
     lost = np.asarray(flight.trajectory["lost"], dtype=bool)
     begins = np.flatnonzero(lost & ~np.concatenate(([False], lost[:-1])))
     if len(begins):
-        found.append((*_LOST, flight.trajectory["time"][begins].tolist()))
+        found.append((*_LOST_STYLE, flight.trajectory["time"][begins].tolist()))
     diverts = [float(d["time"]) for d in flight.decisions]
     if diverts:
-        found.append((*_DIVERT, diverts))
+        found.append((*_DIVERT_STYLE, diverts))
     return found
 
 
 def _draw_profile(
     profile: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]]
 ) -> None:
-    """Draw altitude over distance, and what happened on the way."""
+    """Draw altitude over distance, with the events."""
     t = flight.trajectory
     end = flight.positions[-1]
     altitude = t["position_z"] - end[2]
@@ -88,13 +88,13 @@ def _draw_profile(
             Line2D([], [], ls="", marker=marker, color=colour, mec="black", mew=0.6, label=label)
         )
     profile.legend(handles=handles, loc="upper left")
-    profile.set_xlabel(f"distance to {last} over the ground (m)")
-    profile.set_ylabel(f"altitude above {last} (m)")
+    profile.set_xlabel(f"Ground distance to {last} (m)")
+    profile.set_ylabel(f"Altitude above {last} (m)")
     profile.grid(alpha=0.3)
 
 
 def _draw_events(events: Any, marks: list[tuple[str, str, str, list[float]]]) -> None:
-    """Draw a row of marks a kind of event."""
+    """Draw one row of marks per kind of event."""
     for row, (_, marker, colour, times) in enumerate(marks):
         events.plot(times, [row] * len(times), marker, color=colour, ms=7, mec="black", mew=0.6)
     events.set_yticks(range(len(marks)), [label for label, *_ in marks])
@@ -103,14 +103,14 @@ def _draw_events(events: Any, marks: list[tuple[str, str, str, list[float]]]) ->
 
 def _draw_speed_and_tilt(speed: Any, tilt: Any, flight: Flight) -> None:
     t = flight.trajectory
-    speed.plot(t["time"], -t["velocity_z"], color=COLOURS[0], label="down")
+    speed.plot(t["time"], -t["velocity_z"], color=COLOURS[0], label="descent rate")
     horizontal = np.hypot(t["velocity_x"], t["velocity_y"])
-    speed.plot(t["time"], horizontal, color=COLOURS[1], ls="--", label="horizontal")
-    speed.set_ylabel("speed (m/s)")
+    speed.plot(t["time"], horizontal, color=COLOURS[1], ls="--", label="horizontal speed")
+    speed.set_ylabel("Speed (m/s)")
     q = np.column_stack([t[f"attitude_{a}"] for a in "xyzw"])
     angle = np.rad2deg(np.arccos(np.clip(quat_to_matrix(q)[:, 2, 2], -1.0, 1.0)))
     tilt.plot(t["time"], angle, color=COLOURS[2], label="tilt from the vertical")
-    tilt.set_ylabel("tilt (deg)")
+    tilt.set_ylabel("Tilt (deg)")
 
 
 def _draw_engine(thrust: Any, propellant: Any, flight: Flight, lander: Lander) -> None:
@@ -119,26 +119,28 @@ def _draw_engine(thrust: Any, propellant: Any, flight: Flight, lander: Lander) -
     for limit in (lander.thrust_min, lander.thrust_max):
         thrust.axhline(limit / 1e3, color="0.5", lw=0.8, ls="--")
     thrust.plot([], [], color="0.5", lw=0.8, ls="--", label="throttle limits")
-    thrust.set_ylabel("thrust (kN)")
+    thrust.set_ylabel("Thrust (kN)")
     left = t["mass"] - lander.dry_mass
-    propellant.plot(t["time"], left, color=COLOURS[4], label="propellant left")
-    propellant.set_ylabel("propellant (kg)")
+    propellant.plot(t["time"], left, color=COLOURS[4], label="remaining propellant")
+    propellant.set_ylabel("Propellant (kg)")
 
 
 def _share_time(
     axes: Any, flight: Flight, marks: list[tuple[str, str, str, list[float]]], *, named: bool
 ) -> None:
-    """Draw diverts and changes of phase as lines over time; their names stand in one axis."""
+    """Draw diverts and phase changes as vertical lines; one of the axes has their legend."""
     t = flight.trajectory
     axes.set_xlim(0.0, t["time"][-1])
     axes.grid(alpha=0.3)
     for label, _, colour, times in marks:
-        for i, time in enumerate(times if label == _DIVERT[0] else ()):
+        for i, time in enumerate(times if label == _DIVERT_STYLE[0] else ()):
             name = label if named and i == 0 else None
             axes.axvline(time, color=colour, lw=0.9, ls=":", label=name)
     phase = t["phase"].astype(int)
     for row in np.flatnonzero(np.diff(phase)) + 1:
         name = _PHASES.get(int(phase[row]), "approach")
-        axes.axvline(t["time"][row], color="0.4", lw=0.9, label=f"{name} begins" if named else None)
+        axes.axvline(
+            t["time"][row], color="0.4", lw=0.9, label=f"start of {name}" if named else None
+        )
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="best")

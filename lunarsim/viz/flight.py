@@ -1,4 +1,4 @@
-"""Figures of one flight: the descent, the maps it was decided on, and where it came down."""
+"""Draw the figures of one flight: descent, maps and touchdown."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from lunarsim.simulation.flight import Flight
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.viz.maps import draw_maps
-from lunarsim.viz.window import shown_bounds
+from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
 
 def truth_shown(flight: Flight, world: World, lander: Lander) -> Truth:
     """Return the exact safety of the part of the world that ``maps.png`` shows."""
-    return Truth.of(world, lander, bounds=shown_bounds(flight, world))
+    return Truth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
 def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
-    """Write ``descent.png``, ``maps.png`` and ``touchdown.png`` of a finished flight into `folder`.
+    """Write ``descent.png``, ``maps.png`` and ``touchdown.png`` of a flight into `folder`.
 
-    A flight that touched nothing has no ``touchdown.png``.
+    A flight without a touchdown has no ``touchdown.png``.
 
     Parameters
     ----------
     flight
-        As flown or as loaded.
+        Record of the flight.
     world
-        That it was flown in: see `lunarsim.evaluation.worlds.world_of`.
+        World of the flight, for instance from `lunarsim.evaluation.worlds.world_of`.
     truth
-        Exact safety of the world, or of the part that is shown: see `truth_shown`.
+        Exact safety of the world, or of the part that `truth_shown` returns.
     folder
-        Where pictures go.
+        Folder of the figures.
     """
     draw_descent(flight, Path(folder) / "descent.png")
     draw_maps(flight, world, truth, Path(folder) / "maps.png")

@@ -1,4 +1,4 @@
-"""The figure of the maps that a flight was decided on, beside the truth."""
+"""Draw the figure of a flight's decision map and the truth."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
 from lunarsim.evaluation.map_words import words_on_maps
-from lunarsim.evaluation.outcome import first_aim
+from lunarsim.evaluation.outcome import initial_aim_point
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
-from lunarsim.viz.window import diverts_of, shown_bounds
+from lunarsim.viz.window import divert_segments, map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
 
-# Candidates are seen on dark and on bright ground: white with a black rim.
+# White with a black edge, visible on dark and bright terrain.
 _CANDIDATE: dict[str, Any] = {
     "marker": "o",
     "ls": "",
@@ -32,24 +32,24 @@ _CANDIDATE: dict[str, Any] = {
     "ms": 5,
     "mew": 0.8,
 }
-_DIVERT = COLOURS[3]
-# Letters of a line that fit a panel of ground that is tall, and of other ground.
-_LETTERS = {True: 34, False: 60}
-# Cells along a side of a raster that is drawn: more than the pixels of a panel.
-_MOST_CELLS = 1500
+_DIVERT_COLOUR = COLOURS[3]
+# Characters per line that fit a panel, for tall and for other terrain.
+_LINE_LENGTH = {True: 34, False: 60}
+# Maximum number of cells along a side of a raster, above the pixels of a panel.
+_MAX_CELLS = 1500
 
 
 def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     """Draw path, sites and touchdown in the true frame."""
     t = flight.trajectory
     axes.plot(t["position_x"], t["position_y"], color=COLOURS[1], lw=1.5)
-    # Seen on dark and on bright ground.
-    axes.plot(*first_aim(flight), "x", color="white", ms=10, mew=4)
-    axes.plot(*first_aim(flight), "x", color="black", ms=8, mew=2)
-    for start, goal in diverts_of(flight):
+    # Two colours, visible on dark and bright terrain.
+    axes.plot(*initial_aim_point(flight), "x", color="white", ms=10, mew=4)
+    axes.plot(*initial_aim_point(flight), "x", color="black", ms=8, mew=2)
+    for start, goal in divert_segments(flight):
         axes.annotate(
             "", goal, start, zorder=6,
-            arrowprops={"arrowstyle": "-|>", "color": _DIVERT, "lw": 1.6, "shrinkA": 0,
+            arrowprops={"arrowstyle": "-|>", "color": _DIVERT_COLOUR, "lw": 1.6, "shrinkA": 0,
                         "shrinkB": 0, "mutation_scale": 11},
         )  # fmt: skip
     end = flight.positions[-1]
@@ -60,38 +60,38 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
 def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
     """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
-    All panels are in the true frame: the map is moved by the navigation error when it was drawn.
-    They show the part of the world that `lunarsim.viz.window.shown_bounds` returns.
+    All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
+    They show the part of the world that `lunarsim.viz.window.map_figure_bounds` returns.
 
     Parameters
     ----------
     flight, world
-        The record and the world of the flight.
+        Record and world of the flight.
     truth
-        Exact safety at least within these bounds.
+        Exact safety, at least within these bounds.
     path
         PNG file to write.
     """
-    bounds = west, east, south, north = shown_bounds(flight, world)
+    bounds = west, east, south, north = map_figure_bounds(flight, world)
     tall = (north - south) > 1.25 * (east - west)
     figure = new_figure(12.5 if tall else 10.5, 7.4 if tall else 11.4)
     panels = figure.subplots(1, 4, sharey=True) if tall else figure.subplots(2, 2).ravel()
-    truth = truth.within(bounds, _MOST_CELLS)
+    truth = truth.within(bounds, _MAX_CELLS)
     grid = truth.safety.grid
     shade = hillshade(truth.elevation, grid.posting)
     for panel in panels:
         show(panel, shade, grid, cmap="gray", vmin=0.2, vmax=1.0)
     _draw_truth(figure, panels[0], panels[1], truth)
-    _draw_map(figure, panels[2], flight, _LETTERS[tall])
-    _draw_measured(figure, panels[3], flight)
+    _draw_map(figure, panels[2], flight, _LINE_LENGTH[tall])
+    _draw_measurements(figure, panels[3], flight)
     outlines = draw_reach(panels[2], flight, bounds)
     for panel in panels:
         _path_and_sites(panel, flight, truth.lander.leg_radius)
         panel.set_xlim(west, east)
         panel.set_ylim(south, north)
-        # Panels without a bar have more room than others: they stay beside them.
+        # Align panels with and without a colour bar at the top.
         panel.set_anchor("N")
-        panel.set_title(fill(panel.get_title(), _LETTERS[tall]))
+        panel.set_title(fill(panel.get_title(), _LINE_LENGTH[tall]))
     if tall:
         for panel in panels[1:]:
             panel.set_ylabel("")
@@ -103,43 +103,44 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
 def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
     grid = truth.safety.grid
     tint = show(left, truth.elevation, grid, cmap="cividis", alpha=0.45)
-    _bar(figure, tint, left, "elevation (m)")
-    map_axes(left, "true terrain")
+    _add_colour_bar(figure, tint, left, "Elevation (m)")
+    map_axes(left, "True terrain")
     classes = np.where(truth.safety.observed, np.where(truth.safety.safe, 2.0, 1.0), 0.0)
     palette = ListedColormap(["#bbbbbb", "#D55E00", "#56B4E9"])
     drawn = show(right, classes, grid, cmap=palette, vmin=-0.5, vmax=2.5, alpha=0.6)
-    bar = _bar(figure, drawn, right, "at every heading")
-    bar.set_ticks([0.0, 1.0, 2.0], labels=["edge", "hazard", "safe"])
-    map_axes(right, "exact safety (truth)")
+    bar = _add_colour_bar(figure, drawn, right, "Safety at every heading")
+    bar.set_ticks([0.0, 1.0, 2.0], labels=["edge", "unsafe", "safe"])
+    map_axes(right, "Exact safety (truth)")
 
 
-def _draw_map(figure: Any, panel: Any, flight: Flight, letters: int) -> None:
-    """Draw the map that decided, and the sites that were chosen from."""
+def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None:
+    """Draw the decision map and the candidate sites."""
     if flight.hazard_map is not None:
         shown = np.where(flight.hazard_map.observed, flight.hazard_map.p_safe, np.nan)
         grid = flight.hazard_map.grid.moved(-flight.map_error)
         image = show(panel, shown, grid, cmap="viridis", vmin=0.0, vmax=1.0)
-        _bar(figure, image, panel, "probability of safety")
+        _add_colour_bar(figure, image, panel, "Probability of safety")
         _hatch_bounds(panel, flight.hazard_map, grid)
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
-    map_axes(panel, "hazard map and candidate sites")
+    map_axes(panel, "Hazard map and candidate sites")
     words = words_on_maps(flight).get(flight.decided_on)
     if words is not None:
-        said = panel.text(
-            0.5, 0.97, fill(f"this map {words}", letters), transform=panel.transAxes, ha="center",
-            va="top", fontsize=8, bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2}, zorder=9,
+        text = panel.text(
+            0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,
+            ha="center", va="top", fontsize=8, zorder=9,
+            bbox={"fc": "white", "ec": COLOURS[1], "lw": 1.2},
         )  # fmt: skip
-        said.set_in_layout(False)
+        text.set_in_layout(False)
 
 
-def _bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
-    """Draw a colour bar below its own panel, so that it cannot be read as the next one's axis."""
+def _add_colour_bar(figure: Any, drawn: Any, panel: Any, label: str) -> Any:
+    """Draw a colour bar below its panel, so that it is not read as the axis of the next one."""
     return figure.colorbar(drawn, ax=panel, label=label, location="bottom", shrink=0.8, aspect=30)
 
 
 def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
-    """Hatch where the probability is a bound and no frequency."""
+    """Hatch the cells outside the calibrated domain, where p_safe is a bound."""
     if hazard_map.in_domain is None:
         return
     bound = hazard_map.observed & ~hazard_map.in_domain
@@ -150,7 +151,7 @@ def _hatch_bounds(panel: Any, hazard_map: HazardMap, grid: Grid) -> None:
         hatched.set(edgecolor="0.8", linewidth=0.0)
 
 
-def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
+def _draw_measurements(figure: Any, panel: Any, flight: Flight) -> None:
     """Draw LiDAR returns, or the rocks that a mapper tracks."""
     titles = []
     dx, dy, dz = flight.map_error
@@ -160,12 +161,12 @@ def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
         dots = panel.scatter(
             points[:, 0] - dx, points[:, 1] - dy, c=points[:, 2] - dz, s=1.2, cmap="plasma", lw=0
         )
-        _bar(figure, dots, panel, "measured elevation (m)")
+        _add_colour_bar(figure, dots, panel, "Measured elevation (m)")
     for record in flight.maps.values():
         rocks = record.tables.get("rocks")
         if rocks is None:
             continue
-        some = "rocks tracked by their shadows", "no rock tracked by its shadow"
+        some = "Rocks tracked by their shadows", "No rock tracked by its shadow"
         titles.append(some[0] if len(rocks["x"]) else some[1])
         east, north, _ = record.error
         circles = [
@@ -175,19 +176,19 @@ def _draw_measured(figure: Any, panel: Any, flight: Flight) -> None:
         panel.add_collection(
             PatchCollection(circles, facecolor="none", edgecolor=COLOURS[1], lw=0.8)
         )
-    map_axes(panel, ", ".join(titles) or "nothing measured")
+    map_axes(panel, ", ".join(titles) or "No measurements")
 
 
 def _legend() -> list[Any]:
-    """Return what is drawn, as it is drawn."""
+    """Return legend entries in the style of the drawing."""
     return [
-        Line2D([], [], color=COLOURS[1], label="path over the ground"),
-        Line2D([], [], ls="", marker="x", color="black", mew=2, label="first aim"),
+        Line2D([], [], color=COLOURS[1], label="ground track"),
+        Line2D([], [], ls="", marker="x", color="black", mew=2, label="initial aim point"),
         Line2D([], [], ls="", marker="o", mfc="none", mec=COLOURS[1], ms=9, label="touchdown"),
-        Line2D([], [], color=_DIVERT, marker=">", label="divert"),
+        Line2D([], [], color=_DIVERT_COLOUR, marker=">", label="divert"),
         Line2D([], [], label="candidate site", **_CANDIDATE),
-        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="no frequency, cautious"),
+        Patch(fc="#440154", ec="0.8", hatch="///", lw=0.0, label="outside calibrated domain"),
         Patch(color="#56B4E9", label="truly safe at every heading"),
-        Patch(color="#D55E00", label="true hazard"),
+        Patch(color="#D55E00", label="truly unsafe"),
         Patch(color="#bbbbbb", label="edge of the terrain"),
     ]

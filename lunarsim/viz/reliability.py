@@ -1,4 +1,4 @@
-"""Stated probabilities beside found frequencies."""
+"""Draw reliability diagrams: predicted probabilities and observed frequencies."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from lunarsim.evaluation.reliability import frequencies
 
 
 def plot_reliability(axes: Any, table: NDArray[np.float64], least: int = 50, **style: Any) -> None:
-    """Draw the bins (see `reliability`) that hold at least so many cells.
+    """Draw the bins of a reliability table that hold at least `least` cells.
 
     Parameters
     ----------
     axes
-        Where.
+        Axes to draw on.
     table
-        Number, sum of probabilities and number that happened (bins, 3).
+        Count, sum of probabilities and number of events (bins, 3), as from `reliability`.
     least
-        Fewest cells of a bin that is shown.
+        Minimum number of cells of a bin that is drawn.
     style
-        Colour, label and so on.
+        Options of the line, for instance colour and label.
     """
     axes.plot(*frequencies(table[table[:, 0] >= least]), "o-", **{"ms": 4, **style})
 
 
 def plot_ideal(axes: Any, **style: Any) -> None:
-    """Draw the line on which what is said to happen happens that often."""
+    """Draw the diagonal of perfect reliability."""
     axes.plot([0, 1], [0, 1], **{"color": "#999999", "lw": 1, **style})

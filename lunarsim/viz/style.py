@@ -1,4 +1,4 @@
-"""What all figures share."""
+"""Common style and helpers of all figures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lunarsim.scenario.files import parsed_toml
 from lunarsim.simulation.flight import Flight
 from lunarsim.whole_files import write_whole
 
-# Okabe and Ito's palette: told apart by colour-blind readers too.
+# Palette of Okabe and Ito for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 POLICY_COLOURS = {
     "no-divert": "#666666",
@@ -29,11 +29,11 @@ POLICY_COLOURS = {
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return a figure (inches) that draws without a display and without global state."""
+    """Create a figure (size in inches) that needs no display and no global state."""
     mpl.rcParams.update(
         {
             "font.size": 9, "axes.titlesize": 10, "axes.grid": False, "legend.fontsize": 8,
-            "text.usetex": False,  # a matplotlibrc of the working folder could run LaTeX
+            "text.usetex": False,  # a matplotlibrc in the working folder could run LaTeX
         }
     )  # fmt: skip
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -42,48 +42,48 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG."""
+    """Write a figure as PNG, atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, lambda part: figure.savefig(part, dpi=130, format="png"))
 
 
 def literal(text: str) -> str:
-    """Return a name so that Matplotlib draws its dollar signs instead of mathematics."""
+    """Escape dollar signs in a name, which Matplotlib would read as mathematics."""
     return text.replace("$", r"\$")
 
 
 def end_of(flight: Flight) -> str:
-    """Return scenario, policy and end of a flight as a title."""
+    """Return scenario, policy and outcome of a flight as a title."""
     name = parsed_toml(flight.scenario).get("name", "unnamed")
-    end = "landed safe" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
+    end = "safe landing" if flight.verdict.safe else "failed: " + ", ".join(flight.verdict.failed)
     return literal(f"{name}, {flight.policy}: {end}")
 
 
 def policy_colour(name: str) -> str:
-    """Return the colour of a policy in every figure."""
+    """Return the colour of a policy, the same in every figure."""
     return POLICY_COLOURS.get(name, "#56B4E9")
 
 
 def hillshade(z: NDArray[Any], posting: float) -> NDArray[np.float64]:
-    """Return shaded relief in [0, 1] lit from the north-west at 40 deg; NaN stays NaN.
+    """Return a hillshade in [0, 1], lit from the north-west at 40 deg; NaN stays NaN.
 
-    Shades of ground without gaps are stretched from the darkest to the brightest.
+    Without NaN, the shades are stretched over the full range.
     """
-    # Rows run north, where Matplotlib expects them to run south.
+    # Rows run north, but Matplotlib expects them to run south.
     light = LightSource(azdeg=315.0, altdeg=40.0)
     return np.asarray(light.hillshade(np.asarray(z, np.float64), dx=posting, dy=-posting))
 
 
 def map_axes(axes: Any, title: str) -> None:
-    """Label a map."""
+    """Label the axes of a map."""
     axes.set_title(title)
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
+    axes.set_xlabel("East (m)")
+    axes.set_ylabel("North (m)")
     axes.set_aspect("equal")
 
 
 def show(axes: Any, raster: NDArray[Any], grid: Grid, **options: Any) -> Any:
-    """Draw a raster in its place, north up."""
+    """Draw a raster at its coordinates, north up."""
     return axes.imshow(
         raster, origin="lower", extent=grid.extent, interpolation="nearest", **options
     )

@@ -1,4 +1,4 @@
-"""A look at a ground: shaded relief, slopes, rocks."""
+"""Draw an overview of a terrain: hillshade, slopes and rocks."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from lunarsim.grid import Grid
 from lunarsim.viz.style import hillshade, literal, map_axes, new_figure, save, show
 from lunarsim.world.terrain import Terrain
 
-_MOST_POSTS = 1200
+_MAX_POSTS = 1200
 
 
 def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
-    """Write shaded relief, slope map and rocks over relief to a PNG file.
+    """Write hillshade, slope map and rocks of a terrain to a PNG file.
 
-    Slopes are those of the relief without rocks, at the posting of the drawing, which is coarser
-    than the terrain's where that has more than 1200 posts a side.
+    Slopes exclude rocks. They are computed at the posting of the figure, which is coarser than that
+    of a terrain with more than 1200 posts per side.
     """
     g = terrain.relief.grid
-    step = -(-max(g.rows, g.cols) // _MOST_POSTS)
+    step = -(-max(g.rows, g.cols) // _MAX_POSTS)
     z = terrain.relief.z[::step, ::step].astype(np.float64)
     grid = Grid(g.x0, g.y0, g.posting * step, *z.shape)
     gy, gx = np.gradient(z, grid.posting)
@@ -33,11 +33,11 @@ def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     show(left, shade, grid, cmap="gray", vmin=0, vmax=1)
     contours = left.contour(grid.x, grid.y, z, 8, colors="C0", linewidths=0.6)
     left.clabel(contours, fontsize=6, fmt="%.3g")
-    map_axes(left, "shaded relief, elevation (m)")
+    map_axes(left, "Hillshade, elevation (m)")
     top = float(np.nanpercentile(slope, 99.0))
     drawn = show(middle, slope, grid, cmap="viridis", vmin=0.0, vmax=max(top, 0.1))
-    figure.colorbar(drawn, ax=middle, label="slope (deg)", shrink=0.8, extend="max")
-    map_axes(middle, f"slope at {grid.posting:.3g} m, median {np.nanmedian(slope):.1f} deg")
+    figure.colorbar(drawn, ax=middle, label="Slope (deg)", shrink=0.8, extend="max")
+    map_axes(middle, f"Slope at {grid.posting:.3g} m, median {np.nanmedian(slope):.1f} deg")
     show(right, shade, grid, cmap="gray", vmin=0, vmax=1)
     rocks = terrain.rocks
     right.add_collection(
@@ -49,7 +49,7 @@ def draw_terrain(terrain: Terrain, title: str, path: Path) -> None:
     )  # fmt: skip
     covered = float(np.sum(np.pi * rocks.a * rocks.b)) / (g.rows * g.cols * g.posting**2)
     map_axes(right, f"{len(rocks)} rocks" + (f", {100 * covered:.1f} % cover" if covered else ""))
-    # Rocks that reach over the edge draw no margin.
+    # Rocks across the edge must not add a margin.
     west, east, south, north = grid.extent
     right.set(xlim=(west, east), ylim=(south, north))
     save(figure, path)

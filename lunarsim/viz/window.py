@@ -1,4 +1,4 @@
-"""The part of a world that the figure of the maps shows."""
+"""Choose the part of a world that the figure of the maps shows."""
 
 from __future__ import annotations
 
@@ -7,26 +7,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.evaluation.outcome import first_aim
+from lunarsim.evaluation.outcome import initial_aim_point
 from lunarsim.simulation.flight import Flight
 from lunarsim.world import World
 
 # West, east, south and north edges, m.
 Bounds = tuple[float, float, float, float]
 
-# A world is shown completely if the mapped part is at least this share of its longer side.
-_COMPLETE = 0.5
+# If the mapped part is at least this share of the longer side, the complete world is shown.
+_MIN_COMPLETE_SHARE = 0.5
 # Margin around the mapped part, as a share of its width; and around single points, m.
 _MARGIN, _POINT_MARGIN_M = 0.25, 10.0
-# Half side of what is shown around single points of a flight without a map, m.
+# Half side of the figure around single points of a flight without a map, m.
 _HALF_SIDE_M = 50.0
 
 
-def diverts_of(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return where each divert left from and went to (2,), true frame, m.
+def divert_segments(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """Return start and end (2,) of each divert in the true frame, m.
 
-    Decisions are recorded in the onboard frame. The error of navigation at their time gives the
-    true points.
+    Decisions are recorded in the onboard frame; the navigation error at their time is subtracted.
     """
     t = flight.trajectory
     found = []
@@ -38,15 +37,15 @@ def diverts_of(flight: Flight) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     return found
 
 
-def shown_bounds(flight: Flight, world: World) -> Bounds:
-    """Return the bounds of what is drawn of a flight: its map, sites, diverts and touchdown.
+def map_figure_bounds(flight: Flight, world: World) -> Bounds:
+    """Return the bounds of the figure of a flight: its map, sites, diverts and touchdown.
 
-    A world that is not much larger than the map is shown completely. Only the end of the path
-    lies within the bounds of a larger one.
+    A world that is not much larger than the map is shown completely. In a larger world only the end
+    of the path lies within the bounds.
     """
     west, east, south, north = world.terrain.bounds
-    points = [first_aim(flight), flight.positions[-1, :2]]
-    points += [end for divert in diverts_of(flight) for end in divert]
+    points = [initial_aim_point(flight), flight.positions[-1, :2]]
+    points += [end for divert in divert_segments(flight) for end in divert]
     points += list(flight.candidates[:, :2] - flight.map_error[:2])
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     if flight.hazard_map is None:
@@ -54,7 +53,7 @@ def shown_bounds(flight: Flight, world: World) -> Bounds:
         x1, y1 = high + _HALF_SIDE_M
     else:
         x0, x1, y0, y1 = flight.hazard_map.grid.moved(-flight.map_error).extent
-    if max(x1 - x0, y1 - y0) >= _COMPLETE * max(east - west, north - south):
+    if max(x1 - x0, y1 - y0) >= _MIN_COMPLETE_SHARE * max(east - west, north - south):
         return west, east, south, north
     margin = _MARGIN * (x1 - x0)
     low = np.minimum(low - _POINT_MARGIN_M, [x0 - margin, y0 - margin])

@@ -16,7 +16,7 @@ from tests.campaign.surrogate import plan
 def short_parts(monkeypatch):
     """Parts of 20 rows, flights handed out by 7."""
     monkeypatch.setattr(store, "PART_ROWS", 20)
-    monkeypatch.setattr(store, "_AT_ONCE", 7)
+    monkeypatch.setattr(store, "_ROWS_PER_BATCH", 7)
 
 
 @pytest.fixture(scope="session")

@@ -159,7 +159,7 @@ def test_a_full_disk_is_told_once_and_changes_nothing(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
     try:
-        with pytest.warns(CacheWarning, match="cannot be written to") as told:
+        with pytest.warns(CacheWarning, match="Cannot write to the cache") as told:
             found = [cache.get("k", str(i), lambda: arrays(size=50_000)) for i in range(3)]
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

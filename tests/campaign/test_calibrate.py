@@ -63,9 +63,9 @@ def test_the_command_prints_a_table_and_writes_the_file(done):
     # Two scans, so two maps, a flight.
     assert found.sites == 600
     assert f"{found.sites} sites on 4 maps of 2 flights" in output
-    assert len(re.findall(r"│ (packaged|refit's) +│ (packaged|refit)", output)) == 4
-    assert "In the refit's domain the refit is" in output
-    assert "by flights left out" in output.replace("\n", " ")
+    assert len(re.findall(r"│ (packaged|refit) +│ (packaged|refit)", output)) == 4
+    assert "In the refit domain the refit is" in output
+    assert "on held-out flights" in output.replace("\n", " ")
     assert set(found.after) == {"packaged_domain", "refit_domain"}
     assert sorted(p.name for p in out.parent.iterdir()) == ["c.json", "tiny.toml"]
 
@@ -110,7 +110,7 @@ def test_a_flight_uses_it(scenario, done):
 def test_a_calibration_that_does_not_fit_is_refused(scenario, done, tmp_path):
     _, out, _ = done
     own = {"dem": {"calibration_path": str(out)}}
-    with pytest.raises(InputError, match=r"vehicle\.leg_radius_m = 1\.8: 2\.35, for which"):
+    with pytest.raises(InputError, match=r"vehicle\.leg_radius_m: .*2\.35"):
         Simulation(scenario.changed(mappers=own, vehicle={"leg_radius_m": 1.8}), 1, "safest")
     for path, says in (("gone.json", "an existing file"), ("tiny.toml", "JSON")):
         given = tmp_path / path
@@ -129,13 +129,13 @@ def test_a_calibration_that_does_not_fit_is_refused(scenario, done, tmp_path):
 @pytest.mark.parametrize(
     ("tables", "options", "says"),
     [
-        ({"mappers": {"dem": DEM | {"safety": "level"}}}, [], r"mappers.dem.safety = 'level'"),
-        ({"mappers": {"q": {"kind": "quadtree"}}}, [], "gaussian-dem; there are none"),
-        ({"mappers": {"q": {"kind": "quadtree"}, "dem": DEM}}, ["--mapper", "q"], "are dem"),
-        ({}, ["--mapper", "other"], "there are dem"),
-        ({}, ["--flights", "1"], "at least 2"),
-        ({}, ["--sites", "0"], "at least 1"),
-        ({}, ["--jobs", "0"], "at least 1"),
+        ({"mappers": {"dem": DEM | {"safety": "level"}}}, [], r"mappers.dem.safety: must be"),
+        ({"mappers": {"q": {"kind": "quadtree"}}}, [], "one mapper of kind gaussian-dem"),
+        ({"mappers": {"q": {"kind": "quadtree"}, "dem": DEM}}, ["--mapper", "q"], "available: dem"),
+        ({}, ["--mapper", "other"], "available: dem"),
+        ({}, ["--flights", "1"], "2 or more"),
+        ({}, ["--sites", "0"], "1 or more"),
+        ({}, ["--jobs", "0"], "1 or more"),
         ({}, ["--out", "c.txt"], "ends in .json"),
         ({}, ["--out", "gone/c.json"], "existing folder"),
     ],
@@ -155,7 +155,7 @@ def test_which_mapper_is_meant():
     decides = TABLES | {"mappers": two, "decisions": {"map": "b"}}
     assert gaussian_mapper(Scenario.from_dict(decides)) == "b"
     decides = Scenario.from_dict(TABLES | {"mappers": two, "decisions": {"map": "q"}})
-    with pytest.raises(InputError, match="--mapper; there are a, b"):
+    with pytest.raises(InputError, match=r"several mappers of kind gaussian-dem .a, b."):
         gaussian_mapper(decides)
     assert gaussian_mapper(decides, "b") == "b"
     one = TABLES | {"mappers": {"q": {"kind": "quadtree"}, "b": DEM}}
@@ -190,5 +190,5 @@ def test_ground_that_is_all_alike_is_an_error(tmp_path):
     out = tmp_path / "c.json"
     result = run(tmp_path / "flat.toml", "--flights", 2, "--sites", 30, "--jobs", 1, "--out", out)
     assert result.exit_code == 2, result.output
-    assert "safe and as many unsafe" in result.output.replace("\n", "")
+    assert "safe and 20 unsafe" in result.output.replace("\n", "")
     assert not out.exists()

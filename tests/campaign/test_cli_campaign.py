@@ -20,7 +20,7 @@ from lunarsim.campaign import store
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run as fly
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
 from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.scenario import Scenario
@@ -128,8 +128,8 @@ def test_the_report_is_one_file_without_network(swept, tmp_path):
     page = out.read_text()
     head = page.replace(page[page.index("<script>") : page.index("const plots")], "")
     assert not re.search(r"""(src|href)\s*=\s*["']https?:""", head)
-    for words in ("Summary", "Wilson", "Paired differences", "What p_safe was worth", "Timing",
-                  "Where they touched down"):  # fmt: skip
+    for words in ("Summary", "Wilson", "Paired differences", "Reliability of p_safe", "Timing",
+                  "Touchdown points"):  # fmt: skip
         assert words in head
     assert run("campaign", "report", tmp_path, "--out", out).exit_code == 2
     assert run("campaign", "report", swept, "--out", tmp_path / "r.txt").exit_code == 2
@@ -166,7 +166,7 @@ def test_tables_of_the_report_in_markdown(swept, tmp_path):
 @pytest.mark.parametrize("flights", [12, 200], ids=["to the end", "stopped"])
 def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
     """Also of one that met its last flight first: it would have stopped, had it been narrow."""
-    rule = WidthRule("safe", 0.5, 2)
+    rule = IntervalWidthRule("safe", 0.5, 2)
     watched = replace(plan(flights=flights), identity={"stop": {"metric": "safe", "width": 0.5}})
     assert fly(watched, InlineEngine(), tmp_path / "c", rule=rule).state == (
         "complete" if flights == 12 else "stopped"
@@ -178,7 +178,7 @@ def test_intervals_of_a_campaign_that_was_watched_stand_it(tmp_path, flights):
     for _, rows in table.groupby("arm"):
         low, high = share_sequence(int(rows["safe"].sum()), len(rows))
         assert f"[{low:.3f}, {high:.3f}]" in page
-    assert "a confidence sequence" in page
+    assert "confidence sequence" in page
 
 
 @pytest.mark.parametrize("lost", ["one arm", "all"])

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.campaign.engines.inline import InlineEngine
-from lunarsim.campaign.engines.local import LocalEngine, deaf
+from lunarsim.campaign.engines.local import LocalEngine, block_interrupts
 from lunarsim.campaign.results import load_results, status_of
 from lunarsim.campaign.run import run
 from tests.campaign.processes import children, command_of, journalled, parts, start, wait_for
@@ -176,7 +176,7 @@ def test_processes_do_not_die_of_an_interrupt_while_they_start():
     code = "import signal, time; signal.signal(signal.SIGINT, signal.default_int_handler);"
     code += "print(flush=True); time.sleep(0.3); print('there')"
     before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
-    with deaf():
+    with block_interrupts():
         other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
     other.stdout.readline()

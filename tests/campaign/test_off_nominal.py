@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import norm
 
-from lunarsim.campaign.analysis import diff, differences, figures_of
+from lunarsim.campaign.analysis import compute_arm_statistics, diff, differences
 from lunarsim.campaign.cache import opened
 from lunarsim.campaign.dispersions import world_of
 from lunarsim.campaign.engines.inline import InlineEngine
@@ -22,7 +22,7 @@ from lunarsim.campaign.rare import rare_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
@@ -46,7 +46,7 @@ def spec(**more: object) -> CampaignSpec:
 def test_fewer_flights_than_there_are_delete_none(tmp_path):
     run(plan(flights=30), InlineEngine(), tmp_path / "c")
     before = parts(tmp_path / "c")
-    with pytest.raises(InputError, match="at least 30") as refused:
+    with pytest.raises(InputError, match="30 or more") as refused:
         run(plan(flights=5), InlineEngine(), tmp_path / "c")
     assert refused.value.field == "flights" and parts(tmp_path / "c") == before
 
@@ -63,8 +63,8 @@ def test_rows_that_are_gone_are_told_of_and_flown_again(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "value", "says"),
-    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kinds"),
-     ("arms", [], "rows of the arms"), ("inputs", None, "no campaign's")],
+    [("format", 0, "of format"), ("columns", {"safe": "complex"}, "unknown kind"),
+     ("arms", [], "has rows of arms"), ("inputs", None, "is damaged")],
 )  # fmt: skip
 def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, says):
     run(plan(flights=3), InlineEngine(), tmp_path / "c")
@@ -111,7 +111,7 @@ def test_a_landing_counts_whether_or_not_its_record_could_be_written(tmp_path, m
     kept, lost = (load_results(tmp_path / name).table for name in ("kept", "full"))
     told = ["id", "outcome", "safe", "propellant_kg", "divert_m"]
     assert lost.select(told).equals(kept.select(told))
-    assert all("not kept" in error for error in lost["error"].to_pylist())
+    assert all("not written" in error for error in lost["error"].to_pylist())
     assert not list((tmp_path / "full" / "flights").glob("*/0*"))
 
 
@@ -219,7 +219,7 @@ def test_flights_of_a_saltelli_block_do_not_count_as_many(tmp_path):
         folder = tmp_path / str(seed)
         run(replace(plan_of(made), work=work, columns=COLUMNS), InlineEngine(), folder)
         found = load_results(folder)
-        figures = figures_of(found)[0]
+        figures = compute_arm_statistics(found)[0]
         assert (figures.rows, figures.flown, figures.shares["safe"].total) == (128, 128, 32)
         low, high = figures.shares["safe"].interval
         held += low <= 0.5 <= high
@@ -273,14 +273,14 @@ def test_diff_is_of_the_same_draws_and_a_gain_is_no_equivalence(tmp_path):
 
 
 def test_a_flight_without_a_verdict_counts_as_no_success_when_it_stops():
-    seen, none = WidthRule("safe", 0.9, 1), WidthRule("safe", 0.9, 1)
+    seen, none = IntervalWidthRule("safe", 0.9, 1), IntervalWidthRule("safe", 0.9, 1)
     for flight in range(40):
-        none.see(flight, 0, {"safe": None})
-        seen.see(flight, 0, {"safe": False})
+        none.add(flight, 0, {"safe": None})
+        seen.add(flight, 0, {"safe": False})
     assert none.stop == seen.stop is not None
     # Half of them without a verdict: a share about a half takes more flights than one at an end.
-    half, ends = WidthRule("safe", 0.3, 1), WidthRule("safe", 0.3, 1)
+    half, ends = IntervalWidthRule("safe", 0.3, 1), IntervalWidthRule("safe", 0.3, 1)
     for flight in range(400):
-        half.see(flight, 0, {"safe": True if flight % 2 else None})
-        ends.see(flight, 0, {"safe": True})
+        half.add(flight, 0, {"safe": True if flight % 2 else None})
+        ends.add(flight, 0, {"safe": True})
     assert half.stop > 2 * ends.stop

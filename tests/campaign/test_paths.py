@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from lunarsim.campaign.flying import fly_whole, plan_of
-from lunarsim.campaign.paths import path_classes
+from lunarsim.campaign.flying import fly_with_simulation, plan_of
+from lunarsim.campaign.paths import shared_path_classes
 from lunarsim.campaign.plan import Group
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
@@ -67,11 +67,13 @@ def test_rows_and_records_are_those_of_flights_alone(tmp_path, cycles):
         memory: dict = {}
         group = Group(index, tuple(range(4)))
         cycles.clear()
-        shared = {arm: fly_whole(known, group, arm, memory) for arm in order}
+        shared = {arm: fly_with_simulation(known, group, arm, memory) for arm in order}
         together = len(cycles)
         cycles.clear()
         for arm in order:
-            alone = fly_whole(known, Group(index, (arm,)), arm, memory | {("paths", 0): {}})
+            alone = fly_with_simulation(
+                known, Group(index, (arm,)), arm, memory | {("paths", 0): {}}
+            )
             flight, _, row = shared[arm]
             assert repr(row) == repr(alone[2])
             assert row["policy"] == POLICIES[arm]
@@ -94,19 +96,19 @@ def test_settings_and_names_of_policies_share_a_path_and_nothing_else_does(monke
     ]
     given = {"name": "p", "flights": 4, "scenario": ROUGH, "arms": arms}
     spec = CampaignSpec.from_dict(given)
-    assert path_classes(spec.arms) == (0, 0, 2, 3, 2)
+    assert shared_path_classes(spec.arms) == (0, 0, 2, 3, 2)
 
 
 def test_where_no_copy_is_certain_flights_are_flown_apart(monkeypatch, cycles):
     def refuse(self, simulation):
-        raise checkpoint.NoCheckpointError("no")
+        raise checkpoint.CheckpointError("no")
 
     known = study(["no-divert", "safest"])
-    alone = [fly_whole(known, Group(1, (arm,)), arm, {})[2] for arm in (0, 1)]
+    alone = [fly_with_simulation(known, Group(1, (arm,)), arm, {})[2] for arm in (0, 1)]
     cycles.clear()
     monkeypatch.setattr("lunarsim.campaign.paths.Checkpoint.__init__", refuse)
     memory: dict = {}
-    shared = [fly_whole(known, Group(1, (0, 1)), arm, memory)[2] for arm in (0, 1)]
+    shared = [fly_with_simulation(known, Group(1, (0, 1)), arm, memory)[2] for arm in (0, 1)]
     assert repr(shared) == repr(alone)
 
 
@@ -114,9 +116,9 @@ def test_a_draw_that_another_arm_cannot_take_is_that_arms_alone():
     """A setting of one policy that is drawn, which the other does not have."""
     known = study(["nearest-safe", "no-divert"])
     group, memory = Group(0, (0, 1), {"policy.enough": 0.7}), {}
-    assert fly_whole(known, group, 0, memory)[2]["policy"] == "nearest-safe"
+    assert fly_with_simulation(known, group, 0, memory)[2]["policy"] == "nearest-safe"
     with pytest.raises(InputError, match="enough"):
-        fly_whole(known, group, 1, memory)
+        fly_with_simulation(known, group, 1, memory)
 
 
 def test_who_climbs_away_parts_from_who_lands():
@@ -129,7 +131,7 @@ def test_who_climbs_away_parts_from_who_lands():
     given = {"name": "p", "flights": 4, "seed": 5, "scenario": ROUGH, "arms": arms}
     known = plan_of(CampaignSpec.from_dict(given)).work.study
     memory: dict = {}
-    shared = [fly_whole(known, Group(0, (0, 1, 2)), arm, memory)[2] for arm in range(3)]
-    alone = [fly_whole(known, Group(0, (arm,)), arm, {})[2] for arm in range(3)]
+    shared = [fly_with_simulation(known, Group(0, (0, 1, 2)), arm, memory)[2] for arm in range(3)]
+    alone = [fly_with_simulation(known, Group(0, (arm,)), arm, {})[2] for arm in range(3)]
     assert repr(shared) == repr(alone)
     assert [row["aborted"] for row in shared] == [False, True, True]

@@ -77,7 +77,7 @@ def test_a_script_can_be_imported_by_workers(main, tmp_path):
 
 
 def test_what_cannot_be_pickled_is_refused_in_one_sentence():
-    with pytest.raises(InputError, match=r"can be pickled \(.+\)\. Use jobs = 1"):
+    with pytest.raises(InputError, match=r"can be pickled \(.+\), got .+\. Use jobs = 1"):
         check_picklable("policies", lambda: None)
 
 

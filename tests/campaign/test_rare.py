@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import norm, truncnorm
 
-from lunarsim.campaign.analysis import diff, differences, figures_of
+from lunarsim.campaign.analysis import compute_arm_statistics, diff, differences
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.plan import Work
-from lunarsim.campaign.rare import rare_shares, weighted_share
+from lunarsim.campaign.rare import estimate_weighted_share, rare_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.sensitivity import sensitivities
@@ -80,13 +80,13 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     ratio = np.exp(shift * z.sum(axis=-1) - shift**2)
     weights = 1.0 / (share + (1.0 - share) * ratio)
     hits = z.sum(axis=-1) / np.sqrt(2.0) > BETA
-    made = [weighted_share(h, w, 1.0 / share) for h, w in zip(hits, weights, strict=True)]
+    made = [estimate_weighted_share(h, w, 1.0 / share) for h, w in zip(hits, weights, strict=True)]
     value, low, high, _ = np.array(made).T
     assert 0.92 < np.mean((low < 1e-4) & (high > 1e-4)) < 0.98
     assert abs(value.mean() - 1e-4) < 3.0 * value.std() / np.sqrt(studies)
-    assert weighted_share(np.zeros(100, bool), np.ones(100), 10.0)[:2] == (0.0, 0.0)
+    assert estimate_weighted_share(np.zeros(100, bool), np.ones(100), 10.0)[:2] == (0.0, 0.0)
     # None of 100, each with the greatest weight: 10 times what Clopper and Pearson say.
-    assert weighted_share(np.zeros(100, bool), np.ones(100), 10.0)[2] == pytest.approx(
+    assert estimate_weighted_share(np.zeros(100, bool), np.ones(100), 10.0)[2] == pytest.approx(
         10.0 * (1.0 - 0.05 ** (1.0 / 100.0))
     )
 
@@ -108,7 +108,7 @@ def test_intervals_hold_the_truth_where_draws_lean_badly_too(keys, beta, shift, 
         ratio = np.prod(norm.pdf(z, shift, scale) / norm.pdf(z), axis=1)
         weights = 1.0 / (share + (1.0 - share) * ratio)
         hits = z.sum(axis=1) / np.sqrt(keys) > beta
-        _, low, high, _ = weighted_share(hits, weights, 1.0 / share)
+        _, low, high, _ = estimate_weighted_share(hits, weights, 1.0 / share)
         held.append(low < norm.sf(beta) < high)
     assert np.mean(held) > 0.92
 
@@ -157,19 +157,19 @@ def test_a_flight_depends_on_its_index_alone_and_more_can_be_asked_for(tmp_path)
 def test_flights_that_lean_are_never_taken_as_even(tmp_path):
     found = flown(tmp_path / "c", 60)
     for refused in (
-        lambda: figures_of(found),
+        lambda: compute_arm_statistics(found),
         lambda: differences(found),
         lambda: diff(found, found, 0.05),
         lambda: sensitivities(found, "score"),
     ):
-        with pytest.raises(InputError, match="count alike"):
+        with pytest.raises(InputError, match="equal weights"):
             refused()
     done = CliRunner().invoke(main, ["campaign", "report", str(tmp_path / "c")])
     assert done.exit_code == 0, done.output
     page = (tmp_path / "c" / "report.html").read_text()
     (made,) = rare_shares(found)
     told = f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]'
-    assert told in page and "importance sampling" in page
+    assert told in page and "Importance sampling" in page
     even = flown(tmp_path / "e", 3, method="monte-carlo", importance=None)
     with pytest.raises(InputError, match="method importance"):
         rare_shares(even)

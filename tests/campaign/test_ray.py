@@ -47,7 +47,7 @@ def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
     """Its rows would name this machine's."""
     flights = plan(flights=1)
     (group,) = (Group(0, (0, 1), flights.draws(0)),)
-    here = ray_cluster.this_node()
+    here = ray_cluster.node_environment()
     assert len(ray_cluster.fly_group(flights.work, group, None, here)) == 2
     for change, told in (
         ({"numpy": "1.26.4"}, rf"numpy {np.__version__} \(here 1\.26\.4\)"),
@@ -55,7 +55,7 @@ def test_a_node_of_other_code_or_packages_flies_nothing(monkeypatch):
         ({"torch": "2.0"}, r"torch none \(here 2\.0\)"),
     ):
         came = ray_cluster.fly_group(flights.work, group, None, here | change)
-        assert isinstance(came, ray_cluster.OtherNode) and re.search(told, came.has)
+        assert isinstance(came, ray_cluster.NodeMismatch) and re.search(told, came.has)
         engine = object.__new__(ray_cluster.RayEngine)
         engine.address = "10.0.0.1:6379"
         with pytest.raises(InputError, match=told) as refused:
@@ -138,8 +138,8 @@ def _runs(process: int) -> bool:
 def test_flights_that_fail_on_ray_are_rows(tmp_path, monkeypatch):
     failing = plan(flights=5, raises=["1-0"], hangs=["2-1"], kills=["3-0"])
     with monkeypatch.context() as patch, pytest.raises(InputError, match=r"here 1\.26"):
-        other = ray_cluster.this_node() | {"numpy": "1.26"}
-        patch.setattr(ray_cluster, "this_node", lambda: other)
+        other = ray_cluster.node_environment() | {"numpy": "1.26"}
+        patch.setattr(ray_cluster, "node_environment", lambda: other)
         run(failing, engine_of("ray", 1, None, 1.0), tmp_path / "c")
     assert not load_results(tmp_path / "c").table.num_rows
     began = time.monotonic()

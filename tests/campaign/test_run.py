@@ -19,7 +19,7 @@ from lunarsim.campaign.outcomes import FLOWN, Finished
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results, status_of
 from lunarsim.campaign.run import run
-from lunarsim.campaign.stopping import WidthRule
+from lunarsim.campaign.stopping import IntervalWidthRule
 from lunarsim.campaign.store import Store
 from lunarsim.errors import InputError
 from lunarsim.evaluation.sequences import share_sequence
@@ -84,7 +84,7 @@ def test_flights_that_fail_are_rows_with_reason_and_seed(tmp_path):
     assert rows["2-1"]["error"] == "SystemExit: 3"
     assert (rows["3-0"]["outcome"], rows["3-0"]["error"]) == (
         "timeout",
-        "it took longer than 0.7 s",
+        "The flight exceeded the time limit of 0.7 s.",
     )
     assert rows["4-1"]["outcome"] == "killed"
     assert "SIGKILL" in rows["4-1"]["error"] and "3 times" in rows["4-1"]["error"]
@@ -113,7 +113,7 @@ def test_a_million_rows_are_not_held_in_memory(tmp_path, monkeypatch):
         opened.add(Finished(i, 0, FLOWN, {"safe": True, "x": i / 7, "steps": i, "name": "n"}))
     held, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    opened.abandon()
+    opened.release()
     line = len((tmp_path / "c" / "journal.jsonl").read_text()) / 1000
     assert held / 1000 < 1.5 * line + 400
 
@@ -140,8 +140,8 @@ def test_a_jump_of_the_clock_does_not_matter_to_a_time_budget(tmp_path, monkeypa
 
 @pytest.mark.parametrize("engine", [InlineEngine(), LocalEngine(2)], ids=["inline", "local"])
 def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, engine):
-    def rule() -> WidthRule:
-        return WidthRule("safe", 0.5, 2)
+    def rule() -> IntervalWidthRule:
+        return IntervalWidthRule("safe", 0.5, 2)
 
     ran = run(plan(flights=200), engine, tmp_path / "c", rule=rule())
     assert ran.state == "stopped" and ran.complete
@@ -160,7 +160,7 @@ def test_a_narrow_interval_stops_at_the_first_flight_that_suffices(tmp_path, eng
 
 def test_two_writers_at_once_are_refused(tmp_path):
     opened = Store.open(tmp_path / "c", plan())
-    with pytest.raises(InputError, match="no other process"):
+    with pytest.raises(InputError, match="another process"):
         run(plan(), InlineEngine(), tmp_path / "c")
     opened.close("interrupted")
     assert run(plan(), InlineEngine(), tmp_path / "c").complete
@@ -175,7 +175,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
-    with pytest.raises(InputError, match=r"seed was 1 there, is 2 now"):
+    with pytest.raises(InputError, match=r"seed was 1 there, but is 2 now"):
         run(plan(flights=2, seed=2), InlineEngine(), tmp_path / "c")
     for key, value in (("version", "0.0.9"), ("code", "0" * 12), ("format", 99)):
         manifest = json.loads((tmp_path / "c" / "manifest.json").read_text())
@@ -202,7 +202,7 @@ def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     run(plan(flights=2), InlineEngine(), tmp_path / "c")
     kept = {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}
     (tmp_path / "c" / "manifest.json").write_text("{")
-    with pytest.raises(InputError, match=r"manifest\.json in order"):
+    with pytest.raises(InputError, match=r"manifest\.json is damaged"):
         run(plan(flights=2), InlineEngine(), tmp_path / "c")
     (tmp_path / "c" / "manifest.json").write_bytes(kept[tmp_path / "c" / "manifest.json"])
     assert kept == {p: p.read_bytes() for p in (tmp_path / "c").rglob("*") if p.is_file()}

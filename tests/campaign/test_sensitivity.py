@@ -15,7 +15,7 @@ from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.plan import Work
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
-from lunarsim.campaign.sensitivity import WORLD, sensitivities
+from lunarsim.campaign.sensitivity import WORLD_FACTOR, sensitivities
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.cli import main
 from lunarsim.errors import InputError
@@ -62,7 +62,7 @@ def test_sobol_indices_of_ishigami_and_of_noise(tmp_path):
     sigma = 2.0
     found = flown(tmp_path, "saltelli", 512 * 6, sigma, lost=(6 * 7 + 2,))
     (made,) = sensitivities(found, "y")
-    assert made.method == "sobol" and made.names == (*KEYS, WORLD)
+    assert made.method == "sobol" and made.names == (*KEYS, WORLD_FACTOR)
     assert (made.rows, made.left_out) == (511 * 6, 6)
     # Variances: of x1, x2, and of x1 with x3 (Ishigami and Homma); of the noise.
     v1 = 0.5 * (1.0 + 0.1 * np.pi**4 / 5.0) ** 2
@@ -155,7 +155,7 @@ def test_what_cannot_be_told_is_said(tmp_path, monkeypatch):
         (
             {"correlations": [{"keys": list(KEYS[:2]), "matrix": [[1.0, 0.5], [0.5, 1.0]]}]},
             "correlations",
-            "vary apart",
+            "independent keys",
         ),
     ],
     ids=str,

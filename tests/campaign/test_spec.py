@@ -152,7 +152,7 @@ BAD = [
     ({"flights": 0}, "flights", "greater than or equal to 1"),
     ({"flight": 3}, "flight", "did you mean 'flights'"),
     ({"seed": -1}, "seed", "greater"),
-    ({"name": ""}, "name", "at least one character"),
+    ({"name": ""}, "name", "must not be empty"),
     ({"method": "mc"}, "method", "monte-carlo"),
     ({"method": "sobol", "flights": 12}, "flights", "8 or 16"),
     ({"time_limit_s": 0}, "time_limit_s", "greater than 0"),
@@ -166,33 +166,33 @@ BAD = [
     ({"factors": {"policy": "safest"}}, "factors.policy", "list of values"),
     ({"factors": {"policy": ["safest", "safest"]}}, "factors.policy", "each value once"),
     ({"factors": {"start.position_m.7": [1.0]}}, "factors.start.position_m.7", "0 to 2"),
-    ({"factors": {"rocks.cover": [0.1]}}, "dispersions.rocks.cover", "that arms set"),
+    ({"factors": {"rocks.cover": [0.1]}}, "dispersions.rocks.cover", "set by arms"),
     ({"factors": {"": [1]}}, "factors.", "key of the scenario"),
-    ({"arms": [{"name": "a"}]}, "arms", "not both"),
-    ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "name of its own"),
+    ({"arms": [{"name": "a"}]}, "arms", "combined with"),
+    ({"factors": None, "arms": [{"name": "a"}, {"name": "a"}]}, "arms", "unique name"),
     ({"factors": None, "arms": []}, "arms", "each with a name"),
     ({"stop": {"metric": "sfe"}}, "stop.metric", "did you mean 'safe'"),
-    ({"stop": {}, "method": "latin-hypercube"}, "stop", "fixed number"),
+    ({"stop": {}, "method": "latin-hypercube"}, "stop", "monte-carlo"),
     ({"correlations": {}}, "correlations", "each with keys"),
 ]
 LAWLESS = [
     ({"kind": "normal", "mean": 0.05, "sigma": -0.01}, ".sigma", "greater than 0"),
     ({"kind": "normal", "mean": 0.05, "sigma": float("nan")}, ".sigma", "finite"),
-    ({"kind": "normal", "mean": 0.05}, ".sigma", "no default"),
+    ({"kind": "normal", "mean": 0.05}, ".sigma", "requires a value"),
     ({"kind": "norm"}, ".kind", "did you mean 'normal'"),
-    ({"kind": "uniform", "low": 0.1, "high": 0.1}, ".low", "less than high"),
+    ({"kind": "uniform", "low": 0.1, "high": 0.1}, ".low", "below high"),
     ({"kind": "truncated-normal", "mean": 0.1, "sigma": 1.0}, ".low", "a bound"),
-    ({"kind": "truncated-normal", "mean": 0.0, "sigma": 1e-3, "low": 1.0}, ".low", "between them"),
+    ({"kind": "truncated-normal", "mean": 0.0, "sigma": 1e-3, "low": 1.0}, ".low", "must enclose"),
     ({"kind": "choice", "values": []}, ".values", "at least one"),
-    ({"kind": "choice", "values": [0.1], "weights": [0.0]}, ".weights", "above 0"),
-    ({"kind": "choice", "values": [0.1], "weights": [1.0, 2.0]}, ".weights", "one a value"),
+    ({"kind": "choice", "values": [0.1], "weights": [0.0]}, ".weights", "positive"),
+    ({"kind": "choice", "values": [0.1], "weights": [1.0, 2.0]}, ".weights", "one per value"),
     ({"kind": "uniform", "low": -0.5, "high": 0.05}, "", "greater than or equal to 0"),
     (3.0, "", "table with a kind"),
 ]
 MATRICES = [
     ([[1.0, 2.0], [2.0, 1.0]], "positive definite"),
     ([[1.0, 0.5], [0.4, 1.0]], "symmetric"),
-    ([[2.0, 0.5], [0.5, 2.0]], "ones on its diagonal"),
+    ([[2.0, 0.5], [0.5, 2.0]], "ones on the diagonal"),
     ([[1.0, 0.5]], "2 rows"),
     ([[1.0, float("nan")], [float("nan"), 1.0]], "finite"),
 ]
@@ -251,9 +251,11 @@ def test_keys_of_a_swept_part_hold_for_the_kinds_that_are_swept():
         ("rocks.cover=0.1", "policy=safest"), {"guidance.gamma": 1.5, "mappers.dem.cell_m": [1]}
     )  # fmt: skip
     for text in ("guidance=apollo", "guidance.kind=apollo", "mappers.dem.kind=quadtree"):
-        with pytest.raises(InputError, match=f"--set = '{text}': no key that --over sets"):
+        with pytest.raises(
+            InputError, match=f"--set: must not set a key that --over sets, got '{text}'"
+        ):
             split_changes([text], swept)
-    with pytest.raises(InputError, match="--set = 'a'"):
+    with pytest.raises(InputError, match=r"--set: .*got 'a'"):
         split_changes(["a"], swept)
 
 

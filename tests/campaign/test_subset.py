@@ -10,15 +10,15 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import norm
 
-from lunarsim.campaign.analysis import figures_of
+from lunarsim.campaign.analysis import compute_arm_statistics
 from lunarsim.campaign.engines.inline import InlineEngine
 from lunarsim.campaign.outcomes import attempt, function_of
 from lunarsim.campaign.rare import rare_shares
 from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
-from lunarsim.campaign.subset import Level
-from lunarsim.campaign.subset_share import chains_of, share_of, variance_of
+from lunarsim.campaign.subset import SubsetLevel
+from lunarsim.campaign.subset_share import chains_of, estimate_failure_probability, level_variance
 from lunarsim.cli import main
 from lunarsim.errors import InputError
 from tests.campaign.limit_states import BETA, EAST
@@ -30,8 +30,8 @@ def in_memory(function: str, seed: int, flights: int, **more: object):
     plan = planned(function, flights, seed, **more)
     for group in plan.chains.groups(lambda flight, arm: False):
         done = attempt(function_of(plan.work), plan.work, group, 0, {})
-        plan.chains.see(group.flight, done.metrics or {})
-    return share_of(plan.chains.levels)
+        plan.chains.add(group.flight, done.metrics or {})
+    return estimate_failure_probability(plan.chains.levels)
 
 
 def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
@@ -55,20 +55,20 @@ def test_one_in_ten_thousand_from_a_thousand_flights(whole_subset):
 
 def test_what_is_even_is_never_taken_from_it(whole_subset, tmp_path):
     found = load_results(whole_subset)
-    with pytest.raises(InputError, match="count alike"):
-        figures_of(found)
-    with pytest.raises(InputError, match="the spec says what failure is"):
+    with pytest.raises(InputError, match="equal weights"):
+        compute_arm_statistics(found)
+    with pytest.raises(InputError, match="the spec defines the failure"):
         rare_shares(found, "slope_deg", above=1.0)
     done = CliRunner().invoke(main, ["campaign", "rare", str(whole_subset)])
     (made,) = rare_shares(found)
     assert done.exit_code == 0 and f"{made.value:.3g}" in done.output
-    assert "steps taken" in done.output
+    assert "acceptance rate" in done.output
     done = CliRunner().invoke(
         main, ["campaign", "report", str(whole_subset), "--out", str(tmp_path / "r.html")]
     )
     assert done.exit_code == 0, done.output
     page = (tmp_path / "r.html").read_text()
-    assert "subset simulation" in page and "How near to failure" in page
+    assert "Subset simulation" in page and "Distance from failure" in page
     assert f'{made.value:.3g}<span class="range">[{made.low:.3g}, {made.high:.3g}]' in page
 
 
@@ -87,10 +87,10 @@ def test_steps_grow_where_many_are_taken_and_shrink_where_few_are(all_taken):
             steps.append((level, now, fresh, chains.scores[flight]))
         near = level == 0 or all_taken or flight % 5 == 0
         value = float(norm.isf((flight + 0.5) / 400)) if level == 0 else 2.5 + 1e-3 * flight
-        chains.see(flight, {"slope_deg": value if near else -9.0})
-    taken = chains.levels[1].taken
-    assert taken == 1.0 if all_taken else 0.1 < taken < 0.3
-    scales = {1: 0.6, 2: min(1.0, 0.6 * np.exp(taken - 0.44))}
+        chains.add(flight, {"slope_deg": value if near else -9.0})
+    acceptance_rate = chains.levels[1].acceptance_rate
+    assert acceptance_rate == 1.0 if all_taken else 0.1 < acceptance_rate < 0.3
+    scales = {1: 0.6, 2: min(1.0, 0.6 * np.exp(acceptance_rate - 0.44))}
     for level, now, fresh, drawn in steps:
         s = scales[level]
         assert drawn == pytest.approx(np.sqrt(1.0 - s * s) * now + s * fresh, abs=1e-9)
@@ -100,14 +100,14 @@ def test_steps_grow_where_many_are_taken_and_shrink_where_few_are(all_taken):
 def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():
     """By hand: 100 flights of which 10 are near, then chains that are near from end to end."""
     apart = np.arange(100).reshape(100, 1)
-    first = Level(np.where(apart < 10, 1.0, 2.0), apart, 1.0, 0.1, np.nan, 0)
-    assert variance_of(first) == pytest.approx(0.9 / (0.1 * 100))
+    first = SubsetLevel(np.where(apart < 10, 1.0, 2.0), apart, 1.0, 0.1, np.nan, 0)
+    assert level_variance(first) == pytest.approx(0.9 / (0.1 * 100))
     chains = np.repeat(np.arange(10)[:, None], 10, axis=1)
     # Ten states of a chain are worth one, whether its world is the same all along or not.
     for worlds in (chains, np.arange(100).reshape(10, 10)):
-        last = Level(np.where(chains < 1, -1.0, 1.0), worlds, 0.0, 0.1, 0.3, 0)
-        assert variance_of(last) == pytest.approx(0.9 / (0.1 * 10))
-        made = share_of([first, last])
+        last = SubsetLevel(np.where(chains < 1, -1.0, 1.0), worlds, 0.0, 0.1, 0.3, 0)
+        assert level_variance(last) == pytest.approx(0.9 / (0.1 * 10))
+        made = estimate_failure_probability([first, last])
         assert made.value == pytest.approx(0.01)
         assert made.variation == pytest.approx(0.3 + np.sqrt(0.9))
         wide, first_wide = (
@@ -116,10 +116,10 @@ def test_what_chains_and_worlds_share_widens_and_errors_of_levels_add():
         # Ten worlds do not tell how often one fails: up to what comes as far as the last level.
         high = 0.1 * first_wide if worlds is chains else 0.01 * wide
         assert (made.low, made.high) == pytest.approx((0.01 / wide, high))
-    assert share_of([first, replace(last, worlds=chains)]).worlds == 10
+    assert estimate_failure_probability([first, replace(last, worlds=chains)]).worlds == 10
     # Two chains of one world, both near: their 20 states are worth less than two chains.
-    of_one = Level(np.where(chains < 2, -1.0, 1.0), np.maximum(chains, 1), 0.0, 0.2, 0.3, 0)
-    assert variance_of(of_one) == pytest.approx((16.0**2 + 8 * 2.0**2) / 20.0**2)
+    of_one = SubsetLevel(np.where(chains < 2, -1.0, 1.0), np.maximum(chains, 1), 0.0, 0.2, 0.3, 0)
+    assert level_variance(of_one) == pytest.approx((16.0**2 + 8 * 2.0**2) / 20.0**2)
 
 
 def test_what_chance_decides_is_in_the_share():
@@ -169,7 +169,7 @@ def test_a_metric_with_steps_is_told_of(tmp_path):
     # Of 300 flights none has failed: what Clopper and Pearson say of the 300.
     assert made.value == 0.0 and 0.001 < made.high < 0.2
     done = CliRunner().invoke(main, ["campaign", "rare", str(tmp_path / "c")])
-    assert "does not tell how near failure is" in done.output
+    assert "does not measure the distance from failure" in done.output
 
 
 def test_flights_without_the_metric_are_counted_and_taken_as_far_from_failure(tmp_path):
@@ -256,7 +256,7 @@ def test_of_flights_equally_near_those_that_go_on_are_drawn():
         if group.flight == 300:
             break
         value = 2.0 if group.flight < 10 else 1.0 if group.flight < 110 else 0.0
-        chains.see(group.flight, {"slope_deg": value})
+        chains.add(group.flight, {"slope_deg": value})
     begin = [states[0] for states in chains.states]
     assert len(set(begin)) == 30 and max(begin) < 110
     assert sum(flight < 10 for flight in begin) < 8
@@ -270,8 +270,8 @@ def test_as_near_as_the_threshold_is_near_enough():
         if group.draws["level"] == 2:
             break
         value = 2.0 if group.flight < 10 else 1.0 if group.flight < 110 else 0.0
-        chains.see(group.flight, {"slope_deg": value if group.flight < 300 else 1.0})
-    assert chains.levels[1].taken == 1.0
+        chains.add(group.flight, {"slope_deg": value if group.flight < 300 else 1.0})
+    assert chains.levels[1].acceptance_rate == 1.0
 
 
 def test_where_worlds_decide_and_few_are_left_the_interval_says_so():

@@ -184,5 +184,5 @@ def test_nothing_is_drawn_or_told_that_is_not_asked_for():
 
 def test_the_whole_simulation_refuses_the_table():
     scenario = Scenario.from_dict({"variation": {"load_kg": 5.0}})
-    with pytest.raises(InputError, match="only the environments Guidance-v0 and Control-v0"):
+    with pytest.raises(InputError, match="only Guidance-v0 and Control-v0"):
         Simulation(scenario, 1)

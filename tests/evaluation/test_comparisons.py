@@ -9,13 +9,13 @@ from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
 from lunarsim.evaluation.comparisons import (
-    greatest_share,
     holm,
     landing_ellipse,
     mean_bootstrap,
     mean_difference,
     quantile_interval,
     share_difference,
+    share_upper_bound,
 )
 from lunarsim.evaluation.sequences import share_sequence
 
@@ -120,8 +120,8 @@ def test_the_ellipse_holds_its_share_and_points_the_right_way():
 
 
 def test_none_in_n_is_about_three_in_n():
-    assert greatest_share(0, 300) == pytest.approx(3.0 / 300, rel=0.01)
-    assert greatest_share(5, 5) == 1.0
+    assert share_upper_bound(0, 300) == pytest.approx(3.0 / 300, rel=0.01)
+    assert share_upper_bound(5, 5) == 1.0
 
 
 def test_a_confidence_sequence_stands_peeking_and_wilson_does_not():

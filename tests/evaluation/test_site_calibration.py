@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from lunarsim.errors import InputError
 from lunarsim.evaluation.reliability import brier_score, brier_skill, calibration_error, reliability
-from lunarsim.evaluation.site_calibration import Sites, drawn_sites, judged_by_flights_left_out
+from lunarsim.evaluation.site_calibration import SiteSamples, cross_validate, sample_sites
 from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.safety import SafetyMap
@@ -32,7 +32,7 @@ def test_sites_are_judged_where_they_truly_are():
     seen[0] = False
     e = evidence(seen=seen, slope=np.linspace(0.1, 0.9, 81).reshape(9, 9))
     # A cell of the map at (x, y) truly lies at (x - 1, y + 1).
-    found = drawn_sites(e, truth, (1.0, -1.0, 9.0), 1000, 5, np.random.default_rng(1))
+    found = sample_sites(e, truth, (1.0, -1.0, 9.0), 1000, 5, np.random.default_rng(1))
     x, y = np.moveaxis(e.level.grid.centres(), -1, 0)
     taken = seen & (y + 1.0 < 2.9)
     assert taken.sum() == len(found) > 20
@@ -40,7 +40,7 @@ def test_sites_are_judged_where_they_truly_are():
     assert 0 < found.safe.sum() < len(found)
     assert np.array_equal(found.tilting, e.tilting()[taken])
     assert (found.flight == 5).all()
-    some = [drawn_sites(e, truth, np.zeros(3), 20, 0, np.random.default_rng(i)) for i in (1, 1, 2)]
+    some = [sample_sites(e, truth, np.zeros(3), 20, 0, np.random.default_rng(i)) for i in (1, 1, 2)]
     assert [len(s) for s in some] == [20, 20, 20]
     assert np.array_equal(some[0].tilting, some[1].tilting)
     assert not np.array_equal(some[0].tilting, some[2].tilting)
@@ -51,7 +51,7 @@ def test_sites_that_gravel_may_tilt_count_as_not_claimed_as_on_the_map():
     e = evidence(rough=0.05, level=6.0, planes=6.0, slope=np.linspace(0.1, 0.97, 81).reshape(9, 9))
     e = replace(e, curve=replace(e.curve, gravel=np.full(len(e.curve.height), 0.2)))
     _, claimed = calibrated_safety(e)
-    found = Sites.of(e, e.observed, e.observed, 0)
+    found = SiteSamples.of(e, e.observed, e.observed, 0)
     assert 0 < claimed.sum() < claimed.size
     assert np.array_equal((found.known & found.agreed), claimed[e.observed])
     assert (ceiling(e)[~claimed] > SURE).any()  # it was the rocks that told
@@ -65,7 +65,7 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     agreed = (told(z, np.ones(n)) >= SURE) | (expit(z) <= HOPELESS)
     said = cautious(z, np.ones(n), np.full(n, 0.1), inside, FARTHER)
     truth = said if right else expit(z - MARGIN + shift)
-    return Sites(
+    return SiteSamples(
         flight=np.full(n, flight), log_odds=z, ceiling=np.ones(n), clear=np.ones(n),
         agreed=agreed,
         bound=np.full(n, 0.1), known=inside, hazards=np.where(inside, 0.01, 0.2),
@@ -74,16 +74,14 @@ def sites(flight: int, n: int = 1500, shift: float = 0.0, known: float = 0.5, se
     )  # fmt: skip
 
 
-def judged(*flights: Sites, count: int | None = None):
+def judged(*flights: SiteSamples, count: int | None = None):
     rng = np.random.default_rng(7)
-    return judged_by_flights_left_out(
-        Sites.joined(list(flights)), count or len(flights), LANDER, rng
-    )
+    return cross_validate(SiteSamples.joined(list(flights)), count or len(flights), LANDER, rng)
 
 
 def test_figures_are_those_of_plain_counting():
     parts = [sites(i) for i in range(3)]
-    every = Sites.joined(parts)
+    every = SiteSamples.joined(parts)
     found = judged(*parts)
     k = every.known & every.agreed
     assert k.sum() < every.known.sum()
@@ -102,7 +100,7 @@ def test_figures_are_those_of_plain_counting():
     # The refit of each flight by hand.
     after = np.concatenate(
         [
-            parts[i].probability(Sites.joined(parts[:i] + parts[i + 1 :]).fitted(LANDER))
+            parts[i].probability(SiteSamples.joined(parts[:i] + parts[i + 1 :]).fitted(LANDER))
             for i in range(3)
         ]
     )
@@ -120,7 +118,7 @@ def test_what_drawing_flights_adds_to_the_error_is_taken_off_its_interval():
     found = judged(*parts).packaged_domain.packaged.ece
 
     def error(times) -> float:
-        drawn = Sites.joined([p for p, n in zip(parts, times, strict=True) for _ in range(n)])
+        drawn = SiteSamples.joined([p for p, n in zip(parts, times, strict=True) for _ in range(n)])
         k = drawn.known & drawn.agreed
         return calibration_error(reliability(drawn.probability()[k], drawn.safe[k]))
 
@@ -158,7 +156,7 @@ def test_the_chance_of_rocks_under_the_pads_does_not_spoil_a_refit():
 
 def test_flights_alike_leave_no_interval():
     one = sites(0)
-    same = Sites(**{**vars(one), "flight": np.full(len(one), 1)})
+    same = SiteSamples(**{**vars(one), "flight": np.full(len(one), 1)})
     f = judged(one, same).packaged_domain.packaged
     assert f.skill[1] == pytest.approx(f.skill[2])
     # A flight that saw nothing counts as a flight.
@@ -168,19 +166,19 @@ def test_flights_alike_leave_no_interval():
 
 def test_without_both_kinds_of_sites_there_is_no_fit():
     safe = sites(0, shift=60.0)
-    with pytest.raises(InputError, match="20 safe and as many unsafe"):
+    with pytest.raises(InputError, match="20 safe and 20 unsafe"):
         safe.fitted(LANDER)
     # One flight holds all that is unsafe.
-    with pytest.raises(InputError, match="one flight left out"):
+    with pytest.raises(InputError, match="without one of the flights"):
         judged(safe, sites(1, shift=60.0), sites(2))
 
 
 def test_ground_that_no_flight_was_fitted_to_is_left_out_of_the_domain():
     near = [sites(i, known=1.0) for i in range(2)]
     far = sites(2, n=400, shift=60.0, known=0.0)  # all safe: nothing to fit to
-    refit = Sites.joined([*near, far]).fitted(LANDER)
+    refit = SiteSamples.joined([*near, far]).fitted(LANDER)
     assert not far.inside(refit.domain).any()
     assert near[0].inside(refit.domain).all()
     assert (far.probability(refit) <= 0.1).all()
-    many = Sites.joined([*near, sites(2, known=0.0)]).fitted(LANDER)
+    many = SiteSamples.joined([*near, sites(2, known=0.0)]).fitted(LANDER)
     assert far.inside(many.domain).all()

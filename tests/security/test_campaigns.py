@@ -67,7 +67,7 @@ def test_every_flipped_bit_of_a_part_is_noticed(folder, flown):
             data = bytearray(whole)
             data[place] ^= 1 << int(rng.integers(8))
             (folder / name).write_bytes(data)
-            with pytest.raises(InputError, match=r"part-00000.*digest"):
+            with pytest.raises(InputError, match=r"digest.*part-00000"):
                 load_results(folder)
         if name.startswith("results"):
             ran = run(plan(), InlineEngine(), folder)
@@ -88,7 +88,7 @@ def test_no_flipped_bit_of_a_manifest_changes_a_value(folder):
             # The name of the digest may be damaged, or the space between values.
             assert {key: read_manifest(folder)[key] for key in values} == values
         except InputError as error:
-            assert "manifest.json in order" in str(error)
+            assert "manifest.json is damaged" in str(error)
             noticed += 1
     assert noticed > 300
 
@@ -99,7 +99,7 @@ def test_a_changed_value_of_a_manifest_is_noticed(folder):
     for key, value in (("seed", 3), ("rows", 79), ("state", "running"), ("engine", "other")):
         path.write_text(json.dumps(tables | {key: value}))
         for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
-            with pytest.raises(InputError, match=r"manifest\.json in order \(.*digest"):
+            with pytest.raises(InputError, match=r"manifest\.json is damaged \(.*digest"):
                 read(folder)
     # Folders of versions that wrote no digest are read.
     path.write_text(json.dumps({key: tables[key] for key in tables if key != "digest"}))
@@ -133,7 +133,7 @@ def test_fields_of_a_manifest_have_types(folder, key, value):
     clash = ("inputs", *(["columns"] if value else []))
     for read in (load_results, lambda folder: run(plan(), InlineEngine(), folder)):
         with pytest.raises(
-            InputError, match=f"manifest.json in order.*{'there twice' if key in clash else key}"
+            InputError, match=f"manifest.json is damaged.*{'occurs twice' if key in clash else key}"
         ):
             read(folder)
     ends_well(folder, *COMMANDS)
@@ -142,7 +142,7 @@ def test_fields_of_a_manifest_have_types(folder, key, value):
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"\xff\xfe", b"", b"1" * 5000, b'{"a": NaN}'])
 def test_deep_or_odd_json_is_one_error(folder, text):
     (folder / "manifest.json").write_bytes(text)
-    with pytest.raises(InputError, match=r"manifest\.json in order"):
+    with pytest.raises(InputError, match=r"manifest\.json is damaged"):
         load_results(folder)
 
 
@@ -260,7 +260,7 @@ def test_a_manifest_of_a_million_arms_is_refused_at_once(folder):
 def test_names_for_a_terminal_and_draws_without_a_column_are_refused(folder, change):
     (folder / "manifest.json").write_text(json.dumps(manifest(folder) | change))
     ends_well(folder, *COMMANDS)
-    with pytest.raises(InputError, match=r"manifest\.json in order.*(name|no column)"):
+    with pytest.raises(InputError, match=r"manifest\.json is damaged.*(name|have no column)"):
         load_results(folder)
 
 

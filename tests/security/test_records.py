@@ -92,7 +92,7 @@ def test_flipped_bits_missing_and_cut_files_are_noticed(folder, name):
 )
 def test_a_map_lies_in_its_folder(folder, name):
     edit(folder, lambda t: t.update(maps=[name]))
-    with pytest.raises(InputError, match=r"flight\.json'.*maps\.0"):
+    with pytest.raises(InputError, match=r"maps\.0.*flight\.json'"):
         Flight.load(folder)
 
 
@@ -100,7 +100,7 @@ def test_a_link_out_of_the_folder_is_refused(folder, tmp_path):
     (tmp_path / "secret").write_text("secret")
     digest = digest_of(tmp_path / "secret")
     edit(folder, lambda t: t["digests"].update({"../secret": digest}))
-    with pytest.raises(InputError, match="leads out of the folder"):
+    with pytest.raises(InputError, match="outside the folder"):
         Flight.load(folder)
     for name in ("maps/dem.nc", "trajectory.parquet"):
         shutil.move(folder / name, tmp_path / "elsewhere")
@@ -147,7 +147,7 @@ def test_a_map_reads_no_other_file(folder, tmp_path, how):
                 file.create_virtual_dataset("p_safe", layout)
 
     forge(folder, "maps/dem.nc", write)
-    with pytest.raises(InputError, match="leads out of the file"):
+    with pytest.raises(InputError, match="links to another place"):
         Flight.load(folder)
 
 
@@ -174,7 +174,7 @@ def test_a_small_file_does_not_expand_to_gigabytes(folder):
                                    pa.array(np.zeros(10_000_000, np.float32))))  # fmt: skip
     forge(folder, "scans.parquet", lambda path: pq.write_table(table, path))
     assert (folder / "scans.parquet").stat().st_size < 1_000_000
-    with pytest.raises(InputError, match="when expanded"):
+    with pytest.raises(InputError, match="when decompressed"):
         Flight.load(folder)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim.simulation.checkpoint import Checkpoint, NoCheckpointError
+from lunarsim.simulation.checkpoint import Checkpoint, CheckpointError
 from tests.worlds import SCENARIOS, SMALL_SHADOW_FLIGHT, TINY_FLIGHT
 
 # The quadtree's scenario over less ground.
@@ -87,7 +87,7 @@ def test_what_cannot_be_copied_with_certainty_is_refused(what):
     if what is open:
         Checkpoint(simulation)  # a function of the standard library, by name
         return
-    with pytest.raises(NoCheckpointError):
+    with pytest.raises(CheckpointError):
         Checkpoint(simulation)
 
 

@@ -141,7 +141,7 @@ def test_an_ideal_actuator_needs_no_gyroscopes():
     expected = plant(unit=None)
     for command in commands(8):
         history = expected.dynamics.advance_ideal(expected.state, command, 0.1, STEPS)
-        expected.moved(history, {})
+        expected.adopt_motion(history, {})
     assert moving.state.as_vector().tobytes() == expected.state.as_vector().tobytes()
     # With an inertial unit on board its gyroscopes are sampled all the same.
     _, _, measured, _ = fly(law)

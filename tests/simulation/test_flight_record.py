@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.evaluation.outcome import evaluate, first_aim
+from lunarsim.evaluation.outcome import evaluate, initial_aim_point
 from lunarsim.evaluation.worlds import world_of
 from lunarsim.onboard.policies import Decision
 from lunarsim.rng import flight_seed
@@ -109,7 +109,7 @@ def test_a_divert_in_the_first_cycle_counts(small_scenario):
     assert flight.sites[1] == pytest.approx(first + [20.0, -15.0, 0.0])
     # The first aim is where the lander would have come down without a divert.
     error = flight.trajectory["estimated_x"][0] - flight.trajectory["position_x"][0]
-    assert first_aim(flight)[0] == pytest.approx(first[0] - error)
+    assert initial_aim_point(flight)[0] == pytest.approx(first[0] - error)
     assert flight.target == pytest.approx(first)
 
 
@@ -126,7 +126,7 @@ def test_a_start_within_the_decision_window_is_judged_by_where_it_aimed(small_sc
     flight = simulation.run()
     row = evaluate(flight, simulation.truth)
     assert flight.decisions[0]["time"] == 0.0
-    assert first_aim(flight) == pytest.approx(aimed[:2])
+    assert initial_aim_point(flight) == pytest.approx(aimed[:2])
     assert row["target_exactly_safe"] is False
     assert flight.verdict.touchdown is not None
     flown = np.hypot(*(flight.verdict.touchdown.position[:2] - aimed[:2]))
@@ -146,10 +146,10 @@ def test_what_is_no_flight_is_refused(flown, tmp_path):
         Flight.load(tmp_path)
     folder = flown[1].save(tmp_path / "broken")
     (folder / "scans.parquet").unlink()
-    with pytest.raises(InputError, match="whole record"):
+    with pytest.raises(InputError, match="complete record"):
         Flight.load(folder)
     (folder / "flight.json").write_text("{")
-    with pytest.raises(InputError, match="whole record"):
+    with pytest.raises(InputError, match="complete record"):
         Flight.load(folder)
 
 

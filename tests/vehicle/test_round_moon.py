@@ -132,7 +132,7 @@ def test_an_inertial_unit_feels_thrust_alone():
     for _ in range(10):
         state = State.from_vector(rows[-1])
         rows.append(plant.dynamics.advance(state, 0.0, np.zeros(3)).as_vector())
-    freed, _, lift = plant.unpulled(np.array(rows))
+    freed, _, lift = plant.gravity_free_states(np.array(rows))
     assert lift == 0.0
     assert np.abs(np.diff(freed[:, 3:6], axis=0)).max() < 1e-9
 

@@ -43,26 +43,26 @@ def bars(ax, label):
 
 
 def test_flights_count_with_their_first_cause(panels):
-    ax = panels["flights that failed"]
+    ax = panels["Failed flights"]
     assert bars(ax, "slope") == {0: 1.0, 1: 0.0}
     assert bars(ax, "belly") == {0: 1.0, 1: 0.0}
     assert bars(ax, "roughness") == {0: 0.0, 1: 1.0}
 
 
 def test_better_is_safe_here_alone_and_worse_safe_with_the_first_alone(panels):
-    ax = panels["flights that ended otherwise"]
+    ax = panels["Flights with another outcome"]
     widths = {(round(p.get_y() + 0.5 * p.get_height()), p.get_width()) for p in ax.patches}
     assert widths == {(0, 0.0), (1, 2.0), (1, -1.0)}
     assert [t.get_text().strip() for t in ax.texts] == ["2 better, 1 worse"]
 
 
 def test_the_limit_of_the_tilt_stands_where_the_lander_has_it(panels):
-    (line,) = [x for x in panels["tilt at touchdown"].lines if x.get_label() == "limit"]
+    (line,) = [x for x in panels["Tilt at touchdown"].lines if x.get_label() == "limit"]
     assert line.get_xdata()[0] == pytest.approx(6.0)
 
 
 def test_the_difference_of_the_tilt_is_a_mean_with_its_interval(panels):
-    ax = panels["difference from a"]
+    ax = panels["Paired difference from a"]
     # Of 1, 0 and 2 deg: the mean is 1, the standard error 1 / sqrt(3), Student's t 4.3027.
     half = 4.30265 / np.sqrt(3.0)
     thick = [x.get_xdata() for x in ax.lines if x.get_linewidth() == 3.0]
@@ -72,7 +72,7 @@ def test_the_difference_of_the_tilt_is_a_mean_with_its_interval(panels):
 
 
 def test_precision_and_recall_are_where_their_names_say(panels):
-    ax = panels["of the map"]
+    ax = panels["Map precision and recall"]
     found = [(x.get_marker(), float(x.get_xdata()[0]), x.get_label()) for x in ax.lines]
     assert [x[:2] for x in found] == [("o", 0.75), ("D", 0.6), ("o", 1.0), ("D", 0.25)]
     assert [x[2] for x in found[:2]] == ["precision", "recall"]

@@ -44,21 +44,21 @@ def test_lines_hold_the_record_in_the_units_of_their_axes(flown, axes):
     t, lander = flown.trajectory, Scenario.from_toml(flown.scenario).vehicle.make()
     q = np.column_stack([t[f"attitude_{a}"] for a in "xyzw"])
     for axis, name, values in (
-        ("speed", "down", -t["velocity_z"]),
-        ("speed", "horizontal", np.hypot(t["velocity_x"], t["velocity_y"])),
-        ("tilt", "tilt from the vertical", np.rad2deg(np.arccos(quat_to_matrix(q)[:, 2, 2]))),
-        ("thrust", "thrust", t["thrust"] / 1e3),
-        ("propellant", "propellant left", t["mass"] - lander.dry_mass),
+        ("Speed", "descent rate", -t["velocity_z"]),
+        ("Speed", "horizontal speed", np.hypot(t["velocity_x"], t["velocity_y"])),
+        ("Tilt", "tilt from the vertical", np.rad2deg(np.arccos(quat_to_matrix(q)[:, 2, 2]))),
+        ("Thrust", "thrust", t["thrust"] / 1e3),
+        ("Propellant", "remaining propellant", t["mass"] - lander.dry_mass),
     ):
         time, drawn = _line(axes[axis], name)
         assert np.array_equal(time, t["time"])
         assert drawn == pytest.approx(values, abs=1e-9), name
-    level = [line.get_ydata() for line in axes["thrust"].lines if line.get_linestyle() == "--"]
+    level = [line.get_ydata() for line in axes["Thrust"].lines if line.get_linestyle() == "--"]
     assert [y[0] for y in level if len(y)] == [lander.thrust_min / 1e3, lander.thrust_max / 1e3]
 
 
 def test_the_profile_ends_at_the_touchdown(flown, axes):
-    profile = axes["altitude above touchdown"]
+    profile = axes["Altitude above touchdown"]
     away, altitude = profile.lines[0].get_data()
     assert away[-1] == altitude[-1] == 0.0
     assert altitude[0] == flown.positions[0, 2] - flown.positions[-1, 2]
@@ -87,7 +87,7 @@ def test_all_share_the_time_with_diverts_and_phases_marked(flown, axes):
     phase = flown.trajectory["phase"].astype(int)
     begins = flown.trajectory["time"][np.flatnonzero(np.diff(phase)) + 1]
     assert len(diverts) > 0 and len(begins) > 0
-    for name in ("events", "speed", "tilt", "thrust", "propellant"):
+    for name in ("events", "Speed", "Tilt", "Thrust", "Propellant"):
         lines = [line.get_xdata() for line in axes[name].lines]
         upright = {x[0] for x in lines if len(x) == 2 and x[0] == x[1]}
         assert upright >= {*diverts, *begins}, name
@@ -100,7 +100,7 @@ def test_all_share_the_time_with_diverts_and_phases_marked(flown, axes):
 
 
 def test_every_line_has_a_name(axes):
-    for name in ("speed", "tilt", "thrust", "propellant"):
+    for name in ("Speed", "Tilt", "Thrust", "Propellant"):
         legend = {text.get_text() for text in axes[name].get_legend().get_texts()}
         drawn = [line for line in axes[name].lines if len(line.get_xdata()) > 2]
         assert {line.get_label() for line in drawn} <= legend

@@ -36,12 +36,12 @@ def _map(p, observed=True, in_domain=None):
 @pytest.mark.parametrize(
     ("hazard_map", "words"),
     [
-        (None, "saw nothing"),
-        (_map(0.9, observed=False), "saw nothing"),
-        (_map(0.98), "calls everything that it saw safe: p_safe 0.98 to 0.98"),
-        (_map(0.98, in_domain=False), "safe: p_safe 0.98 to 0.98, outside of what it was"),
-        (_map(0.1), "calls nothing that it saw safe"),
-        (_map([0.1, 0.9, 0.5, 0.6], in_domain=False), "is outside of what it was calibrated for"),
+        (None, "observed nothing"),
+        (_map(0.9, observed=False), "observed nothing"),
+        (_map(0.98), "classifies all observed terrain safe: p_safe 0.98 to 0.98"),
+        (_map(0.98, in_domain=False), "safe: p_safe 0.98 to 0.98, outside its calibrated domain"),
+        (_map(0.1), "classifies no observed terrain safe"),
+        (_map([0.1, 0.9, 0.5, 0.6], in_domain=False), "is outside its calibrated domain"),
     ],
 )
 def test_a_map_that_tells_nothing_is_spoken_of(hazard_map, words):

@@ -98,13 +98,13 @@ def test_bars_are_the_figures_over_their_limits(flown, drawn):
     names = [text.get_text() for text in right.get_yticklabels()]
     bars = dict(zip(names, (bar.get_width() for bar in right.patches), strict=True))
     assert bars == pytest.approx({
-        "slope": found.slope / lander.slope_limit,
-        "roughness": found.roughness / lander.roughness_limit,
-        "belly": found.roughness / lander.belly_clearance,
-        "speed down": found.vertical_speed / lander.vertical_speed_limit,
-        "speed aside": found.horizontal_speed / lander.horizontal_speed_limit,
-        "tilt": found.tilt / lander.tilt_limit,
-        "rate": found.rate / lander.rate_limit,
-        "tipping": 1.0 - found.tip_margin,
+        "Slope": found.slope / lander.slope_limit,
+        "Roughness": found.roughness / lander.roughness_limit,
+        "Belly clearance": found.roughness / lander.belly_clearance,
+        "Vertical speed": found.vertical_speed / lander.vertical_speed_limit,
+        "Lateral speed": found.horizontal_speed / lander.horizontal_speed_limit,
+        "Tilt": found.tilt / lander.tilt_limit,
+        "Angular rate": found.rate / lander.rate_limit,
+        "Tipping energy": 1.0 - found.tip_margin,
     })  # fmt: skip
-    assert bars["speed down"] > 0.5
+    assert bars["Vertical speed"] > 0.5

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.colors import to_rgba
 from matplotlib.text import Annotation
 
-from lunarsim.evaluation.outcome import first_aim
-from lunarsim.evaluation.reach import estimate_in, reach_in, rows_of_decisions
+from lunarsim.evaluation.outcome import initial_aim_point
+from lunarsim.evaluation.reach import decision_rows, estimate_at_row, reach_at_row
 from lunarsim.grid import Grid
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -20,7 +20,7 @@ from lunarsim.viz import maps, truth_shown
 from lunarsim.viz import reach as viz_reach
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import new_figure
-from lunarsim.viz.window import shown_bounds
+from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.terrain import Heightfield, Terrain
 from lunarsim.world.truth import Truth
@@ -54,7 +54,7 @@ def drawn(monkeypatch, tmp_path):
 
 
 def _panels(figure):
-    return [axes for axes in figure.axes if axes.get_xlabel() == "east (m)"]
+    return [axes for axes in figure.axes if axes.get_xlabel() == "East (m)"]
 
 
 def _points(panel, marker):
@@ -72,7 +72,7 @@ def test_sites_aim_and_diverts_stand_where_they_were_in_the_true_frame(flown, dr
     t = record.trajectory
     for panel in panels:
         for cross in _points(panel, "x"):
-            assert np.ravel(cross.get_data()) == pytest.approx(first_aim(record))
+            assert np.ravel(cross.get_data()) == pytest.approx(initial_aim_point(record))
         arrows = [text for text in panel.texts if isinstance(text, Annotation)]
         assert len(arrows) == len(record.decisions) > 0
         for arrow, decision in zip(arrows, record.decisions, strict=True):
@@ -113,7 +113,7 @@ def test_the_legend_shows_marks_as_they_are_drawn(flown, drawn):
     arrow = next(text for text in panels[0].texts if isinstance(text, Annotation))
     assert to_rgba(handles["divert"].get_color()) == arrow.arrow_patch.get_edgecolor()
     path = panels[0].lines[0]
-    assert handles["path over the ground"].get_color() == path.get_color()
+    assert handles["ground track"].get_color() == path.get_color()
 
 
 def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
@@ -125,7 +125,7 @@ def test_safe_ground_has_the_colour_that_the_legend_names(flown, drawn):
     safe, seen = truth.safety.safe, truth.safety.observed
     for name, where in (
         ("truly safe at every heading", seen & safe),
-        ("true hazard", seen & ~safe),
+        ("truly unsafe", seen & ~safe),
         ("edge of the terrain", ~seen),
     ):
         assert where.any()
@@ -160,7 +160,7 @@ def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
     assert np.ptp([box.height for box in boxes]) < 1.0
     assert np.ptp([box.y1 for box in boxes]) < 1.0
     (words,) = [text for text in panels[2].texts if "this map" in text.get_text()]
-    assert "calls everything that it saw safe" in words.get_text().replace("\n", " ")
+    assert "classifies all observed terrain safe" in words.get_text().replace("\n", " ")
     inner = words.get_bbox_patch().get_window_extent()
     assert boxes[2].x0 < inner.x0 and inner.x1 < boxes[2].x1
     room = figure.bbox.width / len(panels)
@@ -170,27 +170,27 @@ def test_words_on_a_map_stay_within_their_panel_of_tall_ground(flown, drawn):
 def test_outlines_of_reach_are_those_of_the_law(flown, drawn):
     """At the last decision less is in reach than at the first, and the outline parts the two."""
     record, world, truth = flown
-    rows = rows_of_decisions(record)
+    rows = decision_rows(record)
     t = record.trajectory
     decided = [d["time"] for d in record.decisions]
     assert t["time"][rows[0]] <= decided[0]
     assert t["time"][rows[1]] >= decided[-1]
     assert (t["phase"][[*rows]] == 0).all()
     wide = Grid.centred(record.sites[rows[1], :2], 2000.0, 40.0)
-    first, last = (reach_in(record, row, wide).reachable for row in rows)
+    first, last = (reach_at_row(record, row, wide).reachable for row in rows)
     assert 0 < last.sum() < first.sum() < first.size
     # What the lander flies to is in reach.
     for row in rows:
-        assert reach_in(record, row, wide).at(record.sites[row, :2])
-    here = estimate_in(record, rows[0])
+        assert reach_at_row(record, row, wide).at(record.sites[row, :2])
+    here = estimate_at_row(record, rows[0])
     assert here.position[0] == t["estimated_x"][rows[0]]
     assert here.velocity[2] == t["estimated_velocity_z"][rows[0]]
     assert here.mass == t["estimated_mass"][rows[0]]
     figure = drawn(*flown)
     words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert sum("in reach at the" in word for word in words) == 2
+    assert sum("reachable at the" in word for word in words) == 2
     silent = replace(record, first_map=None)
-    assert rows_of_decisions(silent) is None
+    assert decision_rows(silent) is None
     words = [text.get_text() for text in drawn(silent, world, truth).legends[0].get_texts()]
     assert not any("in reach" in word for word in words)
 
@@ -205,12 +205,12 @@ def test_outlines_of_reach_part_what_is_in_reach_from_what_is_not(flown):
     assert [line.get_linestyle() for line in told] == ["-", ":"]
     shares = [float(re.search(r": (\S+) %", line.get_label())[1]) for line in told]
     assert 0.0 < shares[1] < shares[0] < 100.0
-    row = rows_of_decisions(record)[0]
+    row = decision_rows(record)[0]
     outline = np.vstack(panel.collections[1].get_paths()[0].to_polygons())
     beyond = np.array([aside, up]) - outline
     beyond /= np.linalg.norm(beyond, axis=1, keepdims=True)
     grid = Grid.centred(record.sites[-1, :2], 4000.0, 4.0)
-    cost = reach_in(record, row, grid)
+    cost = reach_at_row(record, row, grid)
     within = cost.at(outline + error[:2] + 60.0 * beyond)
     without = cost.at(outline + error[:2] - 60.0 * beyond)
     assert within.mean() > 0.9
@@ -222,16 +222,16 @@ def test_reach_is_told_for_the_rows_that_decisions_fall_in(flown):
     record = flown[0]
     t, scenario = record.trajectory, Scenario.from_toml(record.scenario)
     height = t["estimated_z"] - t["site_z"] - scenario.vehicle.make().com_height
-    first, last = rows_of_decisions(record)
+    first, last = decision_rows(record)
     assert np.all(np.diff(height[first : last + 1]) < 0.0)
     third = (last - first) // 3
     early, late = first + third, last - third
     bounds = {"first_altitude_m": float(height[early]) + 0.01,
               "last_altitude_m": float(height[late]) - 0.01}  # fmt: skip
     narrow = replace(record, scenario=scenario.changed(decisions=bounds).to_toml())
-    assert rows_of_decisions(narrow) == (early, late)
+    assert decision_rows(narrow) == (early, late)
     mapped = replace(record.first_map, time=float(t["time"][early + 2]))
-    assert rows_of_decisions(replace(narrow, first_map=mapped)) == (early + 2, late)
+    assert decision_rows(replace(narrow, first_map=mapped)) == (early + 2, late)
 
 
 def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, monkeypatch):
@@ -242,9 +242,9 @@ def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, mo
 
     def spied(flight, row, grid):
         asked.append(grid)
-        return reach_in(flight, row, grid)
+        return reach_at_row(flight, row, grid)
 
-    monkeypatch.setattr(viz_reach, "reach_in", spied)
+    monkeypatch.setattr(viz_reach, "reach_at_row", spied)
     draw_reach(new_figure(4.0, 4.0).subplots(), record, (-90.0, 30.0, -20.0, 40.0))
     assert len(asked) == 2
     for grid in asked:
@@ -252,13 +252,13 @@ def test_reach_is_surveyed_where_the_panel_is_and_on_the_mapped_ground(flown, mo
         assert (grid.cols, grid.rows) == (100, 50)
         assert grid.posting == pytest.approx(1.2)
     # Higher ground at the site is told apart from the level of the site elsewhere.
-    row = rows_of_decisions(record)[0]
+    row = decision_rows(record)[0]
     lifted = replace(record.hazard_map, elevation=record.hazard_map.elevation + np.float32(30.0))
     raised = replace(record, maps={
         name: replace(kept, hazard_map=lifted) for name, kept in record.maps.items()
     })  # fmt: skip
     grid = Grid.centred(record.sites[row, :2], 4.0, 1.0)
-    costs = [reach_in(flight, row, grid).propellant for flight in (record, raised)]
+    costs = [reach_at_row(flight, row, grid).propellant for flight in (record, raised)]
     assert np.all(np.abs(costs[0] - costs[1]) > 0.05)
 
 
@@ -278,14 +278,14 @@ def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide,
     record, world = wide
     lander = Scenario.from_toml(record.scenario).vehicle.make()
     truth = truth_shown(record, world, lander)
-    west, east, south, north = shown_bounds(record, world)
+    west, east, south, north = map_figure_bounds(record, world)
     assert max(east - west, north - south) < 0.25 * (world.terrain.bounds[1] * 2.0)
     for panel in _panels(drawn(record, world, truth)):
         assert (*panel.get_xlim(), *panel.get_ylim()) == pytest.approx((west, east, south, north))
         for image in panel.images[:1]:
             x0, x1, y0, y1 = image.get_extent()
             assert x0 <= west and east <= x1 and y0 <= south and north <= y1
-    points = [first_aim(record), record.positions[-1, :2], *record.candidates[:, :2]]
+    points = [initial_aim_point(record), record.positions[-1, :2], *record.candidates[:, :2]]
     x, y = np.array(points).T
     assert west < x.min() and x.max() < east and south < y.min() and y.max() < north
 
@@ -293,7 +293,7 @@ def test_of_a_wide_world_the_window_about_map_sites_and_touchdown_is_drawn(wide,
 def test_the_window_has_the_cells_and_the_safety_of_the_complete_truth(wide):
     record, world = wide
     lander = Scenario.from_toml(record.scenario).vehicle.make()
-    bounds = shown_bounds(record, world)
+    bounds = map_figure_bounds(record, world)
     part = truth_shown(record, world, lander).within(bounds, 10_000)
     # Far smaller than the world, which would take a minute: twice the window on each side.
     west, east, south, north = bounds
@@ -314,7 +314,7 @@ def test_the_window_has_the_cells_and_the_safety_of_the_complete_truth(wide):
 
 def test_a_flight_without_a_map_shows_where_it_came_down(wide):
     record, world = wide
-    bounds = shown_bounds(replace(record, maps={}), world)
+    bounds = map_figure_bounds(replace(record, maps={}), world)
     end = record.positions[-1, :2]
     assert bounds[0] < end[0] - 40.0 and end[0] + 40.0 < bounds[1]
     assert max(bounds[1] - bounds[0], bounds[3] - bounds[2]) < 300.0

@@ -1,4 +1,7 @@
-"""Who flies: this process, processes of this machine, a Ray cluster; all give the same rows."""
+"""Engines that execute flights: this process, local processes, a Ray cluster.
+
+All engines give the same rows.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from lunarsim.campaign.engines.contract import Engine
 
 
 def engine_of(name: str, jobs: int, address: str | None, time_limit: float | None) -> Engine:
-    """Return the engine called `name`: local or ray."""
+    """Create the engine called `name`: local or ray."""
     if name == "ray":
         from lunarsim.campaign.engines.ray_cluster import RayEngine  # noqa: PLC0415
 

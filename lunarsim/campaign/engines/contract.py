@@ -1,4 +1,4 @@
-"""The contract of engines."""
+"""Interface of the engines."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ from lunarsim.campaign.plan import Group, Work
 
 
 class Engine(Protocol):
-    """Anything that flies groups of flights.
+    """Executes groups of flights.
 
     Attributes
     ----------
     name
-        In the manifest.
-    asks_to_halt
-        Whether `halt` is looked at while flights are in the air; else an interrupt must be raised.
+        Name in the manifest.
+    polls_halt
+        Whether the engine polls `halt` while flights are running. Otherwise an interrupt must be
+        raised as an exception.
     """
 
     name: str
-    asks_to_halt: bool
+    polls_halt: bool
 
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield finished flights as they come.
+        """Yield flights as they finish.
 
         Parameters
         ----------
         work
-            What flies.
+            Function and settings that all flights share.
         groups
-            Taken one by one as somebody is free, in order; None: none can begin until a flight
-            that is in the air has ended.
+            Groups of flights, taken in order whenever a worker is free. None means that no group
+            can start until a running flight has ended.
         halt
-            When it turns true, what is finished is yielded and what is in the air given up.
+            Once it returns True, finished flights are yielded and running flights are abandoned.
         """
         ...

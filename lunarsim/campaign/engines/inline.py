@@ -1,4 +1,4 @@
-"""Flights in this process, one after the other."""
+"""Execute flights in this process, one after the other."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from lunarsim.campaign.plan import Group, Work
 
 
 class InlineEngine:
-    """Flies here; policies need not travel. There is no time limit, and a crash is this process's.
+    """Executes flights in this process, without pickling, time limit or crash protection.
 
     Attributes
     ----------
-    name, asks_to_halt
-        See `Engine`.
+    name, polls_halt
+        Attributes of the `Engine` interface.
     """
 
     name = "inline"
-    asks_to_halt = False
+    polls_halt = False
 
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
@@ -27,7 +27,7 @@ class InlineEngine:
         """Yield flights in order."""
         function = function_of(work)
         for group in groups:
-            if group is None:  # nothing is in the air here that it could wait for
+            if group is None:  # no flight is running that could be waited for
                 return
             memory: dict[Any, Any] = {}
             for arm in group.arms:

@@ -1,4 +1,4 @@
-"""Flights in processes of this machine."""
+"""Execute flights in processes of this machine."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from lunarsim.campaign.engines.worker import BEGAN, DONE, ENDED, READY, serve
+from lunarsim.campaign.engines.worker import BEGAN, DONE, ENDED, READY, run_worker
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished
 from lunarsim.campaign.plan import Group, Work
 
-# How long an interrupt may go unseen, s.
-_TICK = 0.1
-# A flight whose process dies is begun so often.
-TRIES = 3
+# Maximum time until an interrupt is noticed, s.
+_POLL_INTERVAL_S = 0.1
+# Maximum number of starts of a flight whose process dies.
+MAX_ATTEMPTS = 3
 
 
 class WorkersDieError(RuntimeError):
-    """Workers end before they have begun; what they wrote to stderr says why."""
+    """Workers ended before they were ready; their stderr shows the reason."""
 
 
 class _Worker:
-    """One process and what it is doing."""
+    """A worker process and its current flight."""
 
     def __init__(self, work: Work) -> None:
         # OpenGL contexts and Numba's thread pools do not survive a fork.
@@ -36,9 +36,9 @@ class _Worker:
         self.orders, theirs = context.Pipe()
         theirs_line, self.lifeline = context.Pipe(duplex=False)
         self.process = context.Process(
-            target=serve, args=(work, theirs, theirs_line, os.getpid()), daemon=True
+            target=run_worker, args=(work, theirs, theirs_line, os.getpid()), daemon=True
         )
-        with deaf():
+        with block_interrupts():
             self.process.start()
         theirs.close()
         theirs_line.close()
@@ -48,12 +48,12 @@ class _Worker:
         self.arm: int | None = None
         self.began = 0.0
 
-    def give(self, group: Group) -> None:
+    def assign(self, group: Group) -> None:
         self.group, self.left, self.arm = group, list(group.arms), None
         self.orders.send(group)
 
     def end(self) -> int | None:
-        """Kill the process if it is still there; return its exit code."""
+        """Kill the process if it is still running; return its exit code."""
         self.process.kill()
         self.process.join()
         self.orders.close()
@@ -62,37 +62,37 @@ class _Worker:
 
 
 class LocalEngine:
-    """Processes that start by spawn, take a group at a time, and end with this one.
+    """Executes flights in spawned processes that end with this one.
 
     Parameters
     ----------
     jobs
-        Processes.
+        Number of processes.
     time_limit
-        Wall-clock time after which a flight is ended, s; None: never.
+        Wall-clock time after which a flight is ended, s; None: no limit.
 
     Attributes
     ----------
-    name, asks_to_halt
-        See `Engine`.
+    name, polls_halt
+        Attributes of the `Engine` interface.
     """
 
     name = "local"
-    asks_to_halt = True
+    polls_halt = True
 
     def __init__(self, jobs: int, time_limit: float | None = None) -> None:
         self.jobs, self.time_limit = jobs, time_limit
         self._workers: list[_Worker] = []
-        self._again: deque[Group] = deque()
+        self._requeued: deque[Group] = deque()
         self._tries: Counter[tuple[int, int]] = Counter()
-        self._stillborn = 0
+        self._failed_starts = 0
 
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as they end; see `Engine`.
+        """Yield flights as they end.
 
-        A flight whose process dies is begun again, `TRIES` times in all.
+        A flight whose process dies is started up to `MAX_ATTEMPTS` times.
 
         Raises
         ------
@@ -106,48 +106,48 @@ class LocalEngine:
                 busy = [w for w in self._workers if w.group is not None]
                 if not busy:
                     return
-                for connection in wait([w.orders for w in busy], self._patience(busy)):
-                    yield from self._hear(next(w for w in busy if w.orders is connection))
+                for connection in wait([w.orders for w in busy], self._wait_timeout(busy)):
+                    yield from self._receive(next(w for w in busy if w.orders is connection))
                 if halt():
-                    yield from self._heard_last()
+                    yield from self._drain_messages()
                     return
-                yield from self._overdue()
+                yield from self._end_overdue()
         finally:
             for worker in self._workers:
                 worker.end()
             self._workers.clear()
 
     def _assign(self, work: Work, source: Iterator[Group | None]) -> None:
-        """Give everybody who is free a group, and start workers while there are groups."""
+        """Give every free worker a group, and start workers while there are groups."""
         free = deque(w for w in self._workers if w.group is None)
         while free or len(self._workers) < self.jobs:
-            group = self._again.popleft() if self._again else next(source, None)
+            group = self._requeued.popleft() if self._requeued else next(source, None)
             if group is None:
                 return
             if not free:
                 self._workers.append(_Worker(work))
                 free.append(self._workers[-1])
-            # Who died idle cannot be told; his end is heard like that of any other.
+            # A worker that died idle cannot be detected here; `_receive` handles its end later.
             with contextlib.suppress(OSError):
-                free.popleft().give(group)
+                free.popleft().assign(group)
 
-    def _patience(self, busy: list[_Worker]) -> float:
+    def _wait_timeout(self, busy: list[_Worker]) -> float:
         if self.time_limit is None:
-            return _TICK
+            return _POLL_INTERVAL_S
         now = time.monotonic()
         left = [w.began + self.time_limit - now for w in busy if w.arm is not None]
-        return min([_TICK, *(max(v, 0.0) for v in left)])
+        return min([_POLL_INTERVAL_S, *(max(v, 0.0) for v in left)])
 
-    def _hear(self, worker: _Worker) -> Iterator[Finished]:
-        """Take one message of a worker, or its death."""
+    def _receive(self, worker: _Worker) -> Iterator[Finished]:
+        """Handle one message of a worker, or its death."""
         assert worker.group is not None
         try:
             what, value = worker.orders.recv()
-        except Exception:  # the end of a process, in the midst of a message or between two
-            yield from self._died(worker)
+        except Exception:  # the process ended, within a message or between two
+            yield from self._handle_death(worker)
             return
         if what == READY:
-            worker.ready, self._stillborn = True, 0
+            worker.ready, self._failed_starts = True, 0
         elif what == BEGAN:
             worker.arm, worker.began = value, time.monotonic()
         elif what == ENDED:
@@ -157,31 +157,31 @@ class LocalEngine:
         elif what == DONE:
             worker.group = None
 
-    def _died(self, worker: _Worker) -> Iterator[Finished]:
-        """Let the flights of a dead worker be begun again, or record the one that kills it."""
-        code = self._dismiss(worker)
+    def _handle_death(self, worker: _Worker) -> Iterator[Finished]:
+        """Queue the flights of a dead worker again, or report the flight that kills it."""
+        code = self._remove_worker(worker)
         group = worker.group
         assert group is not None
         if not worker.ready:
-            self._stillborn += 1
-            if self._stillborn >= TRIES:
+            self._failed_starts += 1
+            if self._failed_starts >= MAX_ATTEMPTS:
                 raise WorkersDieError(
-                    f"{TRIES} workers in a row ended before they were ready (exit code {code}). "
-                    "Their messages stand above. A script that flies with several jobs needs the "
-                    'line `if __name__ == "__main__":` before it calls lunarsim'
+                    f"{MAX_ATTEMPTS} workers in a row ended before they were ready (exit code "
+                    f"{code}). Their messages are above. A script that flies with several jobs "
+                    'needs the line `if __name__ == "__main__":` before it calls lunarsim.'
                 )
         elif worker.left:
             arm = worker.left[0] if worker.arm is None else worker.arm
             self._tries[group.flight, arm] += 1
             tries = self._tries[group.flight, arm]
-            if tries >= TRIES:
+            if tries >= MAX_ATTEMPTS:
                 worker.left.remove(arm)
-                error = f"its process ended {_how(code)}, {tries} times"
-                yield self._failed(worker, arm, KILLED, error, tries)
-        self._put_back(worker)
+                error = f"The process of the flight ended {_describe_exit(code)}, {tries} times."
+                yield self._failed_flight(worker, arm, KILLED, error, tries)
+        self._requeue(worker)
 
-    def _overdue(self) -> Iterator[Finished]:
-        """End flights that take longer than the limit."""
+    def _end_overdue(self) -> Iterator[Finished]:
+        """End flights that exceed the time limit."""
         if self.time_limit is None:
             return
         now = time.monotonic()
@@ -190,35 +190,37 @@ class LocalEngine:
                 continue
             arm = worker.arm
             assert arm is not None
-            self._dismiss(worker)
+            self._remove_worker(worker)
             worker.left.remove(arm)
-            error = f"it took longer than {self.time_limit:g} s"
-            yield self._failed(worker, arm, TIMEOUT, error, 1)
-            self._put_back(worker)
+            error = f"The flight exceeded the time limit of {self.time_limit:g} s."
+            yield self._failed_flight(worker, arm, TIMEOUT, error, 1)
+            self._requeue(worker)
 
-    def _failed(self, worker: _Worker, arm: int, outcome: str, error: str, tries: int) -> Finished:
+    def _failed_flight(
+        self, worker: _Worker, arm: int, outcome: str, error: str, tries: int
+    ) -> Finished:
         assert worker.group is not None
         return Finished(
             worker.group.flight, arm, outcome, error=error, tries=tries, finished=time.time(),
             seconds=time.monotonic() - worker.began, worker=str(worker.process.pid),
         )  # fmt: skip
 
-    def _put_back(self, worker: _Worker) -> None:
+    def _requeue(self, worker: _Worker) -> None:
         if worker.group is not None and worker.left:
-            self._again.appendleft(replace(worker.group, arms=tuple(worker.left)))
+            self._requeued.appendleft(replace(worker.group, arms=tuple(worker.left)))
 
-    def _dismiss(self, worker: _Worker) -> int | None:
+    def _remove_worker(self, worker: _Worker) -> int | None:
         self._workers.remove(worker)
         return worker.end()
 
-    def _heard_last(self) -> Iterator[Finished]:
-        """End all workers; yield what they have finished and nobody has heard yet."""
+    def _drain_messages(self) -> Iterator[Finished]:
+        """End all workers; yield finished flights that have not been received yet."""
         for worker in self._workers:
             worker.process.kill()
         for worker in self._workers:
             worker.process.join()
             while worker.group is not None and worker.orders.poll():
-                message = _received(worker.orders)
+                message = _try_receive(worker.orders)
                 if message is None:
                     break
                 if message[0] == ENDED:
@@ -226,10 +228,11 @@ class LocalEngine:
 
 
 @contextlib.contextmanager
-def deaf() -> Iterator[None]:
-    """Keep an interrupt from processes that start meanwhile; this one hears it a moment later.
+def block_interrupts() -> Iterator[None]:
+    """Block an interrupt from processes that start meanwhile; this one receives it afterwards.
 
-    The keyboard sends it to all, and one that is still loading would die of it with a traceback.
+    The keyboard sends SIGINT to all processes, and one that is still loading would die of it with
+    a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -238,17 +241,17 @@ def deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _received(connection: Connection) -> Any:
+def _try_receive(connection: Connection) -> Any:
     try:
         return connection.recv()
     except Exception:
         return None
 
 
-def _how(code: int | None) -> str:
-    """Return an exit code in words."""
+def _describe_exit(code: int | None) -> str:
+    """Describe an exit code."""
     if code is None or code >= 0:
         return f"with exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
-    more = ", as for want of memory" if code == -signal.SIGKILL else ""
+    more = ", possibly out of memory" if code == -signal.SIGKILL else ""
     return f"by signal {name}{more}"

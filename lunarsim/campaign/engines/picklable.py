@@ -1,4 +1,4 @@
-"""What can be sent to worker processes, which start with a fresh interpreter."""
+"""Check that objects can be sent to worker processes."""
 
 from __future__ import annotations
 
@@ -17,66 +17,66 @@ def check_picklable(field: str, value: object) -> None:
     Parameters
     ----------
     field
-        What it is called in the message.
+        Name of the object in the error message.
     value
         Any object.
 
     Raises
     ------
     InputError
-        If it cannot be pickled, or needs a class or function that exists only in this process, as
-        those of a notebook do. A text ``module:Name`` counts as such a need.
+        If the object cannot be pickled, or needs a class or function that exists only in this
+        process, for instance in a notebook. A text ``module:Name`` is checked too.
     """
     kind = value if isinstance(value, str) else type(value).__qualname__
     sent = io.BytesIO()
-    sender = _Sender(sent)
+    sender = _NamePickler(sent)
     try:
         sender.dump(value)
-        found = _Recorder(io.BytesIO(sent.getvalue()))
+        found = _NameUnpickler(io.BytesIO(sent.getvalue()))
         found.load()
-    except Exception as error:  # objects raise whatever they like
-        said = str(error).split("\n")[0]
+    except Exception as error:  # pickling hooks may raise anything
+        reason = str(error).split("\n")[0]
         raise InputError(
-            field, kind, f"must be an object that can be pickled ({said}). Use jobs = 1"
+            field, kind, f"must be an object that can be pickled ({reason})", "Use jobs = 1."
         ) from None
-    of_main = found.of_main + sender.of_main
-    if of_main and not _main_can_be_loaded():
+    main_names = found.main_names + sender.main_names
+    if main_names and not _is_main_importable():
         raise InputError(
             field, kind,
-            f"{of_main[0]} is defined in a notebook or in an interactive session, which "
-            "worker processes cannot import. Move it into a module file, or use jobs = 1",
+            f"{main_names[0]} is defined in a notebook or an interactive session, which "
+            "worker processes cannot import", "Move it into a module file, or use jobs = 1.",
         )  # fmt: skip
 
 
-class _Sender(pickle.Pickler):
-    """Pickles and notes the names in texts such as ``__main__:Mine``, as scenarios hold them."""
+class _NamePickler(pickle.Pickler):
+    """Pickles and collects the names in texts such as ``__main__:Mine``, as in scenarios."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
-        self.of_main: list[str] = []
+        self.main_names: list[str] = []
 
     def persistent_id(self, value: Any) -> None:
-        """Look at a value; it is pickled as usual."""
+        """Collect the name of a text; the value is pickled as usual."""
         if isinstance(value, str) and value.startswith("__main__:"):
-            self.of_main.append(value.partition(":")[2])
+            self.main_names.append(value.partition(":")[2])
 
 
-class _Recorder(pickle.Unpickler):
-    """Loads a pickle and notes the names that it takes from the module ``__main__``."""
+class _NameUnpickler(pickle.Unpickler):
+    """Loads a pickle and collects the names that it takes from the module ``__main__``."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
-        self.of_main: list[str] = []
+        self.main_names: list[str] = []
 
     def find_class(self, module: str, name: str) -> Any:
         """Return a class or function by its name."""
         if module == "__main__":
-            self.of_main.append(name)
+            self.main_names.append(name)
         return super().find_class(module, name)
 
 
-def _main_can_be_loaded() -> bool:
-    """Return whether a spawned process loads the module that this process runs as ``__main__``."""
+def _is_main_importable() -> bool:
+    """Return whether a spawned process can load the ``__main__`` module of this process."""
     data = get_preparation_data("worker")
     path = data.get("init_main_from_path")
     return "init_main_from_name" in data or (path is not None and Path(path).is_file())

@@ -1,4 +1,4 @@
-"""Flights on a Ray cluster, or on Ray here: its own scheduling, retries and object store."""
+"""Execute flights on a Ray cluster, or on a local Ray instance."""
 
 from __future__ import annotations
 
@@ -14,56 +14,59 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from lunarsim.campaign.engines.worker import one_thread
-from lunarsim.campaign.files import code_digest, differing, environment
+from lunarsim.campaign.engines.worker import limit_to_one_thread
+from lunarsim.campaign.files import code_digest, environment, environment_differences
 from lunarsim.campaign.outcomes import KILLED, TIMEOUT, Finished, attempt, function_of
 from lunarsim.campaign.plan import Group, Work
 from lunarsim.errors import InputError
 
-# How long an interrupt may go unseen, s.
-_TICK = 0.2
-# How often Ray begins a group whose worker or node is lost.
-TRIES = 3
-# Groups that wait at the cluster, for each of its cores.
-_WINDOW = 2
-# An address answers within, s.
-_ANSWER = 5.0
+# Maximum time until an interrupt is noticed, s.
+_POLL_INTERVAL_S = 0.2
+# Maximum number of starts of a group whose worker or node is lost.
+MAX_ATTEMPTS = 3
+# Queued groups per core of the cluster.
+_QUEUED_GROUPS_PER_CORE = 2
+# Time limit for the connection to an address, s.
+_CONNECT_TIMEOUT_S = 5.0
 
 
 class RayEngine:
-    """Ray tasks, a group each.
+    """Executes each group of flights as a Ray task.
 
     Parameters
     ----------
     address
-        Of a running cluster, HOST:PORT; None: Ray is started here, with `jobs` cores.
+        Address of a running cluster, HOST:PORT; None: start Ray here with `jobs` cores.
     jobs
-        Cores where it is started here.
+        Number of cores of a local instance.
     time_limit
-        Wall-clock time after which a flight is ended, s; None: never.
+        Wall-clock time after which a flight is ended, s; None: no limit.
 
     Attributes
     ----------
-    name, asks_to_halt
-        See `Engine`.
+    name, polls_halt
+        Attributes of the `Engine` interface.
 
     Raises
     ------
     InputError
-        If Ray is not installed, or the address does not answer.
+        If Ray is not installed, or the address does not respond.
     """
 
     name = "ray"
-    asks_to_halt = True
+    polls_halt = True
 
     def __init__(self, address: str | None, jobs: int, time_limit: float | None = None) -> None:
         if address is not None:
-            _check_answers(address)
+            _check_reachable(address)
         try:
             import ray  # noqa: PLC0415  (an extra)
         except ImportError:
             raise InputError(
-                "--engine", "ray", 'local, or Ray installed: pip install "lunarsim[ray]"'
+                "--engine",
+                "ray",
+                "Ray is not installed",
+                'Install it: pip install "lunarsim[ray]".',
             ) from None
         self._ray: Any = ray
         self.address, self.jobs, self.time_limit = address, jobs, time_limit
@@ -71,40 +74,40 @@ class RayEngine:
     def fly(
         self, work: Work, groups: Iterable[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
-        """Yield flights as their groups end; see `Engine`.
+        """Yield flights as their groups end.
 
-        After an interrupt Ray is left to `leave_at_once`: nobody is to wait the seconds that it
-        needs to take its leave.
+        After an interrupt Ray is not shut down here, which takes seconds: `leave_at_once` ends it.
         """
         ray = self._ray
         ours = not ray.is_initialized()
         if ours:
-            self._join()
+            self._connect()
         try:
-            yield from self._flown(work, iter(groups), halt)
+            yield from self._run_groups(work, iter(groups), halt)
         finally:
             if ours and not halt():
                 ray.shutdown()
 
-    def _join(self) -> None:
+    def _connect(self) -> None:
         more = {"num_cpus": self.jobs, "include_dashboard": False} if self.address is None else {}
         try:
             self._ray.init(address=self.address, log_to_driver=False, logging_level="error", **more)
-        except Exception as error:  # Ray raises what it likes
-            said = str(error).strip().split("\n")[0]
+        except Exception as error:  # Ray raises many types
+            reason = str(error).strip().split("\n")[0]
             if self.address is None:
-                raise InputError("--engine", "ray", f"a Ray that starts here ({said})") from None
+                raise InputError("--engine", "ray", f"Ray does not start here ({reason})") from None
             raise InputError(
-                "--address", self.address, f"a running Ray cluster of this version ({said})"
-            ) from None
+                "--address", self.address,
+                f"must be a running Ray cluster of the same version ({reason})",
+            ) from None  # fmt: skip
 
-    def _flown(
+    def _run_groups(
         self, work: Work, groups: Iterator[Group | None], halt: Callable[[], bool]
     ) -> Iterator[Finished]:
         ray = self._ray
-        task = ray.remote(num_cpus=1, max_retries=TRIES - 1)(fly_group)
-        shared, made_by = ray.put(work), this_node()
-        window = _WINDOW * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        task = ray.remote(num_cpus=1, max_retries=MAX_ATTEMPTS - 1)(fly_group)
+        shared, made_by = ray.put(work), node_environment()
+        window = _QUEUED_GROUPS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
         pending: dict[Any, Group] = {}
         again: list[Group] = []
         try:
@@ -116,53 +119,62 @@ class RayEngine:
                     pending[task.remote(shared, group, self.time_limit, made_by)] = group
                 if not pending:
                     return
-                for reference in ray.wait(list(pending), num_returns=1, timeout=_TICK)[0]:
+                for reference in ray.wait(list(pending), num_returns=1, timeout=_POLL_INTERVAL_S)[
+                    0
+                ]:
                     group = pending.pop(reference)
                     try:
                         yield from self.check_node(ray.get(reference))
                     except ray.exceptions.RayError as error:
-                        yield from self._lost(group, again, str(error))
-            yield from self._heard_last(pending)
+                        yield from self._retry_lost(group, again, str(error))
+            yield from self._drain_messages(pending)
         finally:
             for reference in pending:
                 with contextlib.suppress(Exception):
                     ray.cancel(reference, force=True)
 
-    def _lost(self, group: Group, again: list[Group], said: str) -> Iterator[Finished]:
-        """Fly the arms of a lost group apart; one that is lost by itself is recorded."""
+    def _retry_lost(self, group: Group, again: list[Group], message: str) -> Iterator[Finished]:
+        """Fly the arms of a lost group separately; record a single arm as killed."""
         if len(group.arms) > 1:
             again += [replace(group, arms=(arm,)) for arm in group.arms]
             return
-        error = f"its process ended {TRIES} times ({said.strip().splitlines()[0]})"
+        reason = message.strip().splitlines()[0]
+        error = f"The process of the flight ended {MAX_ATTEMPTS} times ({reason})."
         yield Finished(
-            group.flight, group.arms[0], KILLED, error=error, tries=TRIES, finished=time.time()
+            group.flight,
+            group.arms[0],
+            KILLED,
+            error=error,
+            tries=MAX_ATTEMPTS,
+            finished=time.time(),
         )
 
-    def _heard_last(self, pending: dict[Any, Group]) -> Iterator[Finished]:
+    def _drain_messages(self, pending: dict[Any, Group]) -> Iterator[Finished]:
         ray = self._ray
         ready = ray.wait(list(pending), num_returns=len(pending), timeout=0)[0] if pending else []
         for reference in ready:
             with contextlib.suppress(ray.exceptions.RayError):
                 yield from self.check_node(ray.get(reference))
 
-    def check_node(self, came: list[Finished] | OtherNode) -> list[Finished]:
-        """Return the flights of a node; refuse one that gives other results."""
-        if isinstance(came, OtherNode):
+    def check_node(self, came: list[Finished] | NodeMismatch) -> list[Finished]:
+        """Return the flights of a node; refuse a node with other code or packages."""
+        if isinstance(came, NodeMismatch):
             raise InputError(
                 "--address", self.address,
-                f"nodes with code and packages of this machine: {came.who} has {came.has}",
+                f"node {came.who} has other code or packages: {came.has}",
+                "Install the same versions on all nodes.",
             )  # fmt: skip
         return came
 
 
 @dataclass(frozen=True)
-class OtherNode:
-    """A node that may give other results than this machine.
+class NodeMismatch:
+    """Node that may give other results than this machine.
 
     Attributes
     ----------
     who, has
-        Host and process; what differs, in words.
+        Host and process id; description of the differences.
     """
 
     who: str
@@ -171,50 +183,50 @@ class OtherNode:
 
 def fly_group(
     work: Work, group: Group, time_limit: float | None, made_by: Mapping[str, str]
-) -> list[Finished] | OtherNode:
-    """Fly a group on a worker of the cluster; return what became of each flight.
+) -> list[Finished] | NodeMismatch:
+    """Fly a group on a worker of the cluster; return its finished flights.
 
     Parameters
     ----------
     work, group, time_limit
-        What; the longest that a flight may take, s.
+        Function and settings; group of flights; wall-clock limit of a flight, s.
     made_by
-        Code and packages that the rows will name as theirs: nothing is flown by others.
+        Code and packages recorded in the rows. A node with others does not fly.
     """
-    here, who = this_node(), f"{socket.gethostname()}:{os.getpid()}"
-    other = differing(made_by, here)
+    here, who = node_environment(), f"{socket.gethostname()}:{os.getpid()}"
+    other = environment_differences(made_by, here)
     if other:
-        told = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
-        return OtherNode(who, ", ".join(told))
+        differences = [f"{n} {here.get(n, 'none')} (here {made_by.get(n, 'none')})" for n in other]
+        return NodeMismatch(who, ", ".join(differences))
     function = function_of(work)
-    one_thread()
+    limit_to_one_thread()
     memory: dict[Any, Any] = {}
     found = []
     for arm in group.arms:
-        with _limited(time_limit):
+        with _flight_time_limit(time_limit):
             done = attempt(function, work, group, arm, memory)
-        if done.error.startswith(f"{__name__}.{_TooLongError.__name__}"):
-            error = f"it took longer than {time_limit:g} s"
+        if done.error.startswith(f"{__name__}.{_FlightTimeoutError.__name__}"):
+            error = f"The flight exceeded the time limit of {time_limit:g} s."
             done = replace(done, outcome=TIMEOUT, error=error, traceback="")
         found.append(replace(done, worker=who))
     return found
 
 
 @cache
-def this_node() -> dict[str, str]:
-    """Return code and packages of this process."""
+def node_environment() -> dict[str, str]:
+    """Return the code digest and package versions of this process."""
     return {"lunarsim": f"code {code_digest()}"} | environment()
 
 
-class _TooLongError(BaseException):
-    """A flight took longer than its limit."""
+class _FlightTimeoutError(BaseException):
+    """The flight exceeded its time limit."""
 
 
 def leave_at_once(status: int) -> NoReturn:
-    """End this process and all that Ray started for it here, without Ray's seconds of farewell.
+    """End this process and Ray's local processes at once, without Ray's slow shutdown.
 
-    What flies ends with this process. The agents of a node that was killed look for a minute for
-    somebody to tell, so they go first.
+    Running flights end with this process. The agents of a killed node would wait for a minute, so
+    they are killed first.
     """
     for node in _children(os.getpid()):
         with contextlib.suppress(OSError):
@@ -225,7 +237,7 @@ def leave_at_once(status: int) -> NoReturn:
 
 
 def _children(process: int) -> list[int]:
-    """Return the numbers of a process's children; none where there is no /proc."""
+    """Return the process ids of child processes; empty where there is no /proc."""
     try:
         listed = Path(f"/proc/{process}/task/{process}/children").read_text()
     except OSError:
@@ -234,14 +246,14 @@ def _children(process: int) -> list[int]:
 
 
 @contextlib.contextmanager
-def _limited(seconds: float | None) -> Iterator[None]:
-    """Raise `_TooLongError` in what runs inside once the time is over."""
+def _flight_time_limit(seconds: float | None) -> Iterator[None]:
+    """Raise `_FlightTimeoutError` in the enclosed code when the time is over."""
     if seconds is None:
         yield
         return
 
     def over(number: int, frame: FrameType | None) -> None:
-        raise _TooLongError
+        raise _FlightTimeoutError
 
     old = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)
@@ -252,11 +264,11 @@ def _limited(seconds: float | None) -> Iterator[None]:
         signal.signal(signal.SIGALRM, old)
 
 
-def _check_answers(address: str) -> None:
+def _check_reachable(address: str) -> None:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
-        raise InputError("--address", address, "HOST:PORT of a running Ray cluster")
+        raise InputError("--address", address, "must be HOST:PORT of a running Ray cluster")
     try:
-        socket.create_connection((host, int(port)), timeout=_ANSWER).close()
+        socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
-        raise InputError("--address", address, f"an address that answers ({error})") from None
+        raise InputError("--address", address, f"does not respond ({error})") from None

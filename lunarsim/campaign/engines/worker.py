@@ -1,4 +1,4 @@
-"""A worker process: flies groups that it is sent, and ends with its parent, however that ends."""
+"""Worker process: flies the groups it receives, and always ends with its parent."""
 
 from __future__ import annotations
 
@@ -15,59 +15,59 @@ from typing import Any
 from lunarsim.campaign.outcomes import attempt, function_of
 from lunarsim.campaign.plan import Work
 
-# What a worker says: it is there; a flight begins; a flight has ended; a group is done.
+# Messages of a worker: ready; a flight began; a flight ended; a group is done.
 READY, BEGAN, ENDED, DONE = "ready", "began", "ended", "done"
 _PR_SET_PDEATHSIG = 1
 
 
-def serve(work: Work, orders: Connection, lifeline: Connection, parent: int) -> None:
-    """Fly until the orders end.
+def run_worker(work: Work, connection: Connection, lifeline: Connection, parent: int) -> None:
+    """Fly groups until the connection closes.
 
     Parameters
     ----------
     work
-        What flies.
-    orders
-        Groups come in, what becomes of them goes out.
+        Function and settings that all flights share.
+    connection
+        Connection that receives groups and sends messages.
     lifeline
-        Nothing comes on it; it closes when the parent is gone.
+        Connection without messages; it closes when the parent ends.
     parent
         Process id of the parent.
     """
-    _end_with(parent, lifeline)
-    # An interrupt from the keyboard reaches all processes; the parent says what follows from it.
+    _end_with_parent(parent, lifeline)
+    # A keyboard interrupt reaches all processes; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     function = function_of(work)
-    one_thread()
-    orders.send((READY, None))
+    limit_to_one_thread()
+    connection.send((READY, None))
     fresh = True
     while True:
         try:
-            group = orders.recv()
+            group = connection.recv()
         except EOFError:
             return
         memory: dict[Any, Any] = {}
         for arm in group.arms:
-            orders.send((BEGAN, arm))
-            orders.send((ENDED, attempt(function, work, group, arm, memory)))
+            connection.send((BEGAN, arm))
+            connection.send((ENDED, attempt(function, work, group, arm, memory)))
         memory.clear()
-        _swept(fresh)
+        _collect_garbage(fresh)
         fresh = False
-        orders.send((DONE, None))
+        connection.send((DONE, None))
 
 
-def _swept(first: bool) -> None:
-    """Free what flights leave behind in circles: some 70 MB each, which nobody else would for long.
+def _collect_garbage(first: bool) -> None:
+    """Free reference cycles that flights leave, about 70 MB each.
 
-    What the first group has loaded stays, and is not looked through again: that makes it cheap.
+    Objects loaded by the first group are frozen, which makes later collections cheap.
     """
     gc.collect()
     if first:
         gc.freeze()
 
 
-def one_thread() -> None:
-    """Keep a worker to one thread: the processes share the cores."""
+def limit_to_one_thread() -> None:
+    """Limit a worker to one thread, because the processes share the cores."""
     if "numba" in sys.modules:
         sys.modules["numba"].set_num_threads(1)
     if "numpy" in sys.modules:
@@ -76,10 +76,10 @@ def one_thread() -> None:
         threadpoolctl.threadpool_limits(1)
 
 
-def _end_with(parent: int, lifeline: Connection) -> None:
-    """See to it that this process does not outlive its parent."""
+def _end_with_parent(parent: int, lifeline: Connection) -> None:
+    """Make this process end with its parent."""
     if sys.platform == "linux":
-        # The kernel does it at once, even in the midst of a long kernel of ours.
+        # The operating system kills it at once, even within a long compiled kernel.
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:
             os._exit(1)

@@ -1,4 +1,4 @@
-"""The report of a campaign: one HTML file that needs nothing else."""
+"""Report of a campaign: one self-contained HTML file."""
 
 from lunarsim.campaign.report.page import write_report
 

@@ -1,6 +1,6 @@
-"""The plots of a report, as Plotly takes them: traces with the arm that they are of, and a layout.
+"""Plots of a report as Plotly data: traces, each with its arm, and a layout.
 
-Colours of text, grid and paper are the page's, which knows whether it is light or dark.
+The page sets the colours of text, grid and background for its light or dark theme.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lunarsim.campaign.analysis import ArmFigures, arm_rows, column
-from lunarsim.campaign.rare import RareShare
+from lunarsim.campaign.analysis import ArmStatistics, arm_rows, column
+from lunarsim.campaign.rare import RareFailureEstimate
 from lunarsim.campaign.results import Results
 from lunarsim.campaign.sensitivity import Sensitivity
-from lunarsim.campaign.subset import Chains
+from lunarsim.campaign.subset import SubsetChains
 from lunarsim.evaluation.comparisons import Difference, Ellipse
 from lunarsim.evaluation.reliability import calibration_error, frequencies, reliability
 from lunarsim.evaluation.statistics import Proportion
 
-# Okabe and Ito's palette, told apart by colour-blind readers, with greys that show on both themes.
+# Palette of Okabe and Ito for colour-blind readers; its grey is visible on both themes.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8c8c8c")
-# Points of a scatter that a browser still moves with ease, of each arm.
-_MOST_POINTS = 4000
-# Points of a line of a level.
-_MOST_STEPS = 200
+# Maximum number of scatter points per arm, which browsers still move smoothly.
+_MAX_POINTS = 4000
+# Maximum number of points of a line per level.
+_MAX_LINE_POINTS = 200
 Plot = dict[str, Any]
 
 
@@ -36,17 +36,17 @@ def colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def _plot(identity: str, title: str, said: str, traces: list[Plot], layout: Plot) -> Plot:
+def _plot(identity: str, title: str, caption: str, traces: list[Plot], layout: Plot) -> Plot:
     return {
-        "id": identity, "title": title, "said": said, "data": _literal(traces),
+        "id": identity, "title": title, "caption": caption, "data": _literal(traces),
         "layout": _literal(layout),
     }  # fmt: skip
 
 
 def _literal(value: Any) -> Any:
-    """Return a value whose texts Plotly draws as they are, where it would read tags.
+    """Escape texts so that Plotly does not read them as HTML tags.
 
-    The page compares the names of arms and does not draw them.
+    Names of arms are not escaped: the page compares them and does not draw them.
     """
     if isinstance(value, dict):
         return {k: v if k in ("arm", "arms") else _literal(v) for k, v in value.items()}
@@ -55,8 +55,8 @@ def _literal(value: Any) -> Any:
     return html.escape(value, quote=False) if isinstance(value, str) else value
 
 
-def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, float]]) -> Plot:
-    """Return the share of safe landings of each arm with its interval; nothing of one without."""
+def shares_plot(figures: list[ArmStatistics], intervals: dict[str, tuple[float, float]]) -> Plot:
+    """Plot the share of safe landings of each arm with its interval; omit arms without one."""
     traces = []
     for i, arm in enumerate(figures):
         share = arm.shares["safe"].value
@@ -71,7 +71,7 @@ def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, flo
             "showlegend": False,
         })  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "landed safe"}, "range": [-0.02, 1.02]},
+        "xaxis": {"title": {"text": "Share of safe landings"}, "range": [-0.02, 1.02]},
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 140 + 34 * len(figures),
     }
@@ -79,12 +79,12 @@ def shares_plot(figures: list[ArmFigures], intervals: dict[str, tuple[float, flo
 
 
 def landings_plot(
-    found: Results,
-    figures: list[ArmFigures],
+    results: Results,
+    figures: list[ArmStatistics],
     ground: tuple[list[float], list[float], Any] | str | None,
 ) -> Plot | None:
-    """Return where arms touched down, with the ellipse of 95 %, over the ground if it is known."""
-    if "touchdown_x_m" not in found.manifest["columns"]:
+    """Plot touchdown points with 95 % ellipses, over the terrain if it is available."""
+    if "touchdown_x_m" not in results.manifest["columns"]:
         return None
     traces: list[Plot] = []
     if isinstance(ground, tuple):
@@ -93,14 +93,14 @@ def landings_plot(
             "type": "heatmap", "x": x, "y": y, "z": shade, "colorscale": "Greys", "opacity": 0.55,
             "showscale": False, "hoverinfo": "skip",
         })  # fmt: skip
-    safe = column(found, "safe")
-    xs, ys = (column(found, name) for name in ("touchdown_x_m", "touchdown_y_m"))
-    names = np.array(found.table["id"].to_pylist())
-    rows_of = arm_rows(found)
+    safe = column(results, "safe")
+    xs, ys = (column(results, name) for name in ("touchdown_x_m", "touchdown_y_m"))
+    names = np.array(results.table["id"].to_pylist())
+    rows_of = arm_rows(results)
     for i, arm in enumerate(figures):
         for good, symbol in ((True, "circle"), (False, "x")):
             rows = np.flatnonzero(rows_of[arm.name] & np.isfinite(xs) & ((safe > 0.5) == good))
-            rows = rows[:: max(1, -(-len(rows) // _MOST_POINTS))]
+            rows = rows[:: max(1, -(-len(rows) // _MAX_POINTS))]
             traces.append({
                 "type": "scatter", "mode": "markers", "x": _numbers(xs[rows]),
                 "y": _numbers(ys[rows]), "text": names[rows].tolist(),
@@ -116,16 +116,16 @@ def landings_plot(
                 "showlegend": False, "hoverinfo": "skip",
             })  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "east (m)"}},
-        "yaxis": {"title": {"text": "north (m)"}, "scaleanchor": "x"},
+        "xaxis": {"title": {"text": "East (m)"}},
+        "yaxis": {"title": {"text": "North (m)"}, "scaleanchor": "x"},
         "height": 620,
     }
-    said = "Points by flight; crosses are landings that were not safe. "
+    caption = "Each point is a flight; crosses are landings that were not safe. "
     if isinstance(ground, tuple):
-        said += "Shading: relief without rocks, as all flights share it."
+        caption += "Shading: terrain without rocks, which all flights share."
     elif ground is not None:
-        said += f"The relief is not shown: {ground}."
-    return _plot("landings", "Where they touched down", said, traces, layout)
+        caption += f"The terrain is not shown: {ground}"
+    return _plot("landings", "Touchdown points", caption, traces, layout)
 
 
 def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
@@ -138,22 +138,24 @@ def _outline(ellipse: Ellipse) -> tuple[list[float], list[float]]:
     )
 
 
-def reliability_plot(found: Results, figures: list[ArmFigures]) -> Plot | None:
-    """Return how often sites were exactly safe, by what the map said of them."""
-    if "p_safe" not in found.manifest["columns"]:
+def reliability_plot(results: Results, figures: list[ArmStatistics]) -> Plot | None:
+    """Plot the observed share of exactly safe touchdown sites against predicted p_safe."""
+    if "p_safe" not in results.manifest["columns"]:
         return None
-    said = column(found, "p_safe")
-    true = column(found, "touchdown_exactly_safe")
-    known = np.isfinite(said) & np.isfinite(true) & np.isfinite(column(found, "touchdown_x_m"))
+    predicted = column(results, "p_safe")
+    true = column(results, "touchdown_exactly_safe")
+    known = (
+        np.isfinite(predicted) & np.isfinite(true) & np.isfinite(column(results, "touchdown_x_m"))
+    )
     traces: list[Plot] = [
-        {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "as often as said",
+        {"type": "scatter", "mode": "lines", "x": [0, 1], "y": [0, 1], "name": "ideal",
          "line": {"dash": "dot", "color": "#8c8c8c"}}
     ]  # fmt: skip
-    rows_of = arm_rows(found)
+    rows_of = arm_rows(results)
     words = []
     for i, arm in enumerate(figures):
         rows = rows_of[arm.name] & known
-        table = reliability(said[rows], true[rows])
+        table = reliability(predicted[rows], true[rows])
         p, share = frequencies(table)
         filled = table[:, 0] > 0
         intervals = [Proportion(int(h), int(n)).interval for n, _, h in table[filled]]
@@ -170,20 +172,21 @@ def reliability_plot(found: Results, figures: list[ArmFigures]) -> Plot | None:
         })  # fmt: skip
         words.append(f"{arm.name} {calibration_error(table):.3f}")
     layout = {
-        "xaxis": {"title": {"text": "p_safe of the last site, by the map"}, "range": [-0.03, 1.03]},
-        "yaxis": {"title": {"text": "touched down on exactly safe ground"}, "range": [-0.03, 1.03]},
+        "xaxis": {"title": {"text": "Predicted p_safe of the last site"}, "range": [-0.03, 1.03]},
+        "yaxis": {"title": {"text": "Observed share on exactly safe terrain"},
+                  "range": [-0.03, 1.03]},
         "height": 480,
     }  # fmt: skip
     text = (
-        "Sites that a policy chose, not sites at random: a policy that takes the highest p_safe "
-        "takes its errors too. Where the lander misses its site, ground beside it counts. Mean "
-        "distance of the two, weighted by number: " + ", ".join(words) + "."
+        "The policy chose these sites: a policy that prefers a high p_safe also selects its "
+        "errors. If the lander misses its site, the actual touchdown point counts. Expected "
+        "calibration error: " + ", ".join(words) + "."
     )
-    return _plot("reliability", "What p_safe was worth", text, traces, layout)
+    return _plot("reliability", "Reliability of p_safe", text, traces, layout)
 
 
 def differences_plot(made: list[Difference]) -> Plot:
-    """Return the paired differences of the share of safe landings."""
+    """Plot the paired differences of the share of safe landings."""
     names = [f"{d.second} − {d.first}" for d in made]
     traces = [
         {"type": "scatter", "mode": "markers", "x": [d.value], "y": [name],
@@ -194,17 +197,17 @@ def differences_plot(made: list[Difference]) -> Plot:
         for d, name in zip(made, names, strict=True) if d.pairs
     ]  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "difference of the share that landed safe"}, "zeroline": True,
+        "xaxis": {"title": {"text": "Difference of the share of safe landings"}, "zeroline": True,
                   "zerolinewidth": 2},
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 140 + 30 * len(made),
     }  # fmt: skip
-    said = "Blue: told apart after Holm's correction; grey: not."
-    return _plot("differences", "Paired differences", said, traces, layout)
+    caption = "Blue: significant after Holm's correction; grey: not significant."
+    return _plot("differences", "Paired differences", caption, traces, layout)
 
 
-def rare_plot(made: list[RareShare]) -> Plot:
-    """Return the share of failures of each arm, weighted, with its interval."""
+def rare_plot(made: list[RareFailureEstimate]) -> Plot:
+    """Plot the failure share of each arm with its interval."""
     traces = [
         {"type": "scatter", "mode": "markers", "x": [s.value], "y": [s.arm], "arm": s.arm,
          "error_x": {"type": "data", "symmetric": False, "array": [s.high - s.value],
@@ -213,23 +216,23 @@ def rare_plot(made: list[RareShare]) -> Plot:
         for i, s in enumerate(made) if s.value > 0.0
     ]  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "share that fails"}, "type": "log", "exponentformat": "power"},
+        "xaxis": {"title": {"text": "Failure share"}, "type": "log", "exponentformat": "power"},
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 150 + 34 * len(traces),
     }
-    said = "An arm of which no flight has failed is in the table alone."
-    return _plot("shares", "Share that fails", said, traces, layout)
+    caption = "Arms without a failed flight are listed only in the table."
+    return _plot("shares", "Failure share", caption, traces, layout)
 
 
-def levels_plot(chains: Chains) -> Plot | None:
-    """Return the share of flights that come as near to failure as a value, level by level."""
+def levels_plot(chains: SubsetChains) -> Plot | None:
+    """Plot the distribution of the failure metric, level by level."""
     traces: list[Plot] = []
     reached = 1.0
     for number, level in enumerate(chains.levels):
         margins = np.sort(level.margins, axis=None)
         shares = reached * np.arange(1, margins.size + 1) / margins.size
         known = np.isfinite(margins) & (margins >= level.threshold)
-        at = np.flatnonzero(known)[:: max(1, int(known.sum()) // _MOST_STEPS)]
+        at = np.flatnonzero(known)[:: max(1, int(known.sum()) // _MAX_LINE_POINTS)]
         reached *= level.share
         traces.append({
             "type": "scatter", "mode": "lines", "name": f"level {number}",
@@ -240,16 +243,16 @@ def levels_plot(chains: Chains) -> Plot | None:
         return None
     layout = {
         "xaxis": {"title": {"text": chains.metric}},
-        "yaxis": {"title": {"text": "share of flights as near to failure or nearer"},
+        "yaxis": {"title": {"text": "Share of flights at least this close to failure"},
                   "type": "log", "exponentformat": "power"},
         "height": 420,
     }  # fmt: skip
-    said = "Each level goes on from the flights of the one before that came nearest to failure."
-    return _plot("levels", "How near to failure", said, traces, layout)
+    caption = "The flights of a level closest to failure are the seeds of the next level."
+    return _plot("levels", "Distance from failure", caption, traces, layout)
 
 
 def sensitivity_plot(made: list[Sensitivity]) -> Plot:
-    """Return the indices of every arm with their intervals; the total index hollow."""
+    """Plot the sensitivity indices of every arm with their intervals; total indices are hollow."""
     traces = []
     names: tuple[str, ...] = ()
     for i, one in enumerate(made):
@@ -265,34 +268,34 @@ def sensitivity_plot(made: list[Sensitivity]) -> Plot:
                            "symbol": "circle-open" if label == "total" else "circle"},
             })  # fmt: skip
     layout = {
-        "xaxis": {"title": {"text": "index of the safe share"}, "zeroline": True},
+        "xaxis": {"title": {"text": "Sensitivity index of the safe share"}, "zeroline": True},
         "yaxis": {"autorange": "reversed", "automargin": True},
         "scattermode": "group",
         "height": 170 + (30 + 12 * len(traces)) * len(names),
     }
     if made and made[0].method == "sobol":
-        said = (
-            "Sobol indices: the share of the variance that a key explains by itself (full), and "
-            "with all it acts together with (hollow). World and noise: rocks, sensor noise, "
+        caption = (
+            "Sobol indices: the share of the variance explained by a key alone (first order, full) "
+            "and with all its interactions (total, hollow). World and noise: rocks, sensor noise, "
             "navigation errors."
         )
     else:
         chance = [f"{one.arm} {one.chance:.3f}" for one in made if one.chance == one.chance]
-        said = (
-            "PAWN: how far the share moves when a key is held in a tenth of its range, median of "
-            "ten. A column drawn for nothing gives up to: " + ", ".join(chance) + "."
+        caption = (
+            "PAWN: change of the share when a key is limited to a tenth of its range, median of "
+            "ten tenths. Value that chance alone can give: " + ", ".join(chance) + "."
         )
     missing = [f"{one.arm}: {one.why_not}" for one in made if one.why_not]
     more = " No indices: " + "; ".join(missing) + "." if missing else ""
-    return _plot("sensitivity", "What it hangs on", said + more, traces, layout)
+    return _plot("sensitivity", "Sensitivity to the dispersions", caption + more, traces, layout)
 
 
-def spread_plot(found: Results, metric: str, label: str) -> Plot:
-    """Return quartiles and 5 and 95 % of a number of each arm."""
+def spread_plot(results: Results, metric: str, label: str) -> Plot:
+    """Plot quartiles and 5th and 95th percentiles of a metric of each arm."""
     traces = []
-    flown = pc.equal(found.table["outcome"], "flown").to_numpy(zero_copy_only=False)
-    for i, (arm, rows) in enumerate(arm_rows(found).items()):
-        values = column(found, metric, rows & flown)
+    flown = pc.equal(results.table["outcome"], "flown").to_numpy(zero_copy_only=False)
+    for i, (arm, rows) in enumerate(arm_rows(results).items()):
+        values = column(results, metric, rows & flown)
         values = values[np.isfinite(values)]
         if not len(values):
             continue
@@ -309,7 +312,7 @@ def spread_plot(found: Results, metric: str, label: str) -> Plot:
         "yaxis": {"autorange": "reversed", "automargin": True},
         "height": 140 + 34 * len(traces),
     }
-    return _plot(metric, label, "Box: quartiles; whiskers: 5 and 95 %.", traces, layout)
+    return _plot(metric, label, "Box: quartiles; whiskers: 5th and 95th percentile", traces, layout)
 
 
 def _numbers(values: NDArray[np.float64]) -> list[float]:

@@ -1,4 +1,4 @@
-"""The relief under a campaign's landings, as a picture of a few thousand points."""
+"""Shaded relief under a campaign's landings, as an image of some thousand points."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lunarsim.simulation import build_world
 from lunarsim.viz.style import hillshade
 from lunarsim.world.terrain import Terrain
 
-# Points on a side.
+# Number of points per side.
 _POINTS = 160
 
 
 def shaded(path: Path, seed: int) -> tuple[list[float], list[float], list[list[float | None]]]:
-    """Return east and north (m) of the points, and the shaded relief in [0, 1]; None: no ground."""
+    """Return east and north (m) of the points, and the shading in [0, 1] (None: no terrain)."""
     scenario = Scenario.world_of(
         bounded_bytes(path).decode(errors="replace"), path.parent.resolve()
     )

@@ -1,4 +1,4 @@
-"""What stands in a report, and the file that it is written to."""
+"""Content of a report, and the file that it is written to."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 import lunarsim
-from lunarsim.campaign.analysis import ArmFigures, column, differences, figures_of
-from lunarsim.campaign.rare import RareShare, rare_shares
+from lunarsim.campaign.analysis import ArmStatistics, column, compute_arm_statistics, differences
+from lunarsim.campaign.rare import RareFailureEstimate, rare_shares
 from lunarsim.campaign.report.figures import (
     differences_plot,
     landings_plot,
@@ -33,68 +33,69 @@ from lunarsim.evaluation.sequences import share_sequence
 from lunarsim.received_folders import bounded_bytes
 from lunarsim.whole_files import write_text_whole
 
-# Flights that are listed as the worst, of each arm.
-_WORST = 5
-# Arms whose sensitivity is worked out, and resamples of its bootstrap.
-_MOST_SENSITIVE, _RESAMPLES = 8, 50
-# Rows of the table of what went wrong.
-_MOST_CAUSES = 60
-# Underscores within words and brackets that no link follows mean themselves.
+# Number of worst flights listed per arm.
+_LISTED_PER_ARM = 5
+# Maximum number of arms for the sensitivity analysis, and its bootstrap resamples.
+_MAX_SENSITIVITY_ARMS, _RESAMPLES = 8, 50
+# Maximum number of rows of the table of failure causes.
+_MAX_CAUSES = 60
+# Underscores within words and brackets without a link need no escape.
 _MARKDOWN = re.compile(r"([\\`*<|~]|(?<!\w)_|_(?!\w)|(?<=\])\()")
 _LABELS = {
-    "propellant_kg": "propellant (kg)",
-    "divert_m": "divert (m)",
-    "duration_s": "time of flight (s)",
+    "propellant_kg": "Propellant (kg)",
+    "divert_m": "Divert distance (m)",
+    "duration_s": "Flight time (s)",
 }
 
 
 def write_report(folder: str | Path, out: Path) -> Results:
-    """Write the report of a campaign, finished or not; return what it is of.
+    """Write the report of a campaign, finished or not; return its results.
 
     Parameters
     ----------
     folder
-        Of the campaign.
+        Folder of the campaign.
     out
-        HTML file, which needs no network, or Markdown file (.md), its tables alone.
+        HTML file, which needs no network, or Markdown file (.md) with the tables only.
 
     Raises
     ------
     InputError
-        If the folder holds no flown flight, the file will not do, or plotly or jinja2 lack.
+        If the folder holds no flight, the file name is not usable, or plotly or jinja2 is missing.
     """
     tables_alone = out.suffix.lower() == ".md"
     if not tables_alone and out.suffix.lower() != ".html":
-        raise InputError("--out", str(out), "a file name that ends in .html or .md")
+        raise InputError("--out", str(out), "must be a file name that ends in .html or .md")
     check_output("--out", out, out.suffix.lower())
     try:
         import jinja2  # noqa: PLC0415  (an extra)
         from plotly.offline import get_plotlyjs  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
-            "report", error.name, 'a package that is installed: pip install "lunarsim[report]"'
-        ) from None
-    found = load_results(folder)
-    if not len(found.table):
-        raise InputError("folder", str(folder), "a campaign with at least one flight flown")
-    if found.manifest["columns"].get("safe") != "bool":
-        raise InputError("folder", str(folder), "a campaign whose rows tell whether it was safe")
+            "report", error.name, "a package is missing",
+            'Install it: pip install "lunarsim[report]".',
+        ) from None  # fmt: skip
+    results = load_results(folder)
+    if not len(results.table):
+        raise InputError("folder", str(folder), "must hold a campaign with at least one flight")
+    if results.manifest["columns"].get("safe") != "bool":
+        raise InputError("folder", str(folder), "must hold a campaign with the boolean column safe")
     template = _markdown(jinja2) if tables_alone else _page(jinja2)
     page = template.render(
-        **_content(found), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
+        **_content(results), plotly=_in_script(get_plotlyjs()), version=lunarsim.__version__
     )
     write_text_whole(out, page)
-    return found
+    return results
 
 
 def _page(jinja2: Any) -> Any:
-    """Return the template of the HTML page."""
+    """Load the template of the HTML page."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     return environment.from_string(_text("page.html.j2"))
 
 
 def _markdown(jinja2: Any) -> Any:
-    """Return the template of the tables in Markdown, a row of a table a line."""
+    """Load the template of the tables in Markdown."""
 
     def row(cells: Iterable[object]) -> str:
         return f"| {' | '.join(map(_literal, cells))} |"
@@ -108,7 +109,7 @@ def _markdown(jinja2: Any) -> Any:
 
 
 def _literal(text: object) -> str:
-    """Return a text on one line with the characters escaped that Markdown gives a meaning."""
+    """Return a text on one line, with Markdown characters escaped."""
     return _MARKDOWN.sub(r"\\\1", " ".join(str(text).split()))
 
 
@@ -122,26 +123,26 @@ def _in_script(text: str) -> Any:
     return Markup(text.replace("</script", "<\\/script"))
 
 
-def _content(found: Results) -> dict[str, Any]:
+def _content(results: Results) -> dict[str, Any]:
     """Return everything that the page shows."""
-    if found.is_leaning:
-        return _rare_content(found)
-    figures = figures_of(found)
-    # Whoever might have stopped has looked, also where the flights came to an end first.
-    watched = "stop" in found.manifest["identity"]
+    if results.has_unequal_weights:
+        return _rare_content(results)
+    figures = compute_arm_statistics(results)
+    # A campaign with a stop rule was monitored, even if it ended before the rule applied.
+    watched = "stop" in results.manifest["identity"]
     intervals = {a.name: _interval(a, watched) for a in figures}
-    made = differences(found) if len(figures) > 1 else []
+    made = differences(results) if len(figures) > 1 else []
     plots = [
         shares_plot(figures, intervals),
-        landings_plot(found, figures, _ground(found)),
-        reliability_plot(found, figures),
+        landings_plot(results, figures, _ground(results)),
+        reliability_plot(results, figures),
         differences_plot(made) if made else None,
-        *(spread_plot(found, n, _LABELS[n]) for n in _LABELS if n in found.manifest["columns"]),
+        *(spread_plot(results, n, _LABELS[n]) for n in _LABELS if n in results.manifest["columns"]),
     ]
-    sensitive, why_not = _sensitivity(found)
+    sensitive, why_not = _sensitivity(results)
     if sensitive:
         plots.append(sensitivity_plot(sensitive))
-    return _common(found, plots) | {
+    return _common(results, plots) | {
         "watched": watched,
         "arms": [_row(a, *intervals[a.name]) for a in figures],
         "differences": made,
@@ -150,23 +151,23 @@ def _content(found: Results) -> dict[str, Any]:
     }
 
 
-def _rare_content(found: Results) -> dict[str, Any]:
-    """Return what the page shows of rare failures: nothing that takes flights as alike."""
-    shares = rare_shares(found)
-    chains = chains_of(found) if found.is_subset else None
+def _rare_content(results: Results) -> dict[str, Any]:
+    """Return the page's content for rare failures, without statistics that need equal weights."""
+    shares = rare_shares(results)
+    chains = chains_of(results) if results.is_subset else None
     rows = [
         {
             "name": s.arm, "rows": s.flights + s.left_out, "flown": s.flights,
             "cells": {
-                "share that fails": _ranged_share(s),
-                "failed of the last level" if chains else "failed of these": str(s.failures),
-                "worth so many even flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
+                "Failure share": _ranged_share(s),
+                "Failures in last level" if chains else "Failures": str(s.failures),
+                "Equivalent Monte Carlo flights": f"{s.worth:.3g}" if s.worth == s.worth else "–",
             },
         }
         for s in shares
     ]  # fmt: skip
     plots = [rare_plot(shares), levels_plot(chains) if chains else None]
-    return _common(found, plots) | {
+    return _common(results, plots) | {
         "levels": levels_told(chains) if chains else [],
         "ended": how_it_ended(chains) if chains else "",
         "watched": False,
@@ -177,56 +178,56 @@ def _rare_content(found: Results) -> dict[str, Any]:
     }
 
 
-def _ranged_share(s: RareShare) -> str:
+def _ranged_share(s: RareFailureEstimate) -> str:
     if s.value != s.value:
         return "–"
-    rough = " (few failed: rough)" if s.few else ""
+    rough = " (few failures: approximate)" if s.few else ""
     return f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]{rough}"
 
 
-def _common(found: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
+def _common(results: Results, plots: list[dict[str, Any] | None]) -> dict[str, Any]:
     """Return what the page shows of every campaign."""
-    spec = found.folder / "spec.toml"
+    spec = results.folder / "spec.toml"
     drawn = [p for p in plots if p is not None]
     return {
-        "m": found.manifest,
-        "leaning": found.is_leaning,
-        "subset": found.is_subset,
+        "m": results.manifest,
+        "leaning": results.has_unequal_weights,
+        "subset": results.is_subset,
         "levels": [],
         "ended": "",
-        "blocks": found.manifest["identity"].get("method") == "saltelli",
-        "done": len(found.table),
-        "wanted": found.wanted,
-        "factors": _factors(found),
+        "blocks": results.manifest["identity"].get("method") == "saltelli",
+        "done": len(results.table),
+        "wanted": results.wanted,
+        "factors": _factors(results),
         "plots": {p["id"]: p for p in drawn},
         "data": drawn,
-        "causes": failures(found)[:_MOST_CAUSES],
-        "worst": _worst(found),
-        "timing": _timing(found),
+        "causes": failures(results)[:_MAX_CAUSES],
+        "worst": _worst(results),
+        "timing": _timing(results),
         "spec": bounded_bytes(spec).decode(errors="replace") if spec.is_file() else "",
     }
 
 
-def _sensitivity(found: Results) -> tuple[list[Sensitivity], str]:
-    """Return the sensitivity of the safe share, and why there is none where something is drawn."""
-    if not found.manifest["identity"].get("dispersions"):
+def _sensitivity(results: Results) -> tuple[list[Sensitivity], str]:
+    """Return the sensitivity of the safe share, or the reason why there is none."""
+    if not results.manifest["identity"].get("dispersions"):
         return [], ""
-    if len(found.arms) > _MOST_SENSITIVE:
-        return [], f"not worked out for more than {_MOST_SENSITIVE} arms; see the command"
+    if len(results.arms) > _MAX_SENSITIVITY_ARMS:
+        return [], f"Not computed for more than {_MAX_SENSITIVITY_ARMS} arms; use the command."
     try:
-        return sensitivities(found, "safe", _RESAMPLES), ""
+        return sensitivities(results, "safe", _RESAMPLES), ""
     except InputError as error:
         return [], str(error)
 
 
-def _interval(arm: ArmFigures, watched: bool) -> tuple[float, float]:
-    """Return the interval of the safe share: one that stands peeking where it was peeked at."""
+def _interval(arm: ArmStatistics, watched: bool) -> tuple[float, float]:
+    """Return the interval of the safe share; a confidence sequence if it was monitored."""
     share = arm.shares["safe"]
     return share_sequence(share.count, share.total) if watched else share.interval
 
 
-def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
-    """Return the cells of an arm's rows of the summary and of what it took."""
+def _row(arm: ArmStatistics, low: float, high: float) -> dict[str, Any]:
+    """Return the cells of an arm in the tables of outcomes and of effort."""
 
     def ranged(value: float, low: float, high: float, form: str) -> str:
         if not math.isfinite(value):
@@ -234,28 +235,28 @@ def _row(arm: ArmFigures, low: float, high: float) -> dict[str, Any]:
         bounds = [format(v, form) if math.isfinite(v) else "?" for v in (low, high)]
         return f"{value:{form}} [{bounds[0]}, {bounds[1]}]"
 
-    cells = {"landed safe": ranged(arm.shares["safe"].value, low, high, ".3f")}
+    cells = {"Safe landings, share": ranged(arm.shares["safe"].value, low, high, ".3f")}
     if "aborted" in arm.shares:
-        cells["aborted"] = str(arm.shares["aborted"].count)
-        cells["navigation lost"] = str(arm.shares["navigation_lost"].count)
+        cells["Aborted"] = str(arm.shares["aborted"].count)
+        cells["Navigation lost"] = str(arm.shares["navigation_lost"].count)
     took = {}
     for name, label in _LABELS.items():
         if name in arm.means:
             form = ".1f"
-            took[f"{label}, mean"] = ranged(*arm.means[name], form)
-            took[f"{label}, 95 %"] = ranged(*arm.quantiles[name][1], form)
+            took[label.replace(" (", ", mean (")] = ranged(*arm.means[name], form)
+            took[label.replace(" (", ", 95th percentile (")] = ranged(*arm.quantiles[name][1], form)
     if arm.ellipse is not None:
         long, short = arm.ellipse.half_axes
-        cells["landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
+        cells["Landing ellipse, 95 % (m)"] = f"{long:.1f} × {short:.1f}"
     return {
         "name": arm.name, "rows": arm.rows, "flown": arm.flown, "cells": cells, "took": took
     }  # fmt: skip
 
 
-def _factors(found: Results) -> dict[str, list[str]]:
-    """Return the values of every key that arms differ in."""
+def _factors(results: Results) -> dict[str, list[str]]:
+    """Return the values of every key in which arms differ."""
     values: dict[str, list[str]] = {}
-    for arm in found.manifest["arms"]:
+    for arm in results.manifest["arms"]:
         for key, value in arm["values"].items():
             levels = values.setdefault(key, [])
             if str(value) not in levels:
@@ -263,50 +264,50 @@ def _factors(found: Results) -> dict[str, list[str]]:
     return {key: levels for key, levels in values.items() if len(levels) > 1}
 
 
-def _worst(found: Results) -> list[dict[str, Any]]:
-    """Return the flights of each arm that came off worst: no verdict first, then hard landings."""
-    table = found.table
+def _worst(results: Results) -> list[dict[str, Any]]:
+    """Return the worst flights of each arm: no outcome first, then the hardest landings."""
+    table = results.table
     speed = np.zeros(len(table))
     for name in ("vertical_speed_m_s", "horizontal_speed_m_s", "tilt_deg"):
         if name in table.column_names:
-            speed += np.nan_to_num(column(found, name), nan=1e3, posinf=1e3, neginf=1e3)
-    bad = ~(column(found, "safe") > 0.5)
-    order = np.lexsort((-speed, column(found, "safe")))
+            speed += np.nan_to_num(column(results, name), nan=1e3, posinf=1e3, neginf=1e3)
+    bad = ~(column(results, "safe") > 0.5)
+    order = np.lexsort((-speed, column(results, "safe")))
     out: list[dict[str, Any]] = []
-    for arm in found.arms:
+    for arm in results.arms:
         mine = pc.equal(table["arm"], arm).to_numpy(zero_copy_only=False) & bad
-        for row in table.take(pa.array(order[mine[order]][:_WORST])).to_pylist():
+        for row in table.take(pa.array(order[mine[order]][:_LISTED_PER_ARM])).to_pylist():
             why = row["error"] or row.get("failed") or row["outcome"]
             out.append({"id": row["id"], "arm": arm, "why": why})
     return out
 
 
-def _timing(found: Results) -> dict[str, Any]:
-    seconds = np.array(found.timing["seconds"].to_pylist(), dtype=np.float64)
+def _timing(results: Results) -> dict[str, Any]:
+    seconds = np.array(results.timing["seconds"].to_pylist(), dtype=np.float64)
     known = seconds[np.isfinite(seconds)]
     if not len(known):
         return {}
     median, late, most = np.quantile(known, (0.5, 0.95, 1.0))
-    ended = np.array(found.timing["finished_unix_s"].to_pylist(), dtype=np.float64)
+    ended = np.array(results.timing["finished_unix_s"].to_pylist(), dtype=np.float64)
     return {
         "median": f"{median:.2f}",
         "late": f"{late:.2f}",
         "most": f"{most:.1f}",
         "hours": f"{known.sum() / 3600.0:.2f}",
         "span": f"{(np.nanmax(ended) - np.nanmin(ended)) / 3600.0:.2f}",
-        "workers": len({w for w in found.timing["worker"].to_pylist() if w}),
+        "workers": len({w for w in results.timing["worker"].to_pylist() if w}),
     }
 
 
-def _ground(found: Results) -> tuple[list[float], list[float], Any] | str | None:
-    """Return a coarse image of the relief that all flights share; the reason if it is missing."""
-    if not (found.folder / "scenario.toml").is_file() or any(
-        key.startswith("terrain") for key in found.manifest["inputs"]
+def _ground(results: Results) -> tuple[list[float], list[float], Any] | str | None:
+    """Return a coarse image of the shared terrain, the reason if it is missing, or None."""
+    if not (results.folder / "scenario.toml").is_file() or any(
+        key.startswith("terrain") for key in results.manifest["inputs"]
     ):
         return None
     from lunarsim.campaign.report.ground import shaded  # noqa: PLC0415  (loads the simulation)
 
     try:
-        return shaded(found.folder / "scenario.toml", int(found.manifest["seed"]))
+        return shaded(results.folder / "scenario.toml", int(results.manifest["seed"]))
     except InputError as error:
         return str(error)
