@@ -108,7 +108,8 @@ def plan(spec: Path, out: Path | None) -> None:
 )  # fmt: skip
 @_JOBS
 @click.option(
-    "--address", default=None,
+    "--address",
+    default=None,
     help="Address of a running Ray cluster. Default: start one on this machine.",
 )
 @cache_options

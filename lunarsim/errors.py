@@ -179,15 +179,15 @@ def check_output(field: str, path: Path, suffix: str) -> None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a sentence naming the known names closest to `name`.
+    """Return a sentence with the known name closest to `name`, or with all known names.
 
     Examples
     --------
     >>> suggestion("hemisphare", ["cube", "hemisphere"])
-    "did you mean 'hemisphere'?"
+    "Did you mean 'hemisphere'?"
     """
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:
-        return f"did you mean {close[0]!r}?"
-    return "known: " + ", ".join(known) if known else "there are none"
+        return f"Did you mean {close[0]!r}?"
+    return f"Known names: {', '.join(known)}." if known else "There are no known names."
