@@ -1,4 +1,4 @@
-"""Agents by name, by file or by ``module:Name``."""
+"""Find agents by name, by file or as ``module:Name``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lunarsim_envs.agents.stored import StoredAgent, check_trust
 BUILT_IN: dict[str, Any] = {
     "zero": Zero, "random": Random, "hover": Hover, "polynomial": Polynomial
 }  # fmt: skip
-# Trained networks that come with the package, by name.
+# Folder of the trained networks that come with the package.
 _SHIPPED = Path(__file__).parent / "trained"
 
 
@@ -32,7 +32,7 @@ def shipped() -> dict[str, Path]:
 
 
 def known_agents() -> dict[str, str]:
-    """Return the names of agents and what each is.
+    """Return the type of each agent by name.
 
     Examples
     --------
@@ -46,7 +46,7 @@ def known_agents() -> dict[str, str]:
 
 
 def label(given: str) -> str:
-    """Return what an agent is called in tables: its name, its file without folders and ending.
+    """Return the name of an agent in tables; files lose their folder and suffix.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def _is_file(given: str) -> bool:
 
 
 def check(given: str, *, trust_pickle: bool = False) -> None:
-    """Refuse what names no agent, and an untrusted pickle, before there is an environment.
+    """Check that an agent exists and may be loaded, without an environment.
 
     Raises
     ------
@@ -72,31 +72,36 @@ def check(given: str, *, trust_pickle: bool = False) -> None:
     """
     if _is_file(given):
         if not Path(given).is_file():
-            raise InputError("--agent", given, "an existing file")
+            raise InputError("--agent", given, "must be an existing file")
         if Path(given).suffix == ".zip":
             check_trust(given, trust_pickle)
     elif ":" not in given and given not in known_agents():
         near = suggestion(given, known_agents())
-        raise InputError("--agent", given, f"{near} Or a file (.npz, .onnx, .zip), or module:Name")
+        raise InputError(
+            "--agent",
+            given,
+            "must be a known name, a file (.npz, .onnx, .zip) or module:Name",
+            near,
+        )
 
 
 def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
-    """Return the agent that a name, a file or ``module:Name`` stands for.
+    """Create an agent from a name, a file or ``module:Name``.
 
     Parameters
     ----------
     given
-        A name of `known_agents`; a network (``.npz``, ``.onnx``); a file of Stable-Baselines3
-        (``.zip``); or a callable, see `own.own_agent`.
+        Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
+        (``.zip``), or ``module:Name`` of a callable (`own.own_agent`).
     env
-        That it is to fly.
+        Environment to fly.
     trust_pickle
-        Whether a file of Stable-Baselines3, which can run any code when it is read, is trusted.
+        Whether to read Stable-Baselines3 files, which can run any code when they are loaded.
 
     Raises
     ------
     InputError
-        If there is none, or it cannot fly this environment.
+        If there is no such agent, or it cannot fly this environment.
     """
     check(given, trust_pickle=trust_pickle)
     if _is_file(given):
@@ -118,7 +123,7 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
 
 
 def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
-    """Return the network of a file: one that chooses sites, or one that flies."""
+    """Load a network that chooses sites, or one that flies the descent."""
     if is_site_network(path):
         return SiteNetworkAgent(env, SiteNetwork.load(path), name)
     return NetworkAgent(env, Network.load(path), name)
