@@ -1,4 +1,4 @@
-"""Many descents that choose their sites at once, in kernels."""
+"""Vector environment of ``lunarsim/Retarget-v0``, flown by compiled kernels."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _MODE = gymnasium.vector.AutoresetMode
 
 
 class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Many of `RetargetEnv` at once, flown by kernels; perception is the surrogate by default.
+    """Vector environment of `RetargetEnv`; the default perception is the surrogate.
 
-    Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
-    number of lanes and threads.
+    Environment i with seed s gives bitwise the same episodes as a single environment with seed
+    s + i, for any number of environments and threads.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._due = np.zeros(num_envs, np.bool_)
         self._limit = StepLimit(max_episode_steps, num_envs)
-        # Whose flights have begun and not been told to have ended: they may end before a decision.
+        # Lanes with an episode whose end has not been reported; flights may end before a decision.
         self._open = np.zeros(num_envs, np.bool_)
 
     def reset(
@@ -88,7 +88,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
+        """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
         left = options_of(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         check_begun(np.array([rng is not None for rng in self._rngs]), mask)
@@ -115,28 +115,28 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.rewards.begin(mask, *self.standing())
 
     def standing(self) -> tuple[Any, ...]:
-        """Return masses, p_safe of the sites and maps of all lanes; see `SiteRewards`."""
+        """Return mass (n,), p_safe of the current site (n,), and p_safe and observed maps."""
         lanes = self.lanes
         return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: Mask) -> None:
-        """Take the maps of the lanes of `mask` together, if they are shown."""
+        """Downsample the maps of the lanes of `mask`, if the observation contains them."""
         if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
             maps = self.lanes.maps
             self._small[mask] = shrunk(maps.p[mask], maps.seen[mask])
 
     @property
     def sights(self) -> Sights:
-        """What all landers are shown, as arrays."""
+        """Inputs of observations and actions for all landers."""
         return sights_of(self.lanes, self._small)
 
     def _observe(self) -> Shown:
         return self.shown.of(self.sights)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return which choices can be had (n, 21), of several parts one after the other."""
+        """Return the available options (n, 21); masks of several components are concatenated."""
         if any(rng is None for rng in self._rngs):
-            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
+            raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:
@@ -147,13 +147,13 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
-        """Carry out decisions in all lanes, and fly on to the next ones."""
+        """Apply decisions in all environments and fly to the next decisions."""
         lanes = self.lanes
         chosen = self.actions.all_chosen(actions, self.num_envs)
         moved = self._open.copy()
         if (~moved & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
-                "a lane's flight is not in the air: call reset(), with its reset_mask"
+                "An episode has ended. Call reset() with options['reset_mask']."
             )
         orders = self.actions.orders(chosen, self.sights)
         lanes.decide(orders.site, moved, orders.stretch)

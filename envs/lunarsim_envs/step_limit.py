@@ -1,4 +1,4 @@
-"""The limit on the steps of an episode, as Gymnasium's wrapper `TimeLimit` applies it."""
+"""Truncate episodes after a number of steps, as Gymnasium's wrapper `TimeLimit` does."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Mask = NDArray[np.bool_]
 
 
 class StepLimit:
-    """Counts the steps of each lane's episode.
+    """Count the steps of each lane's episode.
 
     Parameters
     ----------
     max_episode_steps
-        Steps after which an episode is truncated; None or -1: no limit.
+        Number of steps after which an episode is truncated; None or -1 is no limit.
     count
         Number of lanes n.
     """
@@ -33,7 +33,7 @@ class StepLimit:
         self._steps[mask] = 0
 
     def reached(self, moved: Mask) -> Mask:
-        """Count a step of the lanes that moved (n,), and return which are at the limit (n,)."""
+        """Count a step of the lanes that moved (n,) and return the lanes at the limit (n,)."""
         self._steps[moved] += 1
         if self.most is None:
             return np.zeros_like(moved)

@@ -317,8 +317,9 @@ class ControlEnv(DescentEnv):
 
     ## Action Space
 
-    ``Box(-1, 1, (4,))`` at 50 Hz: thrust from its minimum (-1) to its maximum (1), and torques about
-    the body axes as fractions of their maximum. The engine cannot be shut down before touchdown.
+    ``Box(-1, 1, (4,))`` at 50 Hz: thrust from its minimum (-1) to its maximum (1), and torques
+    about the body axes as fractions of their maximum. The engine cannot be shut down before
+    touchdown.
 
     ## Observation Space
 
