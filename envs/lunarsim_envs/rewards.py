@@ -48,7 +48,8 @@ class RewardWeights(SiteReward):
         if not self.safe > least:
             raise InputError(
                 "weights.safe", self.safe,
-                f"must be more than {least:g}, otherwise a crash may return more than a safe landing",
+                f"must be more than {least:g}, otherwise a crash may return more than a safe "
+                "landing",
             )  # fmt: skip
 
 

@@ -56,7 +56,9 @@ class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         if env.render_mode not in ("rgb_array", "rgb_array_list"):
-            raise InputError("render_mode", env.render_mode, "must be 'rgb_array' or 'rgb_array_list'")
+            raise InputError(
+                "render_mode", env.render_mode, "must be 'rgb_array' or 'rgb_array_list'"
+            )
         self.folder, self.prefix = Path(folder), prefix
         self._wanted = wanted if wanted is not None else lambda _: True
         self._fps = fps if fps is not None else float(env.metadata["render_fps"])

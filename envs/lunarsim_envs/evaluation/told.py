@@ -49,9 +49,7 @@ def _interval(d: Difference) -> str:
 
 def differences_table(between: dict[str, list[Difference]]) -> Table:
     """Return a table with one row per pair of agents and metric."""
-    table = _table(
-        ("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)")
-    )
+    table = _table(("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)"))
     for metric, many in between.items():
         for d in many:
             table.add_row(

@@ -1,4 +1,4 @@
-"""One flight that an agent decides in: flown by the whole simulation, or by kernels."""
+"""Run one flight with site decisions, by the full simulation or by kernels."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 
 
 class SiteFlight(Protocol):
-    """A flight from one decision to the next."""
+    """A flight that stops at each decision."""
 
     simulation: Simulation | None
 
     def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as the options of a reset say, from now on; see `options`."""
+        """Apply reset options to the next flights."""
         ...
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -39,54 +39,61 @@ class SiteFlight(Protocol):
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Fly to a site (3,), or on to the present one; to the next decision or the end.
+        """Apply a decision and fly to the next decision or the end.
 
-        `each` is called once a cycle, where there are any. For the stretch see `Decision`.
+        Parameters
+        ----------
+        site
+            New site (3,), local frame, m; None keeps the site.
+        each
+            Function called after every control cycle of the full simulation.
+        stretch
+            Factor on the time-to-go of the minimum-propellant path; None keeps the time-to-go.
         """
         ...
 
     @property
     def unstretched(self) -> bool:
-        """Whether the last decision asked for a stretch that is not flown."""
+        """Whether the factor on the time-to-go of the last decision was refused."""
         ...
 
     @property
     def seen(self) -> Observation:
-        """What a policy is shown now."""
+        """Current observation of a policy."""
         ...
 
     @property
     def sights(self) -> Sights:
-        """The same as arrays."""
+        """Current observation as arrays."""
         ...
 
     @property
     def time(self) -> float:
-        """Since the start, s."""
+        """Time since the start, s."""
         ...
 
     @property
     def mass(self) -> float:
-        """True one, kg."""
+        """True mass, kg."""
         ...
 
     @property
     def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
-        """Whether the flight ended safe, and what it failed; None while it lasts."""
+        """Whether the landing was safe, and the violated limits; None during the flight."""
         ...
 
     @property
     def touch(self) -> Array:
-        """How near its touchdown is to the limits (1, 3), see `touch_shares`; NaN without one."""
+        """Touchdown values over their limits (1, 3), from `touch_shares`; NaN without one."""
         ...
 
     def close(self) -> None:
-        """Let go of the flight and of what it holds."""
+        """Release the flight and its resources."""
         ...
 
 
 class OnboardFlight:
-    """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
+    """A flight in the full simulation, with mappers and navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = self._told = scenario
@@ -101,7 +108,7 @@ class OnboardFlight:
         return self.simulation
 
     def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as options say, from now on."""
+        """Apply reset options to the next flights."""
         self._told = changed_by(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -113,7 +120,7 @@ class OnboardFlight:
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Carry out a decision and fly on."""
+        """Apply a decision and fly to the next one."""
         flown = self._flown
         before = len(flown.computer.telemetry)
         taken = flown.apply(Decision(site, "agent", stretch=stretch))
@@ -171,12 +178,12 @@ class OnboardFlight:
         return touch_shares(self._flown.lander, [told])
 
     def close(self) -> None:
-        """Let go of the flight: its terrain's buffers on the graphics device go with it."""
+        """Release the simulation, including graphics buffers of its terrain."""
         self.simulation, self._seen, self._small = None, None, None
 
 
 class KernelFlight:
-    """Flown by kernels over a pool of worlds, a lane of its own."""
+    """A flight by kernels in a batch of one lane, over a pool of worlds."""
 
     def __init__(self, lanes: SiteLanes) -> None:
         self.simulation: Simulation | None = None
@@ -186,7 +193,7 @@ class KernelFlight:
         self._sights: Sights | None = None
 
     def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as options say, from now on."""
+        """Apply reset options to the next flights."""
         take(options, self.lanes, self._one)
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -199,7 +206,7 @@ class KernelFlight:
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Carry out a decision and fly on."""
+        """Apply a decision and fly to the next one."""
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
         asked = None if stretch is None else np.array([stretch])
         self.lanes.decide(goal, self._one, asked)
@@ -248,11 +255,11 @@ class KernelFlight:
         return touch_shares(self.lanes.craft.dynamics.lander, self.lanes.told)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources to release."""
 
 
 def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
-    """Return what the landers of all lanes are shown; `small` (n, 2, 48, 48) are their maps."""
+    """Return the observation arrays of all lanes; `small` are downsampled maps (n, 2, 48, 48)."""
     place, velocity = lanes.believed
     course, found, maps = lanes.course, lanes.found, lanes.maps
     left = np.maximum(course.arrival - lanes.time, 0.0)
@@ -265,7 +272,7 @@ def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
 
 
 def seen_by(lanes: SiteLanes, lane: int) -> Observation:
-    """Return what a policy is shown of one lane."""
+    """Return the observation of a policy for one lane."""
     place, velocity = (one[lane] for one in lanes.believed)
     y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
     n = int(found.number[lane])

@@ -1,4 +1,4 @@
-"""How landers that choose their sites perceive: by choice, from the truth to the whole computer."""
+"""Create flights and batches of ``Retarget-v0`` for each kind of perception."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from lunarsim_envs.sites.pool import SitePool
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact
 from lunarsim_envs.sites.view import view_of
 
-# Flown by the whole simulation; by kernels.
+# Perceptions that the full simulation flies, and those that kernels fly.
 WHOLE = ("onboard", *MAPPER_OF)
 KERNELS = ("truth", "surrogate", "gaussian-dem")
 PERCEPTIONS = ("onboard", *KERNELS, *MAPPER_OF)
-# Cells of maps that kernels draw, m.
+# Cell size of maps in kernels, m.
 _POSTING = 0.4
 
 
@@ -32,15 +32,15 @@ def flight_of(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteFlight:  # fmt: skip
-    """Return what flies one descent.
+    """Return the flight of a single environment.
 
     Raises
     ------
     InputError
-        If there is no such perception, or it cannot be had with this scenario.
+        If the perception is unknown, or does not support the scenario.
     """
     if perception in WHOLE:
-        # It draws each world anew, of any cover.
+        # The full simulation generates worlds per flight; this call only checks the covers.
         with_covers(scenario, covers_of(covers))
         return OnboardFlight(scenario)
     return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
@@ -50,33 +50,37 @@ def lanes_of(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteLanes:  # fmt: skip
-    """Return landers side by side.
+    """Return a batch of landers flown by kernels.
 
     Parameters
     ----------
     count
-        Of lanes.
+        Number of lanes.
     perception
         One of `KERNELS`.
-    scenario, worlds, world_seed, covers
-        See `SitePool.of`.
+    scenario
+        Scenario of the flights.
+    worlds, world_seed
+        Number of worlds in the pool per cover, and root seed.
     surrogate
-        A `Surrogate` or the path of its file; None: the one that comes with the package.
+        `Surrogate` or the path of its file; None is the packaged one.
+    covers
+        Additional rock covers.
 
     Raises
     ------
     InputError
-        If it cannot be had.
+        If the perception is unknown, or kernels do not support the scenario.
     """
     if not isinstance(perception, str) or perception not in KERNELS:
         near = suggestion(str(perception), PERCEPTIONS)
         if perception in WHOLE:
-            near = "truth, surrogate or gaussian-dem: the whole computer flies one at a time"
-        raise InputError("perception", perception, near)
+            near = "The full simulation flies only single environments."
+        raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", near)
     if isinstance(surrogate, Surrogate):
         model = surrogate
     elif not isinstance(surrogate, str | Path | None):
-        raise InputError("surrogate", surrogate, "a Surrogate or the path of its file")
+        raise InputError("surrogate", surrogate, "must be a Surrogate or the path of its file")
     else:
         model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
     view = view_of(scenario)

@@ -1,4 +1,4 @@
-"""A pool of worlds with what is true of them: made once, kept on disk, shared by all flights."""
+"""Generate and cache a pool of worlds with their true safety."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from lunarsim_envs.descent.worlds import Worlds, with_covers
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
-# Pools that a process remembers: those used last.
+# Number of pools that a process keeps in memory (least recently used are dropped).
 _REMEMBERED = 4
 _pools: OrderedDict[str, SitePool] = OrderedDict()
 
 
 @dataclass(frozen=True)
 class SitePool:
-    """Worlds of a scenario, and the truth about their sites.
+    """Worlds of a scenario with their true safety.
 
     Attributes
     ----------
     worlds
-        As sensors see them.
+        Worlds for sensor models.
     grounds
-        About where their targets lie, as landers meet them.
+        Terrain around the target areas, for touchdown.
     layers
-        Class, exact safety and height of all sites, as kernels take them.
+        Class, true safety and height of all cells, for kernels.
     shares
-        Share of the sites of each world that is exactly safe (k,).
+        Truly safe fraction of each world (k,).
     """
 
     worlds: tuple[World, ...]
@@ -49,24 +49,26 @@ class SitePool:
     def of(
         cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
     ) -> SitePool:
-        """Return a pool; one that this process has used of late is not made again.
+        """Return a pool, from memory if this process has used it recently.
 
         Parameters
         ----------
         scenario
-            Of which terrain, rocks, vehicle, Sun and the scatter of targets count.
+            Scenario with terrain, rocks, vehicle, Sun and target area.
         count, seed
-            How many worlds, and their root seed: world k is that of flight k of a campaign with it.
+            Number of worlds per cover, and root seed. World k is that of flight k of a campaign
+            with this seed.
         covers
-            Of rocks, of each of which so many are drawn besides.
+            Additional rock covers.
 
         Raises
         ------
         InputError
-            If there are none, they take too much memory, or targets may lie off the map.
+            If the count is less than 1, the worlds need too much memory, or the target area is not
+            inside the map.
         """
         if count < 1:
-            raise InputError("worlds", count, "at least 1")
+            raise InputError("worlds", count, "must be at least 1")
         tables = ("terrain", "rocks", "vehicle", "target", "sun", "gravity_m_s2")
         held = scenario.to_dict()
         key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))
