@@ -123,7 +123,7 @@ def _ended(command, before=""):
         (SWALLOWED, "", "interrupted\n"),
         (TURNED, "", "interrupted\n"),
         (TURNED_INTO_AN_END, "", ""),
-        (LOST_AT_THE_END, "", "interrupted: at the end, all was done\n"),
+        (LOST_AT_THE_END, "", "interrupted: the command had already finished\n"),
         (EVALUATED, "", "interrupted\n"),
         (ANSWERED, "", ""),
         (CLEANED, "cleaned\n", "interrupted\n"),

@@ -59,7 +59,7 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     assert processes.ended == 1
     assert gc.get_threshold() == before
     said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith("compiling kernels, once on this machine")
+    assert said[0].startswith("compiling kernels (needed once per machine)")
     assert said[-1].startswith("compiled 2 kernels in ")
 
 
@@ -72,7 +72,7 @@ def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys,
         for kernel in kernels:
             kernel(1)
     said = capsys.readouterr().err.splitlines()
-    assert said[0] == "compiling kernels, once on this machine; counted here"
+    assert said[0] == "compiling kernels (needed once per machine) ..."
     # A compilation begins, ends (4 s on), the next begins (8 s), ends (12 s on), ...
     assert said[1:] == [
         "  2 kernels in 8 s",

@@ -65,12 +65,12 @@ def parsed_toml(text: str, name: str = "scenario", shown: str = "text") -> dict[
         If the text is not TOML, is nested too deep, or has an integer of more than 64 bits.
     """
     if len(text) > MAX_TOML_BYTES or _DEEP_KEY.search(text):
-        raise InputError(name, shown, "must be TOML that is neither too large nor nested too deep")
+        raise InputError(name, shown, "must be a TOML file, not too large nor nested too deep")
     try:
         tables = tomllib.loads(text)
         _check_values(tables)
     except (ValueError, RecursionError) as error:  # numbers of 5,000 digits raise ValueError
-        raise InputError(name, shown, f"must be valid TOML ({error})") from None
+        raise InputError(name, shown, f"must be a TOML file ({error})") from None
     return tables
 
 

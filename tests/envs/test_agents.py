@@ -132,7 +132,7 @@ def test_a_policy_decides_as_in_the_simulation(small_scenario):
 
 
 def test_policies_that_must_be_told_the_truth_are_refused():
-    with pytest.raises(InputError, match="has to be told the truth"):
+    with pytest.raises(InputError, match="true hazard map"):
         agent_of("truth-oracle", RetargetEnv())
 
 
@@ -255,11 +255,11 @@ def test_a_callable_of_ones_own_flies(env, tmp_path, monkeypatch):
         whole = named(name)
         whole.begin(np.random.default_rng(3))
         assert whole.act(None, {}) == np.random.default_rng(3).random()
-    with pytest.raises(InputError, match="a function, a class, or an object"):
+    with pytest.raises(InputError, match="a function, a class or a callable"):
         named("number")
-    with pytest.raises(InputError, match="built with the environment alone"):
+    with pytest.raises(InputError, match="the environment as its only argument"):
         named("Alone")
-    with pytest.raises(InputError, match="takes observation and info"):
+    with pytest.raises(InputError, match="must accept"):
         named("wants_more")
 
 
@@ -313,7 +313,7 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         ("sb3_contrib.common.maskable.policies", "sb3_contrib"),
     ):  # fmt: skip
         _saved(tmp_path / "m.zip", module)
-        with pytest.raises(InputError, match=f"{package}, which the extra `rl` installs"):
+        with pytest.raises(InputError, match=f"needs {package}.*extra `rl`"):
             agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
         assert asked[-1] == package
     _saved(tmp_path / "m.zip", "somebody.else")
@@ -321,5 +321,5 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
     with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
         file.writestr("data", io.BytesIO(b"[]").getvalue())
-    with pytest.raises(InputError, match="Stable-Baselines3 has saved"):
+    with pytest.raises(InputError, match="from Stable-Baselines3"):
         registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)

@@ -151,7 +151,7 @@ def test_a_plain_law_lands_safe_from_the_default_start():
 def test_an_agent_for_other_actions_or_observations_is_refused():
     with pytest.raises(InputError, match="Guidance-v0"):
         PolynomialAgent(ControlEnv(changes=LOW).descents)
-    with pytest.raises(InputError, match="position and velocity first"):
+    with pytest.raises(InputError, match="begin with position and velocity"):
         PolynomialAgent(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
 
 
@@ -292,9 +292,9 @@ def test_running_out_of_time_is_no_crash():
 
 
 BAD_OPTIONS = [
-    ({"postion_m": [0, 0, 50]}, "did you mean 'position_m'"), ({"position_m": [0, 0]}, "3 finite"),
+    ({"postion_m": [0, 0, 50]}, "Did you mean 'position_m'"), ({"position_m": [0, 0]}, "3 finite"),
     ({"position_m": [0, 0, np.nan]}, "3 finite"), ({"position_m": "up"}, "3 finite"),
-    ({"position_sigma_m": -1.0}, "0 or more"), ({"position_m": [0, 0, 1.0]}, "in the ground"),
+    ({"position_sigma_m": -1.0}, "0 or more"), ({"position_m": [0, 0, 1.0]}, "above the terrain"),
 ]  # fmt: skip
 
 
@@ -315,16 +315,16 @@ def test_a_mask_that_is_none_is_refused(mask):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"observation": []}, "at least one part"), ({"observation": "position"}, "a list"),
-        ({"observation": ["postion"]}, "did you mean 'position'"),
-        ({"observation": ["rate", "rate"]}, "each part once"), ({"rate_hz": 3.0}, "whole number"),
+        ({"observation": []}, "non-empty list"), ({"observation": "position"}, "a list"),
+        ({"observation": ["postion"]}, "Did you mean 'position'"),
+        ({"observation": ["rate", "rate"]}, "not repeat"), ({"rate_hz": 3.0}, "multiple of"),
         ({"worlds": 0}, "at least 1"), ({"worlds": 2.0}, "worlds"),
         ({"world_seed": -1}, "at least 0"),
-        ({"rate_hz": 0}, "above 0"), ({"rate_hz": "5"}, "above 0"),
+        ({"rate_hz": 0}, "positive"), ({"rate_hz": "5"}, "positive"),
         ({"weights": {}}, "DescentWeights"),
-        ({"scenario": "hirisee"}, "did you mean 'hirise'"),
+        ({"scenario": "hirisee"}, "Did you mean 'hirise'"),
         ({"changes": {"rocks.covr": 0.1}}, "cover"),
-        ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "in the ground"),
+        ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "above the terrain"),
     ],
     ids=str,
 )  # fmt: skip

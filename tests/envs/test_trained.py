@@ -78,9 +78,9 @@ def test_it_is_small_and_flies_without_pytorch():
 
 def test_it_refuses_what_it_was_not_trained_for():
     for env, says in (
-        (ControlEnv(changes=LOW), "ppo flies Guidance-v0"),
-        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions a second"),
-        (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observations of"),
+        (ControlEnv(changes=LOW), "needs Guidance-v0"),
+        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions per second"),
+        (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observation components"),
     ):
         with pytest.raises(InputError, match=says):
             agent_of("ppo", env)

@@ -22,7 +22,7 @@ SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 
 
 def test_settings_that_will_not_do_are_refused():
     for changes, says in (
-        ({"steps": 0}, "steps = 0"), ({"discount": float("nan")}, "discount"),
+        ({"steps": 0}, "steps: must"), ({"discount": float("nan")}, "discount"),
         ({"lanes": 8}, "at least 16"), ({"nearest": 0.0}, "above 0"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
@@ -93,7 +93,7 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
     for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
         assert np.array_equal(a, b)
     assert not np.array_equal(one.weights[0], network_of(first.model).weights[0])
-    with pytest.raises(InputError, match="with the same settings"):
+    with pytest.raises(InputError, match="have the same settings"):
         Run(replace(SMALL, seed=1), tmp_path / "parts")
     # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
     second.checkpoint()
@@ -185,7 +185,7 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
     seen = env.reset()
     assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
     env.set_options({"positon_m": [0.0, 0.0, 40.0]})
-    with pytest.raises(InputError, match="did you mean 'position_m'"):
+    with pytest.raises(InputError, match="Did you mean 'position_m'"):
         env.reset()
     for wrong in ([near], [near, None, near, near]):
         env.set_options(wrong)

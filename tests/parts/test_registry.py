@@ -47,7 +47,7 @@ def test_names_and_paths_give_classes():
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("safset", "did you mean 'safest'? Or \"module:Class\""),
+        ("safset", "Did you mean 'safest'? Or \"module:Class\""),
         ("x", "known: fuel-aware, nearest-safe"),
         ("no.such.module:Thing", "a class that can be imported, from the working directory"),
         (f"{__name__}:Missing", "installed package (AttributeError"),
@@ -80,7 +80,7 @@ def test_a_scenario_takes_a_class_of_ones_own():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": f"{__name__}:MyPolicy", "patiense": 5.0}})
     assert caught.value.field == "policy.patiense"
-    assert "did you mean 'patience'" in caught.value.problem
+    assert "Did you mean 'patience'" in caught.value.problem
 
 
 def test_entry_points_add_names_but_take_none(monkeypatch):
