@@ -72,7 +72,7 @@ def points_along(position, rotation, direction, reach):
 
 
 @kernel()
-def along_thrust(direction, heading):
+def thrust_attitude(direction, heading):
     """Return the quaternion with body z along `direction` and body x near `heading`."""
     q = np.empty(4)
     turn_along(direction[0], direction[1], direction[2], heading, q)

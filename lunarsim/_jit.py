@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
 from lunarsim._kernel_cache import enable_cache
-from lunarsim._shares import Shared
+from lunarsim._shares import PartitionedKernel
 
 # Idle OpenMP threads sleep instead of spinning until the next kernel; spinning threads use a fifth
 # of the processor time of a flight with cameras. OpenMP reads this at the first parallel kernel.
@@ -31,7 +31,7 @@ _FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 _FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
-class _Inner(CPUDispatcher):  # type: ignore[misc]
+class _InternalKernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel without a Python wrapper: calling it from Python would end the process."""
 
     def __call__(self, *args: Any) -> Any:
@@ -52,7 +52,7 @@ def _parallel_lock() -> AbstractContextManager[Any]:
     return _one_at_a_time if numba.threading_layer() == "workqueue" else nullcontext()
 
 
-class _Parallel(CPUDispatcher):  # type: ignore[misc]
+class _ParallelKernel(CPUDispatcher):  # type: ignore[misc]
     """A parallel kernel that is safe in forked processes and with several Python threads."""
 
     def __call__(self, *args: Any) -> Any:
@@ -134,7 +134,7 @@ def kernel(
     def decorate(function: Any) -> Any:
         if numba.config.DISABLE_JIT:
             plain = _without_warnings(function)
-            return Shared(plain) if shared else plain
+            return PartitionedKernel(plain) if shared else plain
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             nogil=True,
@@ -148,10 +148,10 @@ def kernel(
         )(function)
         enable_cache(compiled, function)
         if closed:
-            compiled.__class__ = _Inner
+            compiled.__class__ = _InternalKernel
         elif parallel:
-            compiled.__class__ = _Parallel
-        return Shared(compiled) if shared else compiled
+            compiled.__class__ = _ParallelKernel
+        return PartitionedKernel(compiled) if shared else compiled
 
     return decorate
 
@@ -160,7 +160,7 @@ prange = numba.prange
 
 
 # Minimum work for which starting threads pays off, microseconds.
-_WORTH_THREADS = 256
+_MIN_THREADED_WORK_US = 256
 
 
 @contextmanager
@@ -176,7 +176,7 @@ def threads_for(microseconds: float) -> Iterator[None]:
         Approximate duration of the work on one thread. A ray, or 1000 multiply-adds, takes 1.
     """
     before = numba.get_num_threads()
-    if microseconds >= _WORTH_THREADS or before == 1:
+    if microseconds >= _MIN_THREADED_WORK_US or before == 1:
         yield
         return
     numba.set_num_threads(1)

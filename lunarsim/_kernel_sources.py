@@ -18,7 +18,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-from lunarsim._shares import Shared
+from lunarsim._shares import PartitionedKernel
 
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 # Packages whose versions Numba compares itself, or that a kernel takes no constants from.
@@ -66,7 +66,7 @@ def _module_of(value: Any) -> str:
 def _function_of(value: Any) -> Any:
     """Return the Python function of a kernel or an intrinsic, None for anything else."""
     # Attributes of other objects are not accessed: some import modules or raise errors.
-    if isinstance(value, Shared):
+    if isinstance(value, PartitionedKernel):
         value = value.compiled
     if isinstance(value, Dispatcher):
         return value.py_func

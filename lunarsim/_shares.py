@@ -19,7 +19,7 @@ from lunarsim._daemon_threads import DaemonThreads, NoThreadError
 _threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
 
 
-class Shared:
+class PartitionedKernel:
     """Run a compiled kernel on as many threads as Numba may use.
 
     Parameters

@@ -18,11 +18,11 @@ from lunarsim.cli_common import (
     FloatRange,
     Group,
     IntRange,
-    allow_typed,
+    allow_named_modules,
     cache_options,
-    kept_if_interrupted,
+    add_to_interrupt_message,
     load_scenario,
-    opened_cache,
+    open_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -87,7 +87,7 @@ def fly(
 
     SCENARIO is a TOML file or a name from `lunarsim scenario list`.
     """
-    from lunarsim.cli_waiting import compilation_told
+    from lunarsim.cli_waiting import report_compilation
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
@@ -97,7 +97,7 @@ def fly(
         check_folder(out)
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
     beside = ["lunarsim.safety.warming"] + ["--exact"] * (out is not None)
-    with compilation_told(beside if maps else []):
+    with report_compilation(beside if maps else []):
         simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
@@ -115,10 +115,10 @@ def fly(
             record.save(out)
             loaded.save(out / "scenario.toml")
     if out is None:
-        _tell(record)
+        _print_outcome(record)
         return
-    with kept_if_interrupted(f"{out} has the scenario and the record, but not all figures"):
-        _tell(record)
+    with add_to_interrupt_message(f"{out} has the scenario and the record, but not all figures"):
+        _print_outcome(record)
         from lunarsim.viz import draw_flight
 
         try:
@@ -129,14 +129,14 @@ def fly(
     click.echo(f"scenario, flight record and figures are in {out}")
 
 
-def _tell(record: Flight) -> None:
+def _print_outcome(record: Flight) -> None:
     """Print the outcome of a flight."""
     from rich.table import Table
 
     verdict = record.verdict
     click.echo("landed safely" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
     table = Table(show_header=False, box=None)
-    for name, value in _facts(record):
+    for name, value in _outcome_rows(record):
         table.add_row(name, value)
     wide_console(120).print(table)
     if record.decisions:
@@ -148,7 +148,7 @@ def _tell(record: Flight) -> None:
         )
 
 
-def _facts(record: Flight) -> list[tuple[str, str]]:
+def _outcome_rows(record: Flight) -> list[tuple[str, str]]:
     from lunarsim.evaluation.map_words import words_on_maps
 
     facts = [
@@ -224,7 +224,7 @@ def compare(
 
     given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
-    allow_typed(*names, *laws)
+    allow_named_modules(*names, *laws)
     check_request(names, flights, jobs, laws)
     # With one policy or law, --set keys apply to it; with several, to the scenario's own part.
     single = {
@@ -235,7 +235,7 @@ def compare(
     loaded = load_scenario(scenario, changes, parts=single)
     if policies is None and laws:
         names = [loaded.policy.kind]
-    kept, console = opened_cache(cache, cache_size), wide_console(195 if laws else 170)
+    kept, console = open_cache(cache, cache_size), wide_console(195 if laws else 170)
     with progress_bar(loaded.name, flights * len(names) * max(len(laws), 1)) as advance:
         try:
             result = fly_all(
@@ -246,7 +246,7 @@ def compare(
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
     if result.rows:
-        console.print(_table(result))
+        console.print(_comparison_table(result))
         console.print(
             f"truly safe fraction of the terrain where targets are drawn: {result.safe_share:.3f} "
             f"at every heading, {result.safe_share_at_heading:.3f} at the heading flown"
@@ -318,7 +318,7 @@ def calibrate(
     gaussian_mapper(loaded, mapper)
     console = wide_console(170)
     with (
-        kept_if_interrupted("no file was written"),
+        add_to_interrupt_message("no file was written"),
         progress_bar(loaded.name, max(flights, 0)) as advance,
     ):
         found = fit(
@@ -394,7 +394,7 @@ def render(
     click.echo(info)
 
 
-def _table(result: Any) -> Table:
+def _comparison_table(result: Any) -> Table:
     from rich.table import Table
 
     from lunarsim.evaluation.statistics import summarise
@@ -426,13 +426,13 @@ def _table(result: Any) -> Table:
             f"{row['precision']:.4f}",
             f"{row['recall']:.3f}",
             f"{sum(seconds) / len(seconds):.2f}",
-            *([_more(rows, first, policy)] if result.by_law else []),
+            *([_extra_propellant(rows, first, policy)] if result.by_law else []),
         )
         first = first or policy
     return table
 
 
-def _more(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
+def _extra_propellant(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
     """Return the mean extra propellant over the first law with its 95 % interval, kg."""
     from lunarsim.evaluation.statistics import mean_interval
     from lunarsim.viz.comparison import paired

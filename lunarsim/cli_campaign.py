@@ -16,11 +16,11 @@ from lunarsim.cli_common import (
     PATH,
     FloatRange,
     IntRange,
-    allow_typed,
+    allow_named_modules,
     cache_options,
-    kept_if_interrupted,
+    add_to_interrupt_message,
     load_scenario,
-    opened_cache,
+    open_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -80,7 +80,7 @@ def plan(spec: Path, out: Path | None) -> None:
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
     loaded = CampaignSpec.load(spec)
     check_files(loaded)
-    _tell_notes(loaded)
+    _print_warnings(loaded)
     planned = plan_of(loaded)
     if out is not None:
         from lunarsim.campaign.planned import write_plan
@@ -128,7 +128,7 @@ def run_command(
     if address is not None and engine != "ray":
         raise InputError("--address", address, "applies only to --engine ray")
     loaded = CampaignSpec.load(spec)
-    _flown(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
+    _fly_campaign(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
 
 
 @click.command()
@@ -163,7 +163,7 @@ def sweep(
     from lunarsim.campaign.factors import parse_over, split_changes
     from lunarsim.campaign.spec import CampaignSpec
 
-    allow_typed(*over, *changes)
+    allow_named_modules(*over, *changes)
     levels = parse_over(over)
     base, of_swept_parts = split_changes(changes, levels)
     data = {
@@ -179,10 +179,10 @@ def sweep(
         is_set = error.field.removeprefix("factors.") in of_swept_parts
         field = error.field.replace("factors.", "--set " if is_set else "--over ", 1)
         raise error.renamed(field) from None
-    _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
+    _fly_campaign(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
-def _tell_notes(spec: CampaignSpec) -> None:
+def _print_warnings(spec: CampaignSpec) -> None:
     """Print warnings about the scenario of the first flight of each arm."""
     from lunarsim.scenario.notes import notes_on
 
@@ -196,7 +196,7 @@ def _tell_notes(spec: CampaignSpec) -> None:
         click.echo(f"warning: {whose}{note}{more}", err=True)
 
 
-def _flown(
+def _fly_campaign(
     spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool,
     cache: tuple[Path | None, float],
 ) -> None:  # fmt: skip
@@ -205,9 +205,9 @@ def _flown(
     from lunarsim.campaign.engines.local import WorkersDieError
     from lunarsim.campaign.fly_spec import fly_spec
 
-    _tell_notes(spec)
+    _print_warnings(spec)
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
-    kept = opened_cache(*cache)
+    kept = open_cache(*cache)
     total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
@@ -252,13 +252,15 @@ def status(folder: Path) -> None:
     found = status_of(folder)
     click.echo(f"{found.name}: {found.state}, {found.done} of {found.wanted} flights")
     if found.rate == found.rate:
-        left = "" if found.done >= found.wanted else f", {_span(found.seconds_left)} left"
+        left = (
+            "" if found.done >= found.wanted else f", {_format_duration(found.seconds_left)} left"
+        )
         click.echo(f"{60.0 * found.rate:.1f} flights per minute{left}")
     for outcome, count in sorted(found.outcomes.items()):
         click.echo(f"{outcome}: {count}")
 
 
-def _span(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, hours = seconds / 60.0, seconds / 3600.0
     if hours >= 1.0:
         return f"{hours:.1f} h"
@@ -369,10 +371,10 @@ def rare(folder: Path, metric: str, above: float | None, below: float | None) ->
         table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
     wide_console(140).print(table)
     if found.is_subset:
-        _tell_levels(found)
+        _print_levels(found)
 
 
-def _tell_levels(found: Results) -> None:
+def _print_levels(found: Results) -> None:
     """Print the levels of a subset simulation."""
     from rich.table import Table
 
@@ -468,7 +470,7 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
             found.flight.save(out)
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
-        table.add_row(name, _word(value))
+        table.add_row(name, _format_cell(value))
     wide_console(120).print(table)
     if found.recorded is None:
         click.echo("the campaign has no result of this flight yet")
@@ -477,16 +479,16 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
     elif not found.differences:
         click.echo("identical to the recorded result")
     for name, old, new in found.differences or []:
-        click.echo(f"{name}: recorded {_word(old)}, now {_word(new)}")
+        click.echo(f"{name}: recorded {_format_cell(old)}, now {_format_cell(new)}")
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        with kept_if_interrupted(f"{out} has the flight record, but not all figures"):
+        with add_to_interrupt_message(f"{out} has the flight record, but not all figures"):
             draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
         click.echo(f"flight record and figures are in {out}")
     if found.differences:
         sys.exit(1)
 
 
-def _word(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from lunarsim.cli_start import INTERRUPTED, end_of, heard
+from lunarsim.cli_start import INTERRUPTED, interrupt_message, acknowledge_interrupt
 from lunarsim.errors import InputError, RenderingError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ PATH = click.Path(path_type=Path)
 
 
 # Disk errors (full, over quota, file too large, damaged) exit with code 1: not a usage mistake.
-_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class IntRange(click.IntRange):
@@ -53,26 +53,30 @@ class Group(click.Group):
             raise
         except click.UsageError as error:
             where = ctx.command_path if error.ctx is None else error.ctx.command_path
-            _end(ctx, f"{error.format_message()} See `{where} --help`.", 2)
+            _exit_with_message(ctx, f"{error.format_message()} See `{where} --help`.", 2)
         except InputError as error:
-            _end(ctx, str(error), 2)
+            _exit_with_message(ctx, str(error), 2)
         except RenderingError as error:
-            _end(ctx, str(error), 1)
+            _exit_with_message(ctx, str(error), 1)
         except KeyboardInterrupt as error:
-            heard()
-            _end(ctx, end_of(error), INTERRUPTED, kind="")
+            acknowledge_interrupt()
+            _exit_with_message(ctx, interrupt_message(error), INTERRUPTED, kind="")
         except MemoryError as error:
-            _end(ctx, f"out of memory: {error or 'allocation failed'}. Use smaller sizes.", 1)
+            _exit_with_message(
+                ctx, f"out of memory: {error or 'allocation failed'}. Use smaller sizes.", 1
+            )
         except OSError as error:
             if error.filename is None:
                 # A pipe closed by its reader is no error: click ends the command.
                 if isinstance(error, BrokenPipeError):
                     raise
-                _end(ctx, f"output: {error.strerror or error}", 1)
-            _end(ctx, f"{error.filename}: {error.strerror}", 1 if error.errno in _STORAGE else 2)
+                _exit_with_message(ctx, f"output: {error.strerror or error}", 1)
+            _exit_with_message(
+                ctx, f"{error.filename}: {error.strerror}", 1 if error.errno in _DISK_ERRORS else 2
+            )
 
 
-def _end(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
+def _exit_with_message(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
     """Print a message as one line on stderr and exit."""
     click.echo(kind + " ".join(message.split()), err=True)
     ctx.exit(code)
@@ -110,7 +114,7 @@ ALLOW_MODULE = click.option(
 )  # fmt: skip
 
 
-def allow_typed(*texts: str | None) -> None:
+def allow_named_modules(*texts: str | None) -> None:
     """Allow modules that the user names as "module:Class" on the command line."""
     from lunarsim.parts.allowed import allowing, modules_in
 
@@ -137,7 +141,7 @@ def cache_options(command: F) -> F:
     return _CACHE(_CACHE_SIZE(command))
 
 
-def opened_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
+def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
     """Return the cache in a folder, or None if the cache is disabled (size 0)."""
     from lunarsim.campaign.cache import opened, standard_folder
 
@@ -179,7 +183,7 @@ def load_scenario(
     from lunarsim.scenario.notes import notes_on
     from lunarsim.scenario.shipped import found
 
-    allow_typed(*changes, *filter(None, (parts or {}).values()))
+    allow_named_modules(*changes, *filter(None, (parts or {}).values()))
     loaded = Scenario.load(found(given))
     for contract, kind in (parts or {}).items():
         loaded = _with_part(loaded, contract, kind)
@@ -210,7 +214,7 @@ def wide_console(width: int) -> Console:
 
 
 @contextmanager
-def kept_if_interrupted(what: str) -> Iterator[None]:
+def add_to_interrupt_message(what: str) -> Iterator[None]:
     """Add a text to the message of an interrupt, such as what was written before it."""
     try:
         yield

@@ -15,8 +15,8 @@ from lunarsim.cli_common import (
     SEED,
     FloatRange,
     IntRange,
-    allow_typed,
-    kept_if_interrupted,
+    allow_named_modules,
+    add_to_interrupt_message,
     progress_bar,
     wide_console,
 )
@@ -115,12 +115,12 @@ def evaluate(
     given: dict[str, Any] = {} if perception is None else {"perception": perception}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
-    allow_typed(*values)
+    allow_named_modules(*values)
     asked = replace(study(env, scenario, values, seed, **given), trust_pickle=trust_pickle)
     check_agents(asked, agents)
     console = wide_console(170)
     with (
-        kept_if_interrupted("no file was written"),
+        add_to_interrupt_message("no file was written"),
         progress_bar(asked.env, episodes * len(agents)) as advance,
     ):
         try:

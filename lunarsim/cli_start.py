@@ -19,17 +19,17 @@ from typing import Any
 
 INTERRUPTED = 130
 # Time until an unacknowledged interrupt is raised again, s.
-_AGAIN = 0.25
+_RERAISE_INTERVAL_S = 0.25
 
-_taken: list[int] = []
-_ended: list[int] = []
+_pending_interrupts: list[int] = []
+_exit_codes: list[int] = []
 
 
-def heard() -> None:
+def acknowledge_interrupt() -> None:
     """Acknowledge the interrupt, so that it is not raised again."""
-    if _taken:
+    if _pending_interrupts:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        _taken.clear()
+        _pending_interrupts.clear()
 
 
 def run(command: Callable[[], Any]) -> None:
@@ -39,39 +39,41 @@ def run(command: Callable[[], Any]) -> None:
     # an unrelated multiprocessing.py. They use the search path of this process instead.
     os.environ["PYTHONSAFEPATH"] = "1"
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _take)
-        sys.unraisablehook = _quiet
+        signal.signal(signal.SIGINT, _raise_interrupt)
+        sys.unraisablehook = _ignore_lost_interrupt
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _take)  # handle SIGTERM like Ctrl-C, as campaigns do
+        signal.signal(
+            signal.SIGTERM, _raise_interrupt
+        )  # handle SIGTERM like Ctrl-C, as campaigns do
     # The first registered function runs last, after temporary folders have been removed.
-    atexit.register(_leave)
+    atexit.register(_exit_interrupted)
     try:
         command()
     except KeyboardInterrupt as error:
-        heard()
-        _ended.append(INTERRUPTED)
-        print(end_of(error), file=sys.stderr)
+        acknowledge_interrupt()
+        _exit_codes.append(INTERRUPTED)
+        print(interrupt_message(error), file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BaseException as error:
-        if not _taken:
+        if not _pending_interrupts:
             if isinstance(error, SystemExit) and error.code == INTERRUPTED:
-                _ended.append(INTERRUPTED)
+                _exit_codes.append(INTERRUPTED)
             if isinstance(error, OSError):  # raised outside of a command, for instance by --help
                 sys.exit(f"error: output: {error.strerror or error}")
             raise
-        heard()
-        _ended.append(INTERRUPTED)
+        acknowledge_interrupt()
+        _exit_codes.append(INTERRUPTED)
         if not isinstance(error, SystemExit):  # an interrupt that a library has turned into this
             print("interrupted", file=sys.stderr)
         elif not error.code:
             print("interrupted: the command had already finished", file=sys.stderr)
         sys.exit(INTERRUPTED)
     finally:
-        heard()
-        if signal.getsignal(signal.SIGINT) is _take:
+        acknowledge_interrupt()
+        if signal.getsignal(signal.SIGINT) is _raise_interrupt:
             # Only the exit is left: another interrupt would report a finished command as killed.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if signal.getsignal(signal.SIGTERM) is _take:
+        if signal.getsignal(signal.SIGTERM) is _raise_interrupt:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
@@ -88,29 +90,29 @@ def _check_process() -> None:
         sys.exit(f"error: working folder: {error.strerror}. Change to an existing folder.")
 
 
-def end_of(error: KeyboardInterrupt) -> str:
+def interrupt_message(error: KeyboardInterrupt) -> str:
     """Return the message of an interrupt, with the text that its raiser added."""
     return f"interrupted: {error}" if error.args else "interrupted"
 
 
-def _leave() -> None:
+def _exit_interrupted() -> None:
     """End the process of an interrupted command with its exit code.
 
     Without this, an interrupt inside `exec` (which creates dataclasses) would end the process by a
     signal although it was acknowledged, and freeing the compiler's memory would take seconds.
     """
-    if _ended:
+    if _exit_codes:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(_ended[0])
+        os._exit(_exit_codes[0])
 
 
-def _take(number: int, frame: FrameType | None) -> None:
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     """Raise the interrupt now, and again until it is acknowledged."""
-    _taken.append(number)
+    _pending_interrupts.append(number)
     signal.signal(signal.SIGALRM, _raise_again)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+    signal.setitimer(signal.ITIMER_REAL, _RERAISE_INTERVAL_S, _RERAISE_INTERVAL_S)
     raise KeyboardInterrupt
 
 
@@ -123,7 +125,7 @@ def _raise_again(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def _quiet(unraisable: Any) -> None:
+def _ignore_lost_interrupt(unraisable: Any) -> None:
     """Ignore lost interrupts, which are raised again; report other exceptions."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

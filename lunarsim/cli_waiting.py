@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 # Time between two progress lines, s.
-_INTERVAL = 5.0
+_REPORT_INTERVAL_S = 5.0
 
 
 class _Helper:
@@ -47,7 +47,7 @@ class _Helper:
 
 
 @contextmanager
-def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
+def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
     """Print the number of compiled kernels on stderr while a block compiles any.
 
     Parameters
@@ -59,7 +59,7 @@ def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
 
     helper = _Helper(beside)
 
-    class Told(event.Listener):  # type: ignore[misc]
+    class CompileListener(event.Listener):  # type: ignore[misc]
         """Count compilations; nested ones count as part of the outer one for the time."""
 
         def __init__(self) -> None:
@@ -85,11 +85,11 @@ def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
                 return
             now = time.perf_counter()
             self.seconds += now - self.begun
-            if now > self.last + _INTERVAL:
+            if now > self.last + _REPORT_INTERVAL_S:
                 self.last = now
                 click.echo(f"  {self.count} kernels in {self.seconds:.0f} s", err=True)
 
-    told = Told()
+    told = CompileListener()
     # The compiler creates millions of permanent objects: garbage collection would cost 6 % of time.
     before = gc.get_threshold()
     gc.set_threshold(100_000, 50, 1_000)

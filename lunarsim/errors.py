@@ -38,7 +38,7 @@ class InputError(ValueError):
         self.value = value
         self.problem = problem
         self.remedy = remedy
-        message = f"{field}: {problem}, got {_shown(value)}."
+        message = f"{field}: {problem}, got {_format_value(value)}."
         super().__init__(f"{message} {remedy}" if remedy else message)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
@@ -83,7 +83,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not _is_flag(value)
 
 
-def _is_whole(value: object) -> bool:
+def _is_integer(value: object) -> bool:
     return isinstance(value, Integral) and not _is_flag(value)
 
 
@@ -93,13 +93,13 @@ def _are_numbers(value: object) -> bool:
 
 _KINDS = (
     ("float", _is_number, "must be a number"),
-    ("int", _is_whole, "must be an integer"),
+    ("int", _is_integer, "must be an integer"),
     ("bool", _is_flag, "must be true or false"),
     ("tuple[float", _are_numbers, "must be a sequence of numbers"),
 )
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     """Return the repr of a value, shortened if it is nested too deep or has too many digits."""
     try:
         return repr(value)

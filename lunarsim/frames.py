@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim._frame_kernels import along_thrust
+from lunarsim._frame_kernels import thrust_attitude
 
 Array = NDArray[np.float64]
 
@@ -265,7 +265,7 @@ def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
     vector = np.ascontiguousarray(direction, dtype=np.float64)
     if not vector.any():
         raise ValueError("the thrust direction must not have zero length")
-    return np.asarray(along_thrust(vector, heading))
+    return np.asarray(thrust_attitude(vector, heading))
 
 
 def matrix_to_quat(m: ArrayLike) -> Array:

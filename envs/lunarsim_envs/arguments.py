@@ -16,7 +16,7 @@ from lunarsim.scenario.shipped import found
 Weights = TypeVar("Weights")
 
 
-def scenario_of(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
+def scenario_argument(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
     """Return a scenario given as an object, a path, a name or None, with changed values.
 
     Parameters
@@ -51,7 +51,7 @@ def scenario_of(given: Any, changes: Any, otherwise: Scenario) -> Scenario:
     return with_values(scenario, named, "changes")
 
 
-def whole(field: str, value: Any, least: int) -> int:
+def checked_int(field: str, value: Any, least: int) -> int:
     """Return an integer with a lower bound.
 
     Raises
@@ -64,7 +64,7 @@ def whole(field: str, value: Any, least: int) -> int:
     return int(value)
 
 
-def covers_of(given: Any) -> tuple[float, ...]:
+def checked_covers(given: Any) -> tuple[float, ...]:
     """Return rock covers as a tuple; the scenario checks their bounds.
 
     Raises
@@ -79,7 +79,7 @@ def covers_of(given: Any) -> tuple[float, ...]:
     return tuple(float(one) for one in given)
 
 
-def truth_of(field: str, value: Any) -> bool:
+def checked_bool(field: str, value: Any) -> bool:
     """Return a boolean.
 
     Raises
@@ -92,7 +92,7 @@ def truth_of(field: str, value: Any) -> bool:
     return bool(value)
 
 
-def weights_of(given: Any, kind: type[Weights]) -> Weights | None:
+def checked_weights(given: Any, kind: type[Weights]) -> Weights | None:
     """Return reward weights of a class, or None.
 
     Raises
@@ -105,7 +105,7 @@ def weights_of(given: Any, kind: type[Weights]) -> Weights | None:
     return given
 
 
-def options_of(given: Any) -> dict[str, Any]:
+def checked_options(given: Any) -> dict[str, Any]:
     """Return the options of a reset as a dictionary; None has no options.
 
     Raises
@@ -121,7 +121,7 @@ def options_of(given: Any) -> dict[str, Any]:
     return dict(named)
 
 
-def no_pictures(render_mode: Any) -> None:
+def check_no_render_mode(render_mode: Any) -> None:
     """Check that a vector environment has no render mode.
 
     Raises

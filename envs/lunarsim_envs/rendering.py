@@ -19,7 +19,7 @@ _LOW, _ASIDE = 60.0, 60.0
 _PATH, _HERE = "#0072B2", "#D55E00"
 
 
-class Frames:
+class FrameRenderer:
     """Draw frames of one flight; the first frame fixes the axes.
 
     Parameters

@@ -29,7 +29,7 @@ def reset_mask(given: Any, lanes: int) -> NDArray[np.bool_]:
     return mask
 
 
-def check_begun(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
+def check_all_reset(begun: NDArray[np.bool_], mask: NDArray[np.bool_]) -> None:
     """Check that all lanes outside the mask (n,) have been reset before.
 
     Raises

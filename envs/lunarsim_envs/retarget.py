@@ -15,17 +15,23 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
-from lunarsim_envs.descent.picture import Picture
-from lunarsim_envs.rendering import Frames
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed
-from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.arguments import (
+    checked_options,
+    scenario_argument,
+    checked_bool,
+    checked_weights,
+    checked_int,
+)
+from lunarsim_envs.descent.picture import PlaneView
+from lunarsim_envs.rendering import FrameRenderer
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
+from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
-from lunarsim_envs.sites.parts import DEFAULT, ShownSites
-from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
-from lunarsim_envs.views import Views
+from lunarsim_envs.sites.parts import DEFAULT, SiteObservationLayout
+from lunarsim_envs.sites.perception import PERCEPTIONS, FULL_SIMULATION, create_flight
+from lunarsim_envs.views import ChaseViewRenderer
 
 FloatArray = NDArray[np.float32]
 # Failed limits of a flight that reached the time limit.
@@ -53,7 +59,7 @@ def retarget_scenario(
     InputError
         If the scenario has no mapper.
     """
-    scenario = scenario_of(given, changes, default_scenario())
+    scenario = scenario_argument(given, changes, default_scenario())
     if not scenario.mappers:
         raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
     return scenario
@@ -210,7 +216,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             raise InputError(
                 "perception", perception, "is unknown", suggestion(str(perception), PERCEPTIONS)
             )
-        if perception not in WHOLE:
+        if perception not in FULL_SIMULATION:
             self.metadata = self.metadata | {
                 "render_modes": ["rgb_array", "human"],
                 "render_fps": 1,
@@ -219,38 +225,43 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
             raise ValueError(f"render_mode: must be {named} or None, got {render_mode!r}.")
-        views = truth_of("views", views)
-        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
-        if views and (render_mode is None or perception not in WHOLE):
-            named = ", ".join(map(repr, WHOLE))
+        views = checked_bool("views", views)
+        worlds, world_seed = (
+            checked_int("worlds", worlds, 1),
+            checked_int("world_seed", world_seed, 0),
+        )
+        if views and (render_mode is None or perception not in FULL_SIMULATION):
+            named = ", ".join(map(repr, FULL_SIMULATION))
             raise InputError("views", views, f"needs a render_mode and a perception from {named}")
         # The class always lists "human", because Gymnasium checks the class before the instance.
-        self.metadata = self.metadata | {"render_modes": modes_here(modes)}
+        self.metadata = self.metadata | {"render_modes": available_render_modes(modes)}
         self.scenario = retarget_scenario(scenario, changes)
-        if perception in WHOLE:
+        if perception in FULL_SIMULATION:
             self.scenario = perceiving(self.scenario, perception)
-        self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
+        self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
-        self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate, covers)
-        self.shown = ShownSites(observation)
+        self.flight = create_flight(
+            perception, self.scenario, worlds, world_seed, surrogate, covers
+        )
+        self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space
-        self.frames: Frames | None = None
-        self.views: Views | None = None
-        self._picture: Picture | None = None
+        self.frames: FrameRenderer | None = None
+        self.views: ChaseViewRenderer | None = None
+        self._picture: PlaneView | None = None
         if render_mode is not None and isinstance(self.flight, KernelFlight):
-            self._picture = Picture(self.flight.lanes)
+            self._picture = PlaneView(self.flight.lanes)
         self._with_views = views
         self._begun, self._over = False, False
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
         # Values of the last step for frame titles: row, reward, time scale.
         self._last: tuple[int | None, float | None, float | None] = (None, None, None)
-        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
+        self._screen = FrameWindow(self.metadata["render_fps"]) if render_mode == "human" else None
 
     @property
     def simulation(self) -> Simulation | None:
@@ -261,7 +272,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Start a new flight and run it to the first decision."""
-        self.flight.take(options_of(options))
+        self.flight.take(checked_options(options))
         self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
         self._begun, self._over = True, False
@@ -270,8 +281,8 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
             # Creating axes is slow, so it is done once per flight.
-            self.frames = Frames(self.simulation, self.flight.seen)
-            self.views = Views(self.simulation) if self._with_views else None
+            self.frames = FrameRenderer(self.simulation, self.flight.seen)
+            self.views = ChaseViewRenderer(self.simulation) if self._with_views else None
         self._take_frame()
         return self._encode(), self._info()
 
@@ -316,7 +327,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         info["cost"] = float(verdict is not None and ended and not verdict[0])
         if self.actions.stretches:
             info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
-        reward = float(summed(terms))
+        reward = float(sum_terms(terms))
         self._last = (row, reward, stretch)
         self._take_frame()
         return self._encode(), reward, ended, late, info

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Maximum number of invalid choices per flight that are penalised.
-MOST_INVALID = 10
+MAX_PENALISED_CHOICES = 10
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,13 @@ class RewardWeights(SiteReward):
         InputError
             Naming the weight ``safe``.
         """
-        costs = self.propellant + MOST_INVALID * self.invalid + self.speed + self.tilt + self.hazard
+        costs = (
+            self.propellant
+            + MAX_PENALISED_CHOICES * self.invalid
+            + self.speed
+            + self.tilt
+            + self.hazard
+        )
         least = self.unsafe + costs + 2.0 * self.information
         if not self.safe > least:
             raise InputError(
@@ -53,7 +59,7 @@ class RewardWeights(SiteReward):
             )  # fmt: skip
 
 
-def touch_shares(lander: Lander, told: ArrayLike) -> Array:
+def touchdown_limit_ratios(lander: Lander, told: ArrayLike) -> Array:
     """Return touchdown values over their limits (n, 3): speed, tilt and terrain.
 
     Parameters
@@ -73,7 +79,7 @@ def touch_shares(lander: Lander, told: ArrayLike) -> Array:
     return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], ground))
 
 
-def information(p: NDArray[np.float32], seen: Mask) -> float:
+def map_information(p: NDArray[np.float32], seen: Mask) -> float:
     """Return the information in a map (rows, cols), from 0 (none) to 1 (all cells certain).
 
     It is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
@@ -81,7 +87,7 @@ def information(p: NDArray[np.float32], seen: Mask) -> float:
     return float(np.where(seen, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
 
 
-def summed(terms: Mapping[str, Any]) -> Any:
+def sum_terms(terms: Mapping[str, Any]) -> Any:
     """Return the sum of terms, each a number or an array (n,).
 
     Terms are added in a fixed order. The order of NumPy's sum depends on the number of flights, and
@@ -128,7 +134,7 @@ class SiteRewards:
         if self.weights.information > 0.0:
             # Computed per lane, so that results do not depend on the batch.
             for i in np.flatnonzero(of):
-                known[i] = information(p[i], seen[i])
+                known[i] = map_information(p[i], seen[i])
         return known
 
     def _hope(self, p_here: Array) -> Array:
@@ -169,7 +175,7 @@ class SiteRewards:
         over, safe
             Flights that have ended, and safe ones (n,).
         touch
-            Touchdown values over their limits (n, 3), from `touch_shares`.
+            Touchdown values over their limits (n, 3), from `touchdown_limit_ratios`.
         drawn
             Flights whose maps may have changed (n,).
         mass, p_here, p, seen
@@ -177,7 +183,7 @@ class SiteRewards:
         """
         w = self.weights
         ended, landed = moved & over, moved & over & safe
-        counts = moved & invalid & (self._invalid < MOST_INVALID)
+        counts = moved & invalid & (self._invalid < MAX_PENALISED_CHOICES)
         told = {name: np.zeros(len(moved)) for name in self.names}
         # Terms that are zero for all flights are skipped.
         spent = -w.propellant * (self._mass - mass) / self._tanks

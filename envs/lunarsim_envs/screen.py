@@ -28,13 +28,13 @@ def _windows() -> bool:
     return plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE)
 
 
-def modes_here(modes: Sequence[str]) -> list[str]:
+def available_render_modes(modes: Sequence[str]) -> list[str]:
     """Return the render modes, without "human" if no window can be opened."""
     screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
     return [mode for mode in modes if mode != "human" or (screen and _windows())]
 
 
-class Screen:
+class FrameWindow:
     """Show frames (rows, cols, 3) of one size; the first frame opens the window.
 
     Parameters

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim_envs.arguments import whole
+from lunarsim_envs.arguments import checked_int
 
 Mask = NDArray[np.bool_]
 
@@ -25,7 +25,7 @@ class StepLimit:
 
     def __init__(self, max_episode_steps: Any, count: int) -> None:
         given = None if max_episode_steps == -1 else max_episode_steps
-        self.most = None if given is None else whole("max_episode_steps", given, 1)
+        self.most = None if given is None else checked_int("max_episode_steps", given, 1)
         self._steps = np.zeros(count, np.int64)
 
     def begin(self, mask: Mask) -> None:

@@ -36,7 +36,7 @@ _BAR = (86, 180, 233)
 _UNDER, _TOP, _HALF, _SIDES = 0.25, 1.1, 0.55, 8
 
 
-class Views:
+class ChaseViewRenderer:
     """Draw the views of one flight.
 
     Parameters

@@ -55,7 +55,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
         if len(steps) > 1 and steps[-1].isdigit():
             steps, index = steps[:-1], int(steps[-1])
             new = _replaced(at(change, steps) or at(data, steps), index, value, field)
-        _lay(change, steps, new, field)
+        _set_nested(change, steps, new, field)
     try:
         return scenario.changed(**change)
     except InputError as error:
@@ -148,7 +148,7 @@ def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
     return new
 
 
-def _lay(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
+def _set_nested(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
     """Set one value in a nested change."""
     for step in steps[:-1]:
         inner = change.setdefault(step, {})

@@ -18,7 +18,7 @@ from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVA
 from lunarsim.parts import loadable
 
 
-class Chosen(Protocol):
+class PartTable(Protocol):
     """A table with a `kind`."""
 
     @property
@@ -36,31 +36,31 @@ class Chosen(Protocol):
         ...
 
 
-class Tables(Protocol):
+class CheckedTables(Protocol):
     """The tables of a scenario that the checks read."""
 
     @property
-    def sensors(self) -> Mapping[str, Chosen]:
+    def sensors(self) -> Mapping[str, PartTable]:
         """Sensors by name."""
         ...
 
     @property
-    def tasking(self) -> Mapping[str, Chosen]:
+    def tasking(self) -> Mapping[str, PartTable]:
         """Tasking schedules by sensor name."""
         ...
 
     @property
-    def mappers(self) -> Mapping[str, Chosen]:
+    def mappers(self) -> Mapping[str, PartTable]:
         """Mappers by name."""
         ...
 
     @property
-    def navigation(self) -> Chosen:
+    def navigation(self) -> PartTable:
         """Navigation filter."""
         ...
 
     @property
-    def control(self) -> Chosen:
+    def control(self) -> PartTable:
         """Attitude control."""
         ...
 
@@ -95,7 +95,7 @@ class Tables(Protocol):
         ...
 
     @property
-    def vehicle(self) -> Chosen:
+    def vehicle(self) -> PartTable:
         """Lander."""
         ...
 
@@ -110,7 +110,7 @@ class Tables(Protocol):
         ...
 
 
-def check(scenario: Tables) -> None:
+def check(scenario: CheckedTables) -> None:
     """Check that parts have what they need, do not contradict each other, and have an effect.
 
     Raises
@@ -137,7 +137,7 @@ def check(scenario: Tables) -> None:
         )  # fmt: skip
 
 
-def _check_names(table: str, parts: Mapping[str, Chosen]) -> None:
+def _check_names(table: str, parts: Mapping[str, PartTable]) -> None:
     """Check that names are valid as names of files, random streams and columns."""
     for name in parts:
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
@@ -158,7 +158,7 @@ def _check_single(sensors: dict[str, Any]) -> None:
             )
 
 
-def _check_filters(scenario: Tables) -> None:
+def _check_filters(scenario: CheckedTables) -> None:
     """Check that at most one mapper adds states to the navigation filter."""
     names = [
         name
@@ -173,11 +173,11 @@ def _check_filters(scenario: Tables) -> None:
         )
 
 
-def _gives(sensors: dict[str, Any], wanted: type) -> bool:
+def _has_sensor_for(sensors: dict[str, Any], wanted: type) -> bool:
     return any(issubclass(sensor.gives, wanted) for sensor in sensors.values())
 
 
-def _kinds_giving(wanted: type) -> str:
+def _sensor_kinds_for(wanted: type) -> str:
     """Return the kinds of sensors that output a type of measurement, joined by "or"."""
     found = [
         repr(kind)
@@ -193,18 +193,18 @@ def _kinds_of(contract: str, wanted: type) -> str:
     return " or ".join(found) or f'"{wanted.__module__}:{wanted.__qualname__}"'
 
 
-def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
+def _check_mappers(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     for name, part in scenario.mappers.items():
         mapper = part.make()
         field = f"mappers.{name}"
         if isinstance(mapper, FusedMapping):
-            _check_others(field, mapper.chosen, scenario)
+            _check_other_mappers(field, mapper.chosen, scenario)
             continue
         if isinstance(mapper, ShadowMapping):
-            _check_others(field, mapper.check_ground, scenario)
-            _check_shadows(field, scenario.sun.elevation_deg)
+            _check_other_mappers(field, mapper.check_ground, scenario)
+            _check_sun_elevation(field, scenario.sun.elevation_deg)
         _check_map(field, mapper, scenario)
-        _check_eyes(field, mapper, sensors)
+        _check_sensors(field, mapper, sensors)
         wanted = getattr(mapper, "navigation", None)
         if wanted is not None and not isinstance(scenario.navigation.make(), wanted):
             raise InputError(
@@ -214,7 +214,7 @@ def _check_mappers(scenario: Tables, sensors: dict[str, Any]) -> None:
             )  # fmt: skip
 
 
-def _check_shadows(field: str, elevation: float) -> None:
+def _check_sun_elevation(field: str, elevation: float) -> None:
     """Check that the Sun's elevation is within the range of a shadow mapper."""
     least, most = np.rad2deg([LEAST_ELEVATION, MOST_ELEVATION])
     if not least - 1e-9 <= elevation <= most + 1e-9:
@@ -224,26 +224,28 @@ def _check_shadows(field: str, elevation: float) -> None:
         )  # fmt: skip
 
 
-def _check_eyes(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
+def _check_sensors(field: str, mapper: Any, sensors: dict[str, Any]) -> None:
     """Check that the sensors of a mapper exist and output what it accepts."""
     key = f"{field}.sensors" if getattr(mapper, "sensors", ()) else f"{field}.sensor"
     for name in sensors_of(mapper) or (mapper.sensor,):
         if name not in sensors:
             raise InputError(
                 key, name,
-                f"must be the name of a sensor of kind {_kinds_giving(mapper.takes)}",
+                f"must be the name of a sensor of kind {_sensor_kinds_for(mapper.takes)}",
                 f"Sensors: {', '.join(sensors) or 'none'}.",
             )  # fmt: skip
         given = sensors[name].gives
         if not issubclass(given, mapper.takes):
             raise InputError(
                 key, name,
-                f"must be a sensor of kind {_kinds_giving(mapper.takes)}, but measures "
+                f"must be a sensor of kind {_sensor_kinds_for(mapper.takes)}, but measures "
                 f"{given.__name__}",
             )  # fmt: skip
 
 
-def _check_others(field: str, check: Callable[[dict[str, Any]], Any], scenario: Tables) -> None:
+def _check_other_mappers(
+    field: str, check: Callable[[dict[str, Any]], Any], scenario: CheckedTables
+) -> None:
     """Check that the other mappers that a mapper needs exist and provide its input."""
     try:
         check({name: part.make() for name, part in scenario.mappers.items()})
@@ -251,7 +253,7 @@ def _check_others(field: str, check: Callable[[dict[str, Any]], Any], scenario: 
         raise error.renamed(f"{field}.{error.field}") from None
 
 
-def _check_map(field: str, mapper: Any, scenario: Tables) -> None:
+def _check_map(field: str, mapper: Any, scenario: CheckedTables) -> None:
     """Check size and posting of a map, if the mapper has them."""
     size, posting = getattr(mapper, "size", None), getattr(mapper, "posting", None)
     if isinstance(size, float | int) and isinstance(posting, float | int):
@@ -261,13 +263,13 @@ def _check_map(field: str, mapper: Any, scenario: Tables) -> None:
             raise error.renamed(f"{field}.{error.field}") from None
 
 
-def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:
+def _check_navigation(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     navigation = scenario.navigation.make()
     for wanted in navigation.needs:
-        if not _gives(sensors, wanted):
+        if not _has_sensor_for(sensors, wanted):
             raise InputError(
                 "navigation.kind", scenario.navigation.kind,
-                f"needs a sensor of kind {_kinds_giving(wanted)}",
+                f"needs a sensor of kind {_sensor_kinds_for(wanted)}",
                 "Add it as [sensors.NAME].",
             )  # fmt: skip
     if scenario.surroundings is not None and scenario.moon is None:
@@ -289,8 +291,8 @@ def _check_navigation(scenario: Tables, sensors: dict[str, Any]) -> None:
         )  # fmt: skip
 
 
-def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
-    if scenario.control.make().torques and not _gives(sensors, InertialSamples):
+def _check_control(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
+    if scenario.control.make().torques and not _has_sensor_for(sensors, InertialSamples):
         raise InputError(
             "control.kind", scenario.control.kind,
             "needs a sensor of kind 'imu'",
@@ -310,7 +312,7 @@ def _check_control(scenario: Tables, sensors: dict[str, Any]) -> None:
         )  # fmt: skip
 
 
-def _check_actuators(scenario: Tables) -> None:
+def _check_actuators(scenario: CheckedTables) -> None:
     """Check that vehicle, control and faults fit together."""
     lander, control = scenario.vehicle.make(), scenario.control.make()
     jets = isinstance(lander, JetLander)
@@ -353,7 +355,7 @@ def _check_actuators(scenario: Tables) -> None:
         )  # fmt: skip
 
 
-def _check_tasking(scenario: Tables, sensors: dict[str, Any]) -> None:
+def _check_tasking(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     for name in scenario.tasking:
         if name not in sensors:
             raise InputError(
@@ -385,7 +387,7 @@ def _check_tasking(scenario: Tables, sensors: dict[str, Any]) -> None:
                 )  # fmt: skip
 
 
-def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
+def _check_effect(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     """Check that every part is used."""
     navigation = scenario.navigation.make()
     used = {name for part in scenario.mappers.values() for name in sensors_of(part.make())}
@@ -401,10 +403,10 @@ def _check_effect(scenario: Tables, sensors: dict[str, Any]) -> None:
                 "is not used by any mapper, nor by navigation of kind "
                 f"{scenario.navigation.kind!r}, which does not accept {sensor.gives.__name__}",
             )  # fmt: skip
-    if scenario.prior_map is not None and not _gives(sensors, LidarScan):
+    if scenario.prior_map is not None and not _has_sensor_for(sensors, LidarScan):
         raise InputError(
             "prior_map", "given",
-            f"needs a sensor of kind {_kinds_giving(LidarScan)}, whose scans are matched to the "
+            f"needs a sensor of kind {_sensor_kinds_for(LidarScan)}, whose scans are matched to the "
             "map",
             "Add the sensor, or omit [prior_map].",
         )  # fmt: skip

@@ -14,7 +14,7 @@ from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
-from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
+from lunarsim.scenario.mission import SimulationClock, MissionTarget, Start, StartKnowledge
 from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
@@ -32,7 +32,7 @@ FIXED: dict[str, type] = {
     "expected_rocks": RockExpectation,
     "approach": Approach,
     "decisions": Decisions,
-    "simulation": Clock,
+    "simulation": SimulationClock,
 }
 # Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
@@ -49,7 +49,7 @@ OPTIONAL: dict[str, type] = {
     "descent_reward": DescentReward,
 }
 # Optional tables of a part selected by `kind`: contract.
-OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}
+OPTIONAL_SELECTED: dict[str, str] = {"descent": "descent"}
 # Tables of a part selected by `kind`: contract and default kind.
 CHOSEN: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),
@@ -75,12 +75,12 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "mappers": ("mapper", {"dem": {"kind": "gaussian-dem"}}),
 }
 # Keys that define the world and the vehicle.
-WORLD = (
+WORLD_KEYS = (
     "name", "description", "gravity_m_s2", "moon", "surroundings", "terrain", "rocks", "sun",
     "vehicle", "legs", "target",
 )  # fmt: skip
 # Tables of earlier versions, and the tables that replace them.
-MOVED: dict[str, str] = {
+MOVED_TABLES: dict[str, str] = {
     "lander": "[vehicle]",
     "lidar": "[sensors.NAME] with kind = 'flash-lidar' and [tasking.NAME]",
     "camera": "[sensors.NAME] with kind = 'camera' and [tasking.NAME]",

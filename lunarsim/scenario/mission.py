@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from lunarsim.errors import InputError
 from lunarsim.parts.quantity import quantity
 
-_MOST_CYCLES = 1_000_000
+_MAX_CYCLES = 1_000_000
 # Bounds of the start position (m) and velocity (m/s). Beyond them, an approach over flat terrain
 # cannot be flown.
-_FARTHEST, _FASTEST = 1e6, 1e4
+_MAX_DISTANCE_M, _MAX_SPEED_M_S = 1e6, 1e4
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,18 @@ class Start:
     """
 
     position: tuple[float, float, float] = quantity(
-        (-600.0, 0.0, 500.0), "m", ge=-_FARTHEST, le=_FARTHEST, help="Planned position (ENU)"
+        (-600.0, 0.0, 500.0),
+        "m",
+        ge=-_MAX_DISTANCE_M,
+        le=_MAX_DISTANCE_M,
+        help="Planned position (ENU)",
     )
     velocity: tuple[float, float, float] = quantity(
-        (28.0, 0.0, -18.0), "m/s", ge=-_FASTEST, le=_FASTEST, help="Planned velocity (ENU)"
+        (28.0, 0.0, -18.0),
+        "m/s",
+        ge=-_MAX_SPEED_M_S,
+        le=_MAX_SPEED_M_S,
+        help="Planned velocity (ENU)",
     )
     heading: float = quantity(
         90.0, "deg", help="Azimuth of body x, clockwise from north, constant during the flight"
@@ -91,7 +99,7 @@ class MissionTarget:
 
 
 @dataclass(frozen=True)
-class Clock:
+class SimulationClock:
     """Time step, control cycle and time limit of the simulation.
 
     Attributes
@@ -116,10 +124,10 @@ class Clock:
             raise InputError(
                 "cycle", self.cycle, f"must be a multiple of the step of {self.step} s"
             )
-        if self.max_time / self.cycle > _MOST_CYCLES:
+        if self.max_time / self.cycle > _MAX_CYCLES:
             raise InputError(
                 "max_time", self.max_time,
-                f"must be at most {_MOST_CYCLES} cycles of {self.cycle} s",
+                f"must be at most {_MAX_CYCLES} cycles of {self.cycle} s",
             )  # fmt: skip
 
     @property

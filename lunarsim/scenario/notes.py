@@ -18,7 +18,7 @@ from lunarsim.scenario.scenario import Scenario
 _SEE_LIGHT = ("camera", "star-tracker")
 # Plausible radius of gyration over the radius of the leg circle. A solid sphere has 0.63, a thin
 # ring 1.
-_LEAST_GYRATION, _MOST_GYRATION = 0.1, 0.75
+_MIN_GYRATION_RATIO, _MAX_GYRATION_RATIO = 0.1, 0.75
 # Plausible angular acceleration at full torque, rad/s^2.
 _SLOW, _FAST = 0.01, 20.0
 # Keys of the terrain detail that is added between the posts of a raster.
@@ -38,15 +38,20 @@ def notes_on(scenario: Scenario) -> list[str]:
         A valid scenario. Warnings do not prevent a flight.
     """
     lander = scenario.vehicle.make()
-    figures = list(_lander_notes(lander)) if isinstance(lander, Lander) else []
-    return [*figures, *_without_effect(scenario), *_sensor_notes(scenario), *_variation(scenario)]
+    figures = list(_lander_warnings(lander)) if isinstance(lander, Lander) else []
+    return [
+        *figures,
+        *_unused_key_warnings(scenario),
+        *_sensor_warnings(scenario),
+        *_variation(scenario),
+    ]
 
 
 # --- inconsistent lander parameters -------------------------------------------------------------
 
 
-def _lander_notes(lander: Lander) -> Iterator[str]:
-    yield from _gyration_notes(lander)
+def _lander_warnings(lander: Lander) -> Iterator[str]:
+    yield from _gyration_warnings(lander)
     dry, full = np.asarray(lander.inertia_dry), np.asarray(lander.inertia_full)
     if (full < dry).any():
         yield (
@@ -60,16 +65,16 @@ def _lander_notes(lander: Lander) -> Iterator[str]:
             f"{_SLOW:g} to {_FAST:g}), got {_listed(lander.torque_max)}. Check it against "
             "inertia_full_kg_m2."
         )
-    yield from _standing_notes(lander)
+    yield from _geometry_warnings(lander)
 
 
-def _gyration_notes(lander: Lander) -> Iterator[str]:
+def _gyration_warnings(lander: Lander) -> Iterator[str]:
     """Yield a warning if the radii of gyration do not fit the size of the lander."""
     for name, mass in (("dry", lander.dry_mass), ("full", lander.wet_mass)):
         moments = np.asarray(getattr(lander, f"inertia_{name}"))
         radius = np.sqrt(moments / mass)
-        least = _LEAST_GYRATION * lander.leg_radius
-        most = _MOST_GYRATION * lander.leg_radius
+        least = _MIN_GYRATION_RATIO * lander.leg_radius
+        most = _MAX_GYRATION_RATIO * lander.leg_radius
         if radius.min() < least or radius.max() > most:
             yield (
                 f"vehicle.inertia_{name}_kg_m2: radii of gyration are {radius.min():.2g} to "
@@ -80,7 +85,7 @@ def _gyration_notes(lander: Lander) -> Iterator[str]:
             return
 
 
-def _standing_notes(lander: Lander) -> Iterator[str]:
+def _geometry_warnings(lander: Lander) -> Iterator[str]:
     """Yield warnings about landing limits that the geometry does not allow."""
     stands = math.degrees(
         math.atan(lander.leg_radius * math.cos(math.pi / lander.legs) / lander.com_height)
@@ -106,7 +111,7 @@ def _listed(values: Any) -> str:
 # --- sensors and commands ------------------------------------------------------------------------
 
 
-def _sensor_notes(scenario: Scenario) -> Iterator[str]:
+def _sensor_warnings(scenario: Scenario) -> Iterator[str]:
     """Yield warnings about sensors without returns or without a user."""
     mapped = {name for part in scenario.mappers.values() for name in sensors_of(part.make())}
     for name, settings in scenario.sensors.items():
@@ -140,39 +145,43 @@ def _variation(scenario: Scenario) -> Iterator[str]:
 # --- settings without effect --------------------------------------------------------------------
 
 
-def _without_effect(scenario: Scenario) -> Iterator[str]:
+def _unused_key_warnings(scenario: Scenario) -> Iterator[str]:
     lit = [p.kind for p in scenario.sensors.values() if _sees_light(p.kind)]
     if not lit:
-        yield from _idle("sun", scenario.sun, "there is no camera or star tracker")
+        yield from _unused_keys("sun", scenario.sun, "there is no camera or star tracker")
     if scenario.terrain.kind == "hazard-field":
-        yield from _idle("rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders")
+        yield from _unused_keys(
+            "rocks", scenario.rocks, "terrain 'hazard-field' has its own boulders"
+        )
     elif scenario.rocks.cover == 0.0:
-        yield from _idle("rocks", scenario.rocks, "cover = 0 means no rocks", but=("cover",))
+        yield from _unused_keys("rocks", scenario.rocks, "cover = 0 means no rocks", but=("cover",))
     elif scenario.rocks.clustered == 0.0:
-        yield from _idle(
+        yield from _unused_keys(
             "rocks", scenario.rocks, "clustered = 0 means no rocks around craters",
             only=("block_crater_m",),
         )  # fmt: skip
-    yield from _idle_ground(scenario)
+    yield from _unused_terrain_keys(scenario)
     if scenario.policy.kind == "no-divert":
-        yield from _idle(
+        yield from _unused_keys(
             "decisions", scenario.decisions, "policy 'no-divert' never diverts", but=("map",)
         )
     if not scenario.mappers:
-        yield from _idle("expected_rocks", scenario.expected_rocks, "there is no mapper")
+        yield from _unused_keys("expected_rocks", scenario.expected_rocks, "there is no mapper")
 
 
-def _idle_ground(scenario: Scenario) -> Iterator[str]:
+def _unused_terrain_keys(scenario: Scenario) -> Iterator[str]:
     ground = scenario.terrain
     if ground.kind == "dtm" and not ground.detail:
-        yield from _idle(
+        yield from _unused_keys(
             "terrain", ground.table, "detail = false adds nothing between the posts",
             only=_ROUGHNESS,
         )  # fmt: skip
     elif ground.kind in ("fractal", "dtm"):
         density = ground.crater_density
         if density == 0.0 or (density is None and ground.preset == "none"):
-            yield from _idle("terrain", ground.table, "the terrain has no craters", only=_CRATERS)
+            yield from _unused_keys(
+                "terrain", ground.table, "the terrain has no craters", only=_CRATERS
+            )
 
 
 def _sees_light(kind: str) -> bool:
@@ -180,7 +189,7 @@ def _sees_light(kind: str) -> bool:
     return kind in _SEE_LIGHT or kind not in kinds("sensor")
 
 
-def _idle(
+def _unused_keys(
     table: str,
     settings: PartSettings,
     why: str,

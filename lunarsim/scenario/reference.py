@@ -90,13 +90,13 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
     for name, of in layout.OPTIONAL.items():
         yield f"[{name}] (optional)", _first_line(of), settings_of(of)
     chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
-    chosen |= layout.OPTIONAL_CHOSEN
+    chosen |= layout.OPTIONAL_SELECTED
     named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
     for name, contract in (chosen | named).items():
         for kind in kinds(contract):
             default = layout.CHOSEN.get(name, ("", ""))[1] == kind
             heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
-            heading += " (optional)" * (name in layout.OPTIONAL_CHOSEN)
+            heading += " (optional)" * (name in layout.OPTIONAL_SELECTED)
             try:
                 of = resolve(contract, kind)
                 table = settings_of(of)

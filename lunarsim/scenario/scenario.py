@@ -27,7 +27,7 @@ from lunarsim.whole_files import write_text_whole
 
 
 @dataclass(frozen=True)
-class ChosenPart:
+class SelectedPart:
     """A table with a `kind`; its attributes are the keys, and `make` creates the part.
 
     Attributes
@@ -64,10 +64,10 @@ class Scenario:
     gravity_m_s2: float
     moon: Any | None
     surroundings: Any | None
-    terrain: ChosenPart
+    terrain: SelectedPart
     rocks: Any
     sun: Any
-    vehicle: ChosenPart
+    vehicle: SelectedPart
     faults: Any | None
     legs: Any | None
     variation: Any | None
@@ -76,18 +76,18 @@ class Scenario:
     target: Any
     prior_map: Any | None
     expected_rocks: Any
-    sensors: Mapping[str, ChosenPart]
-    tasking: Mapping[str, ChosenPart]
-    navigation: ChosenPart
-    mappers: Mapping[str, ChosenPart]
-    policy: ChosenPart
+    sensors: Mapping[str, SelectedPart]
+    tasking: Mapping[str, SelectedPart]
+    navigation: SelectedPart
+    mappers: Mapping[str, SelectedPart]
+    policy: SelectedPart
     decisions: Any
     approach: Any
-    guidance: ChosenPart
+    guidance: SelectedPart
     braking: Any | None
     window: Any | None
-    descent: ChosenPart | None
-    control: ChosenPart
+    descent: SelectedPart | None
+    control: SelectedPart
     simulation: Any
     site_reward: Any | None
     descent_reward: Any | None
@@ -130,7 +130,7 @@ class Scenario:
         known = [f.name for f in fields(cls)]
         for key, value in data.items():
             if key not in known:
-                moved = layout.MOVED.get(key)
+                moved = layout.MOVED_TABLES.get(key)
                 hint = f"It is now {moved}." if moved else suggestion(key, known)
                 raise InputError(key, value, "is an unknown key", hint)
         values: dict[str, Any] = {
@@ -144,16 +144,16 @@ class Scenario:
             values[key] = _table(key, of, data.get(key, {}), folder)
         for key, of in layout.OPTIONAL.items():
             values[key] = _table(key, of, data[key], folder) if key in data else None
-        for key, contract in layout.OPTIONAL_CHOSEN.items():
+        for key, contract in layout.OPTIONAL_SELECTED.items():
             given = key in data
-            values[key] = _chosen(key, contract, data[key], None, folder) if given else None
+            values[key] = _selected_part(key, contract, data[key], None, folder) if given else None
         for key, (contract, _) in layout.CHOSEN.items():
             kind = layout.kind_left_out(key, data)
-            values[key] = _chosen(key, contract, data.get(key, {}), kind, folder)
+            values[key] = _selected_part(key, contract, data.get(key, {}), kind, folder)
         for key, (contract, default) in layout.NAMED.items():
             tables = _mapping(key, data.get(key, default))
             values[key] = {
-                name: _chosen(f"{key}.{name}", contract, table, None, folder)
+                name: _selected_part(f"{key}.{name}", contract, table, None, folder)
                 for name, table in tables.items()
             }
         return cls(**values)
@@ -209,7 +209,9 @@ class Scenario:
             Naming the first invalid field.
         """
         data = parsed_toml(text)
-        scenario = cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        scenario = cls._unchecked(
+            {key: data[key] for key in layout.WORLD_KEYS if key in data}, folder
+        )
         check_memory(scenario)
         return scenario
 
@@ -237,7 +239,7 @@ class Scenario:
         """
         data = self.to_dict()
         left_out = {"kind": layout.kind_left_out("navigation", data)}
-        if "navigation" not in tables and self.navigation == _chosen(
+        if "navigation" not in tables and self.navigation == _selected_part(
             "navigation", "navigation", left_out, None, None
         ):
             del data["navigation"]
@@ -306,7 +308,7 @@ def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
 
 
 def _dump(value: Any) -> Any:
-    if isinstance(value, ChosenPart):
+    if isinstance(value, SelectedPart):
         return {"kind": value.kind, **_dump(value.table)}
     if isinstance(value, PartSettings):
         return value.model_dump(mode="json", exclude_none=True)
@@ -349,9 +351,9 @@ def _mapping(path: str, value: Any) -> Mapping[str, Any]:
     return value
 
 
-def _chosen(
+def _selected_part(
     path: str, contract: str, value: Any, default: str | None, folder: Path | None
-) -> ChosenPart:
+) -> SelectedPart:
     if isinstance(value, str):
         raise InputError(path, value, f'must be a table [{path}] with kind = "{value}"')
     data = dict(_mapping(path, value))
@@ -361,10 +363,10 @@ def _chosen(
             f"{path}.kind", kind, f"must be a kind of {contract}", "See `lunarsim parts`."
         )
     of = resolve(contract, kind, f"{path}.kind")
-    return ChosenPart(kind, _table(path, of, data, folder, contract, kind))
+    return SelectedPart(kind, _table(path, of, data, folder, contract, kind))
 
 
-def _whole(field: str, path: Path, folder: Path | None) -> Path:
+def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
     """Return an absolute path."""
     try:
         return ((Path.cwd() if folder is None else folder) / path).resolve()
@@ -395,7 +397,7 @@ def _table(
     except ValidationError as error:
         raise input_error(path, model, error, contract, kind) from None
     paths = {
-        key: _whole(f"{path}.{key}", given, folder)
+        key: _absolute_path(f"{path}.{key}", given, folder)
         for key in model.model_fields
         if isinstance(given := getattr(table, key), Path)
     }

@@ -275,7 +275,7 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
         algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
         monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
         env = SimpleNamespace(observation_space=own[0], action_space=own[1])
-        return stored.StoredAgent(env, tmp_path / "m.zip", trust_pickle=True)
+        return stored.Sb3Agent(env, tmp_path / "m.zip", trust_pickle=True)
 
     one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
     many = gymnasium.spaces.MultiDiscrete

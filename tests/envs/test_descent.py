@@ -14,10 +14,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.baseline import PolynomialAgent
+from lunarsim_envs.descent.baseline import PolynomialGuidance
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
-from lunarsim_envs.descent.observations import DEFAULT, PARTS, Part, register
-from lunarsim_envs.descent.rewards import MOST_MISS, DescentWeights, Rewards
+from lunarsim_envs.descent.observations import DEFAULT, PARTS, ObservationComponent, register
+from lunarsim_envs.descent.rewards import MAX_MISS_M, DescentWeights, Rewards
 from tests.low_descents import IDS, LOW, batch
 
 
@@ -124,7 +124,7 @@ def test_a_plain_law_lands_safe_from_the_default_start():
         "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
     )
     descents = vector.unwrapped.descents
-    agent = PolynomialAgent(descents)
+    agent = PolynomialGuidance(descents)
     observation, _ = vector.reset(seed=1)
     safe, miss, waiting = np.zeros(64, bool), np.zeros(64), np.ones(64, bool)
     while waiting.any():
@@ -150,9 +150,9 @@ def test_a_plain_law_lands_safe_from_the_default_start():
 
 def test_an_agent_for_other_actions_or_observations_is_refused():
     with pytest.raises(InputError, match="Guidance-v0"):
-        PolynomialAgent(ControlEnv(changes=LOW).descents)
+        PolynomialGuidance(ControlEnv(changes=LOW).descents)
     with pytest.raises(InputError, match="begin with position and velocity"):
-        PolynomialAgent(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
+        PolynomialGuidance(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
 
 
 def test_shaping_tells_the_same_of_every_flight_from_one_start():
@@ -190,7 +190,7 @@ def test_every_crash_returns_less_than_any_safe_landing(seed):
         severity=rng.exponential(1.0), excess=rng.exponential(1.0),
         shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
     )  # fmt: skip
-    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MOST_MISS
+    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MAX_MISS_M
     if worst > weights.crash:
         weights.check(400.0)
     else:
@@ -340,7 +340,7 @@ def test_a_number_of_lanes_that_is_none_is_refused(count):
 
 
 def test_parts_of_an_observation_are_chosen_and_added():
-    own = Part("height", 1, "m", -100.0, 5000.0, "of the centre of mass over the target",
+    own = ObservationComponent("height", 1, "m", -100.0, 5000.0, "of the centre of mass over the target",
                lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
     register(own)
     try:

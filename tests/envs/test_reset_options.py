@@ -8,7 +8,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.worlds import WorldPool
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from tests.envs.site_scene import SMALL, made_up
 from tests.reference import descent as plain
@@ -64,7 +64,7 @@ def test_lanes_of_a_mask_alone_are_changed(batch):
 
 def test_more_covers_leave_the_scenario_s_worlds_as_they_are():
     scenario = SMALL.changed(rocks={"cover": 0.0})
-    alone, more = Worlds.of(scenario, 2, 3), Worlds.of(scenario, 2, 3, [0.05, 0.15])
+    alone, more = WorldPool.of(scenario, 2, 3), WorldPool.of(scenario, 2, 3, [0.05, 0.15])
     assert more.covers == (0.0, 0.05, 0.15)
     assert np.array_equal(more.grounds[:2], alone.grounds)
     for cover, first in ((None, 0), (0.0, 0), (0.05, 2), (0.15, 4)):

@@ -23,11 +23,11 @@ from lunarsim_envs.evaluation.request import study
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import actions
-from lunarsim_envs.sites.actions import STRETCHES, ActionPart, SiteActions
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.surrogate import exact
-from lunarsim_envs.sites.view import view_of
+from lunarsim_envs.sites.actions import STRETCHES, ActionComponent, SiteActions
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.pool import SiteWorldPool
+from lunarsim_envs.sites.surrogate import exact_errors
+from lunarsim_envs.sites.view import fov_and_footprint
 from tests.envs.site_scene import SMALL
 
 BOTH = ("site", "stretch")
@@ -75,8 +75,8 @@ def drawn(seed, count):
 
 def test_kernels_stretch_as_the_whole_simulation_does():
     """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
-    kernels = SiteLanes(
-        1, LEVEL, SitePool.of(LEVEL, 1, 3), errors=exact(), view=view_of(LEVEL), drift=np.zeros(2),
+    kernels = SiteDescentBatch(
+        1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(), view=fov_and_footprint(LEVEL), drift=np.zeros(2),
         claimed=0.0, posting=0.4,
     )  # fmt: skip
     one, counts = np.ones(1, bool), [0, 0, 0]
@@ -273,7 +273,7 @@ def test_copies_go_on_alike(copied):
 
 def test_a_part_of_ones_own(monkeypatch):
     monkeypatch.setattr(actions, "PARTS", dict(actions.PARTS))
-    slow = ActionPart("slow", "stretch", 2, "1 takes a fifth more time",
+    slow = ActionComponent("slow", "stretch", 2, "1 takes a fifth more time",
                       lambda sights, chosen: np.where(chosen == 1, 1.2, np.nan))  # fmt: skip
     actions.register(slow)
     env = pickle.loads(pickle.dumps(made(action=("site", "slow"))))
@@ -286,15 +286,15 @@ def test_a_part_of_ones_own(monkeypatch):
     with pytest.raises(InputError, match="one part that sets the stretch"):
         SiteActions(("slow", "stretch"))
     for part, says in (
-        (slow, "a name of its own"), (ActionPart("a", "abort", 2, "", slow.of), "'site' or"),
-        (ActionPart("b", "stretch", 1, "", slow.of), "at least 2"),
+        (slow, "a name of its own"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
+        (ActionComponent("b", "stretch", 1, "", slow.of), "at least 2"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
             actions.register(part)
     for part, says in (
-        (ActionPart("c", "stretch", 2, "", lambda s, c: s.site), r"c: must be an array"),
-        (ActionPart("d", "stretch", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
-        (ActionPart("e", "stretch", 2, "", slow.of, lambda s: s.here > 0), "open"),
+        (ActionComponent("c", "stretch", 2, "", lambda s, c: s.site), r"c: must be an array"),
+        (ActionComponent("d", "stretch", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
+        (ActionComponent("e", "stretch", 2, "", slow.of, lambda s: s.here > 0), "open"),
     ):  # fmt: skip
         actions.register(part)
         env = made(action=(part.name,))

@@ -11,7 +11,7 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim.models.lander import Lander
 from lunarsim.scenario import Scenario
-from lunarsim.scenario.layout import MOVED
+from lunarsim.scenario.layout import MOVED_TABLES
 from tests.worlds import SCENARIOS
 
 SHIPPED = sorted(SCENARIOS.glob("*.toml"))
@@ -149,14 +149,14 @@ def test_moved_keys_say_where_they_went():
         Scenario.from_dict({"guidance": {"max_tilt_deg": 30.0}})
 
 
-@pytest.mark.parametrize("table", list(MOVED))
+@pytest.mark.parametrize("table", list(MOVED_TABLES))
 def test_tables_of_earlier_versions_tell_where_they_are_now(table):
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({table: {}})
     assert caught.value.field == table
-    assert caught.value.remedy == f"It is now {MOVED[table]}."
+    assert caught.value.remedy == f"It is now {MOVED_TABLES[table]}."
     # And what it names is there to be written.
-    assert any(f"[{name}" in MOVED[table] for name in Scenario.__dataclass_fields__)
+    assert any(f"[{name}" in MOVED_TABLES[table] for name in Scenario.__dataclass_fields__)
 
 
 def test_missing_and_broken_files(tmp_path):

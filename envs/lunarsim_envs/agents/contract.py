@@ -22,7 +22,7 @@ class Agent(Protocol):
         ...
 
 
-def refuse(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
+def incompatible_agent_error(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
     """Return the error for an agent that cannot fly an environment."""
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
     return InputError("--agent", name, f"cannot fly {spec}, because it needs {wanted}")
@@ -37,4 +37,4 @@ def check_sites(name: str, env: Any) -> None:
         Naming the agent.
     """
     if not env.actions.has("site"):
-        raise refuse(name, env, "Retarget-v0 with the action component 'site'")
+        raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")

@@ -16,9 +16,9 @@ from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts import resolve, settings_of
 from lunarsim.scenario import Scenario
-from lunarsim_envs.agents.contract import refuse
-from lunarsim_envs.descent.baseline import PolynomialAgent
-from lunarsim_envs.descent.core import Descents
+from lunarsim_envs.agents.contract import incompatible_agent_error
+from lunarsim_envs.descent.baseline import PolynomialGuidance
+from lunarsim_envs.descent.core import DescentEnvCore
 from lunarsim_envs.descent.env import GuidanceEnv
 
 Array = NDArray[np.float64]
@@ -30,13 +30,13 @@ _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
 _LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
 
 
-def _descents(name: str, env: gymnasium.Env[Any, Any]) -> Descents:
+def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
-        raise refuse(name, env, "Guidance-v0")
+        raise incompatible_agent_error(name, env, "Guidance-v0")
     missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
     if missing:
-        raise refuse(name, env, f"the observation component {missing[0]!r}")
+        raise incompatible_agent_error(name, env, f"the observation component {missing[0]!r}")
     return flown.descents
 
 
@@ -56,7 +56,7 @@ def _briefing(scenario: Scenario, software: Software, time_to_go: float) -> Brie
     )  # fmt: skip
 
 
-class LawAgent:
+class GuidanceLawAgent:
     """Fly a guidance law to the end of the approach, then the scenario's terminal descent.
 
     Phases, time-to-go and limits are those of the onboard computer; the observation replaces
@@ -145,8 +145,8 @@ class LawAgent:
         return self._descents.actions.action(wanted)
 
 
-class Polynomial:
-    """Agent interface for the stateless `lunarsim_envs.descent.baseline.PolynomialAgent`.
+class PolynomialLawAgent:
+    """Agent interface for the stateless `lunarsim_envs.descent.baseline.PolynomialGuidance`.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class Polynomial:
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._law = PolynomialAgent(_descents("polynomial", env))
+        self._law = PolynomialGuidance(_descents("polynomial", env))
 
     def begin(self, rng: np.random.Generator) -> None:
         """Do nothing: the agent has no memory and is deterministic."""

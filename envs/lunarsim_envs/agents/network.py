@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import refuse
+from lunarsim_envs.agents.contract import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
 Array = NDArray[np.float32]
@@ -125,14 +125,18 @@ class NetworkAgent:
         flown = env.unwrapped
         level = f"{'Guidance' if getattr(flown, 'guided', False) else 'Control'}-v0"
         if not isinstance(flown, DescentEnv) or level != network.level:
-            raise refuse(name, env, network.level)
+            raise incompatible_agent_error(name, env, network.level)
         parts = tuple(part.name for part in flown.descents.shown.parts)
         if parts != network.parts:
-            raise refuse(name, env, f"the observation components {', '.join(network.parts)}")
+            raise incompatible_agent_error(
+                name, env, f"the observation components {', '.join(network.parts)}"
+            )
         if abs(flown.descents.period * network.rate - 1.0) > 1e-9:
-            raise refuse(name, env, f"{network.rate:g} actions per second")
+            raise incompatible_agent_error(name, env, f"{network.rate:g} actions per second")
         if network.weights[-1].shape[0] != len(flown.descents.actions.scale):
-            raise refuse(name, env, f"actions with {network.weights[-1].shape[0]} values")
+            raise incompatible_agent_error(
+                name, env, f"actions with {network.weights[-1].shape[0]} values"
+            )
         self._network = network
 
     def begin(self, rng: np.random.Generator) -> None:

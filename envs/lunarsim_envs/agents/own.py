@@ -13,7 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.parts.registry import imported
 
 
-class CalledAgent:
+class CallableAgent:
     """Use a callable as an agent.
 
     Parameters
@@ -25,7 +25,7 @@ class CalledAgent:
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
-        self._informed = _takes(call, 2)
+        self._informed = _accepts(call, 2)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Call the callable's ``begin``, if it has one."""
@@ -38,7 +38,7 @@ class CalledAgent:
         return self._call(observation, info) if self._informed else self._call(observation)
 
 
-def _takes(call: Callable[..., Any], count: int) -> bool:
+def _accepts(call: Callable[..., Any], count: int) -> bool:
     """Return whether a callable accepts a number of positional arguments; true if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
@@ -49,7 +49,7 @@ def _takes(call: Callable[..., Any], count: int) -> bool:
     return True
 
 
-def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
+def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
     """Return the agent ``module:Name``.
 
     A class is instantiated with the environment as its only argument. The instance, or a function,
@@ -70,7 +70,7 @@ def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
             f"cannot be imported ({type(error).__name__}: {said})",
             "Put the module into the working directory or install it.",
         ) from error  # fmt: skip
-    if isinstance(found, type) and not _takes(found, 1):
+    if isinstance(found, type) and not _accepts(found, 1):
         raise InputError(
             "--agent", name, "must be a class that takes the environment as its only argument"
         )
@@ -79,6 +79,6 @@ def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
         return made
     if not callable(made):
         raise InputError("--agent", name, "must be a function, a class or a callable object")
-    if not (_takes(made, 1) or _takes(made, 2)):
+    if not (_accepts(made, 1) or _accepts(made, 2)):
         raise InputError("--agent", name, "must accept (observation, info) or (observation)")
-    return CalledAgent(made)
+    return CallableAgent(made)

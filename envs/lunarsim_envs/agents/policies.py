@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from lunarsim.simulation.loop import make_policy
-from lunarsim_envs.agents.contract import check_sites, refuse
+from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
 
@@ -36,12 +36,14 @@ class PolicyAgent:
     def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise refuse(kind, env, "Retarget-v0")
+            raise incompatible_agent_error(kind, env, "Retarget-v0")
         check_sites(kind, flown)
         self._env = flown
         self._policy = make_policy(flown.scenario, kind)
         if getattr(self._policy, "knows_truth", False):
-            raise refuse(kind, env, "the true hazard map, which environments do not provide")
+            raise incompatible_agent_error(
+                kind, env, "the true hazard map, which environments do not provide"
+            )
 
     def begin(self, rng: np.random.Generator) -> None:
         """Do nothing: policies have no memory and are deterministic."""

@@ -10,23 +10,23 @@ import gymnasium
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts.registry import kinds
 from lunarsim_envs.agents.contract import Agent
-from lunarsim_envs.agents.laws import LawAgent, Polynomial
+from lunarsim_envs.agents.laws import GuidanceLawAgent, PolynomialLawAgent
 from lunarsim_envs.agents.network import Network, NetworkAgent
 from lunarsim_envs.agents.onnx_network import OnnxAgent
-from lunarsim_envs.agents.own import own_agent
+from lunarsim_envs.agents.own import custom_agent
 from lunarsim_envs.agents.policies import PolicyAgent
-from lunarsim_envs.agents.simple import Hover, Random, Zero
+from lunarsim_envs.agents.simple import HoverAgent, RandomAgent, ZeroAgent
 from lunarsim_envs.agents.site_network import SiteNetwork, SiteNetworkAgent, is_site_network
-from lunarsim_envs.agents.stored import StoredAgent, check_trust
+from lunarsim_envs.agents.stored import Sb3Agent, check_trust
 
 BUILT_IN: dict[str, Any] = {
-    "zero": Zero, "random": Random, "hover": Hover, "polynomial": Polynomial
+    "zero": ZeroAgent, "random": RandomAgent, "hover": HoverAgent, "polynomial": PolynomialLawAgent
 }  # fmt: skip
 # Folder of the trained networks that come with the package.
 _SHIPPED = Path(__file__).parent / "trained"
 
 
-def shipped() -> dict[str, Path]:
+def packaged_agents() -> dict[str, Path]:
     """Return the files of trained agents that come with the package, by name."""
     return {path.stem: path for path in sorted(_SHIPPED.glob("*.npz"))}
 
@@ -40,7 +40,7 @@ def known_agents() -> dict[str, str]:
     'guidance law'
     """
     names = dict.fromkeys(BUILT_IN, "built in")
-    names |= dict.fromkeys(shipped(), "trained network")
+    names |= dict.fromkeys(packaged_agents(), "trained network")
     names |= dict.fromkeys(kinds("guidance"), "guidance law")
     return names | dict.fromkeys(kinds("policy"), "policy")
 
@@ -92,7 +92,7 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
     ----------
     given
         Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
-        (``.zip``), or ``module:Name`` of a callable (`own.own_agent`).
+        (``.zip``), or ``module:Name`` of a callable (`own.custom_agent`).
     env
         Environment to fly.
     trust_pickle
@@ -110,16 +110,16 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
             return _network(env, path, given)
         if path.suffix == ".onnx":
             return OnnxAgent(env, path)
-        return StoredAgent(env, path, trust_pickle=trust_pickle)
+        return Sb3Agent(env, path, trust_pickle=trust_pickle)
     if ":" in given:
-        made: Agent = own_agent(env, given)
+        made: Agent = custom_agent(env, given)
         return made
     if given in BUILT_IN:
         built: Agent = BUILT_IN[given](env)
         return built
-    if given in shipped():
-        return _network(env, shipped()[given], given)
-    return LawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
+    if given in packaged_agents():
+        return _network(env, packaged_agents()[given], given)
+    return GuidanceLawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
 
 
 def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:

@@ -8,13 +8,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from lunarsim_envs.agents.contract import refuse
+from lunarsim_envs.agents.contract import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
 _SPACES = "Box, Discrete or MultiDiscrete"
 
 
-class Zero:
+class ZeroAgent:
     """Always return zeros, or the first option of a discrete action.
 
     Parameters
@@ -32,7 +32,7 @@ class Zero:
         elif isinstance(space, spaces.Box):
             self._action = np.zeros(space.shape, space.dtype)
         else:
-            raise refuse("zero", env, f"an action space of type {_SPACES}")
+            raise incompatible_agent_error("zero", env, f"an action space of type {_SPACES}")
 
     def begin(self, rng: np.random.Generator) -> None:
         """Do nothing: the action is constant."""
@@ -42,7 +42,7 @@ class Zero:
         return self._action
 
 
-class Random:
+class RandomAgent:
     """Return uniformly distributed actions; discrete ones only among available options.
 
     Parameters
@@ -54,7 +54,7 @@ class Random:
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         space = env.action_space
         if not isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.Box):
-            raise refuse("random", env, f"an action space of type {_SPACES}")
+            raise incompatible_agent_error("random", env, f"an action space of type {_SPACES}")
         self._space = space
         self._rng = np.random.default_rng(0)
 
@@ -82,7 +82,7 @@ class Random:
         return np.int64(self._rng.choice(known))
 
 
-class Hover:
+class HoverAgent:
     """Command a constant vertical thrust equal to the initial weight.
 
     Parameters
@@ -99,7 +99,7 @@ class Hover:
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         flown = env.unwrapped
         if not isinstance(flown, DescentEnv):
-            raise refuse("hover", env, "Guidance-v0 or Control-v0")
+            raise incompatible_agent_error("hover", env, "Guidance-v0 or Control-v0")
         lanes = flown.descents.lanes
         dynamics = lanes.craft.dynamics
         weight = dynamics.lander.wet_mass * dynamics.gravity

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import check_sites, refuse
+from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import Sights
+from lunarsim_envs.sites.sights import SiteInputs
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ _LOG_ODDS, _PROPELLANT, _DISTANCE, _ALTITUDE, _MISS = 5.0, 2.0, 30.0, 200.0, 1.0
 _LEAST, _MOST = 1e-6, 0.999
 
 
-def features(sights: Sights) -> tuple[Array, NDArray[np.bool_]]:
+def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
     """Return the features (n, 21, features) and the availability (n, 21) of all options.
 
     Option 0 is the current site, the others are the rows of the action space.
@@ -91,7 +91,7 @@ class SiteNetwork:
         """All weights as one vector."""
         return np.concatenate((self.linear, self.inner.ravel(), self.bias, self.outer))
 
-    def choose(self, sights: Sights) -> NDArray[np.int64]:
+    def choose(self, sights: SiteInputs) -> NDArray[np.int64]:
         """Return the best available option of every lander (n,)."""
         x, good = features(sights)
         scores = x @ self.linear + np.tanh(x @ self.inner.T + self.bias) @ self.outer
@@ -158,7 +158,7 @@ class SiteNetworkAgent:
     def __init__(self, env: gymnasium.Env[Any, Any], network: SiteNetwork, name: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise refuse(name, env, "Retarget-v0")
+            raise incompatible_agent_error(name, env, "Retarget-v0")
         check_sites(name, flown)
         self._env, self._network = flown, network
 

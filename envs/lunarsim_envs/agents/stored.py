@@ -94,7 +94,7 @@ def load_model(path: Path) -> Any:
     return _algorithm(path).load(path, device="cpu")
 
 
-class StoredAgent:
+class Sb3Agent:
     """Fly a Stable-Baselines3 agent without exploration.
 
     The file is a pickle, which can run any code when it is loaded.

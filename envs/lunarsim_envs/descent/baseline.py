@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.core import Descents
+from lunarsim_envs.descent.core import DescentEnvCore
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _ON_POSITION, _ON_VELOCITY, _ON_SPEED = 0.36, 1.3, 1.5
 _ACROSS, _ALONG = 0.25, 1.0
 
 
-class PolynomialAgent:
+class PolynomialGuidance:
     """Fly E-guidance (Cherry 1964) to a gate above the target, then descend vertically.
 
     Parameters
@@ -36,7 +36,7 @@ class PolynomialAgent:
         If actions are not thrust accelerations, or the observation has another layout.
     """
 
-    def __init__(self, descents: Descents) -> None:
+    def __init__(self, descents: DescentEnvCore) -> None:
         if not descents.lanes.guided:
             raise InputError("descents", "Control-v0", "must be from a Guidance-v0 environment")
         names = [part.name for part in descents.shown.parts[:2]]

@@ -13,14 +13,20 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.variation import DRAWN
-from lunarsim_envs.arguments import covers_of, scenario_of, truth_of, weights_of, whole
+from lunarsim_envs.arguments import (
+    checked_covers,
+    scenario_argument,
+    checked_bool,
+    checked_weights,
+    checked_int,
+)
 from lunarsim_envs.descent.actions import Actions
-from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
-from lunarsim_envs.descent.observations import DEFAULT, Shown
-from lunarsim_envs.descent.options import check_height, take
+from lunarsim_envs.descent.lanes import FLYING, LATE, VehicleParams, DescentBatch
+from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
+from lunarsim_envs.descent.options import check_height, apply_options
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
-from lunarsim_envs.descent.senses import Senses
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.senses import SensingModel
+from lunarsim_envs.descent.worlds import WorldPool
 
 Mask = NDArray[np.bool_]
 
@@ -46,7 +52,7 @@ def _rate(given: Any) -> float:
     return float(given)
 
 
-class Settings(TypedDict, total=False):
+class DescentEnvArguments(TypedDict, total=False):
     """Arguments of single and vector environments, described in `env.GuidanceEnv`."""
 
     scenario: Scenario | str | Path | None
@@ -60,7 +66,7 @@ class Settings(TypedDict, total=False):
     privileged: bool
 
 
-class Descents:
+class DescentEnvCore:
     """Landers with their spaces and rewards: the core of the descent environments.
 
     Parameters
@@ -89,30 +95,33 @@ class Descents:
         privileged: bool = False,
     ) -> None:
         self.many = count is not None
-        count = whole("num_envs", 1 if count is None else count, 1)
-        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
+        count = checked_int("num_envs", 1 if count is None else count, 1)
+        worlds, world_seed = (
+            checked_int("worlds", worlds, 1),
+            checked_int("world_seed", world_seed, 0),
+        )
         privileged, weights = (
-            truth_of("privileged", privileged),
-            weights_of(weights, DescentWeights),
+            checked_bool("privileged", privileged),
+            checked_weights(weights, DescentWeights),
         )
         rate_hz = _rate(rate_hz)
-        self.scenario = scenario_of(scenario, changes, level())
-        craft = Craft.of(self.scenario)
-        self.shown = Shown(observation)
+        self.scenario = scenario_argument(scenario, changes, level())
+        craft = VehicleParams.of(self.scenario)
+        self.shown = ObservationLayout(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
-        ground = Worlds.of(self.scenario, worlds, world_seed, covers_of(covers))
-        self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
+        ground = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
+        self.lanes = DescentBatch(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
-        self.truth = Shown(DEFAULT) if privileged else None
+        self.truth = ObservationLayout(DEFAULT) if privileged else None
         self.senses = self._senses() if craft.variation is not None else None
 
-    def _senses(self) -> Senses:
+    def _senses(self) -> SensingModel:
         """Return the model of noise and delays; before the first action, thrust equals weight."""
         d = self.lanes.craft.dynamics
         weight = d.lander.wet_mass * d.gravity
         idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
-        return Senses(self.lanes, self.shown, self.period, np.array(idle))
+        return SensingModel(self.lanes, self.shown, self.period, np.array(idle))
 
     @property
     def period(self) -> float:
@@ -134,12 +143,12 @@ class Descents:
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
-    def take(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
+    def apply_options(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
         """Apply reset options to the landers of `mask`; they hold until the next call."""
-        take(options, self.lanes, mask)
+        apply_options(options, self.lanes, mask)
 
     def restart(self, mask: Mask) -> None:
-        """Start new episodes for the landers of `mask`, with the options of `take`."""
+        """Start new episodes for the landers of `mask`, with the options of `apply_options`."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:

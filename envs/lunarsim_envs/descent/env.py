@@ -9,13 +9,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim_envs.arguments import no_pictures, options_of
-from lunarsim_envs.descent.core import Descents, Settings
+from lunarsim_envs.arguments import check_no_render_mode, checked_options
+from lunarsim_envs.descent.core import DescentEnvCore, DescentEnvArguments
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.picture import Picture
-from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
-from lunarsim_envs.rewards import summed
-from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.descent.picture import PlaneView
+from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
+from lunarsim_envs.rewards import sum_terms
+from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.step_limit import StepLimit
 
 Shown = NDArray[np.float32]
@@ -28,23 +28,25 @@ class DescentEnv(gymnasium.Env[Any, Any]):
     guided: ClassVar[bool]
     rate: ClassVar[float]
 
-    def __init__(self, render_mode: str | None = None, **settings: Unpack[Settings]) -> None:
+    def __init__(
+        self, render_mode: str | None = None, **settings: Unpack[DescentEnvArguments]
+    ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
             raise ValueError(
                 f"render_mode: must be 'rgb_array', 'human' or None, got {render_mode!r}."
             )
         self.render_mode = render_mode
         settings.setdefault("rate_hz", self.rate)
-        self.descents = Descents(None, guided=self.guided, **settings)
+        self.descents = DescentEnvCore(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
         self.observation_space = self.descents.shown.space
         # The class always lists "human", because Gymnasium checks the class before the instance.
-        modes = modes_here(self.metadata["render_modes"])
+        modes = available_render_modes(self.metadata["render_modes"])
         fps = max(round(1.0 / self.descents.period), 1)
         self.metadata = self.metadata | {"render_modes": modes, "render_fps": fps}
         self._one = np.ones(1, np.bool_)
-        self._picture = Picture(self.descents.lanes) if render_mode is not None else None
-        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
+        self._picture = PlaneView(self.descents.lanes) if render_mode is not None else None
+        self._screen = FrameWindow(self.metadata["render_fps"]) if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -84,7 +86,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
             info |= {name: float(told[0]) for name, told in d.told().items()}
         ends = bool(terminated[0]), bool(truncated[0])
-        return d.observe()[0], float(summed(named)), *ends, info
+        return d.observe()[0], float(sum_terms(named)), *ends, info
 
     def _show(self) -> None:
         if self._screen is not None and self._picture is not None:
@@ -123,10 +125,10 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
         render_mode: None = None,
         max_episode_steps: int | None = None,
-        **settings: Unpack[Settings],
+        **settings: Unpack[DescentEnvArguments],
     ) -> None:
-        no_pictures(render_mode)
-        self.descents = Descents(
+        check_no_render_mode(render_mode)
+        self.descents = DescentEnvCore(
             num_envs, guided=self.guided, **({"rate_hz": self.rate} | settings)
         )
         self.num_envs = num_envs
@@ -148,9 +150,9 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
         """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
-        left = options_of(options)
+        left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        check_begun(self._begun, mask)
+        check_all_reset(self._begun, mask)
         seeds = lane_seeds(seed, mask)
         self.descents.take(mask, left)
         self.descents.seed(mask, seeds)
@@ -201,7 +203,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info["_final_info"] = over
             self._restart(over)
         info |= self._hidden()
-        return d.observe(), summed(terms), terminated, truncated, info
+        return d.observe(), sum_terms(terms), terminated, truncated, info
 
 
 class GuidanceEnv(DescentEnv):

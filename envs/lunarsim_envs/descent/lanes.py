@@ -22,7 +22,7 @@ from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.touchdown import GROUND_SPACING, pad_disc
 from lunarsim.vehicle.variation import DRAWN, Variation
 from lunarsim_envs.descent import _kernels as k
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.worlds import WorldPool
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ LIMITS = (
 
 
 @dataclass(frozen=True)
-class Craft:
+class VehicleParams:
     """Parameters of lander, start, target and clock, in the form that kernels use.
 
     Attributes
@@ -73,7 +73,7 @@ class Craft:
     variation: Variation | None = None
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Craft:
+    def of(cls, scenario: Scenario) -> VehicleParams:
         """Return the parameters of a scenario.
 
         Raises
@@ -148,7 +148,7 @@ def _check_ranges(varied: Variation | None, lander: Lander, step: float) -> None
             )
 
 
-class Lanes:
+class DescentBatch:
     """A batch of landers.
 
     Parameters
@@ -194,7 +194,7 @@ class Lanes:
     """
 
     def __init__(
-        self, count: int, craft: Craft, worlds: Worlds, *, guided: bool, rate: float
+        self, count: int, craft: VehicleParams, worlds: WorldPool, *, guided: bool, rate: float
     ) -> None:
         d, lander = craft.dynamics, craft.dynamics.lander
         self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.descent.lanes import DescentBatch
 from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ FAR = 5000.0
 
 
 @dataclass(frozen=True)
-class Part:
+class ObservationComponent:
     """One component of an observation.
 
     Attributes
@@ -44,15 +44,15 @@ class Part:
     low: float
     high: float
     meaning: str
-    of: Callable[[Lanes], Array]
+    of: Callable[[DescentBatch], Array]
 
 
-PARTS: dict[str, Part] = {}
+PARTS: dict[str, ObservationComponent] = {}
 # Default components of the observation.
 DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant")
 
 
-def register(part: Part) -> None:
+def register(part: ObservationComponent) -> None:
     """Register a component.
 
     Raises
@@ -68,47 +68,51 @@ def register(part: Part) -> None:
     PARTS[part.name] = part
 
 
-def _position(lanes: Lanes) -> Array:
+def _position(lanes: DescentBatch) -> Array:
     return lanes.y[:, :3] - lanes.target
 
 
-def _velocity(lanes: Lanes) -> Array:
+def _velocity(lanes: DescentBatch) -> Array:
     return lanes.y[:, 3:6]
 
 
-def _attitude(lanes: Lanes) -> Array:
+def _attitude(lanes: DescentBatch) -> Array:
     return lanes.y[:, 6:10]
 
 
-def _rate(lanes: Lanes) -> Array:
+def _rate(lanes: DescentBatch) -> Array:
     return lanes.y[:, 10:13]
 
 
-def _thrust(lanes: Lanes) -> Array:
+def _thrust(lanes: DescentBatch) -> Array:
     return lanes.y[:, 14:15] / lanes.y[:, 13:14]
 
 
-def _propellant(lanes: Lanes) -> Array:
+def _propellant(lanes: DescentBatch) -> Array:
     return lanes.y[:, 13:14] - lanes.figures[:, 3:4]
 
 
-def _left(lanes: Lanes) -> Array:
+def _left(lanes: DescentBatch) -> Array:
     return (lanes.craft.limit - lanes.time)[:, None]
 
 
 for _part in (
-    Part("position", 3, "m", -FAR, FAR, "centre of mass relative to the target, ENU", _position),
-    Part("velocity", 3, "m/s", -FAR, FAR, "velocity, ENU", _velocity),
-    Part("attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude),
-    Part("rate", 3, "rad/s", -10.0, 10.0, "angular rate, body axes", _rate),
-    Part("thrust", 1, "m/s^2", 0.0, 100.0, "current thrust over mass", _thrust),
-    Part("propellant", 1, "kg", -1.0, FAR, "remaining propellant", _propellant),
-    Part("time_left", 1, "s", 0.0, 1e5, "time until the time limit", _left),
+    ObservationComponent(
+        "position", 3, "m", -FAR, FAR, "centre of mass relative to the target, ENU", _position
+    ),
+    ObservationComponent("velocity", 3, "m/s", -FAR, FAR, "velocity, ENU", _velocity),
+    ObservationComponent(
+        "attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude
+    ),
+    ObservationComponent("rate", 3, "rad/s", -10.0, 10.0, "angular rate, body axes", _rate),
+    ObservationComponent("thrust", 1, "m/s^2", 0.0, 100.0, "current thrust over mass", _thrust),
+    ObservationComponent("propellant", 1, "kg", -1.0, FAR, "remaining propellant", _propellant),
+    ObservationComponent("time_left", 1, "s", 0.0, 1e5, "time until the time limit", _left),
 ):
     register(_part)
 
 
-class Shown:
+class ObservationLayout:
     """An observation that consists of named components.
 
     Parameters
@@ -139,16 +143,16 @@ class Shown:
         self._low = np.repeat([p.low for p in self.parts], sizes).astype(np.float32)
         self._high = np.repeat([p.high for p in self.parts], sizes).astype(np.float32)
 
-    def __reduce__(self) -> tuple[type[Shown], tuple[list[str]]]:
+    def __reduce__(self) -> tuple[type[ObservationLayout], tuple[list[str]]]:
         """Pickle the names only, because functions of components may not be picklable."""
-        return Shown, ([part.name for part in self.parts],)
+        return ObservationLayout, ([part.name for part in self.parts],)
 
     @property
     def space(self) -> spaces.Box:
         """Observation space of one lane."""
         return spaces.Box(self._low, self._high)
 
-    def of(self, lanes: Lanes) -> NDArray[np.float32]:
+    def of(self, lanes: DescentBatch) -> NDArray[np.float32]:
         """Return the observations of all lanes (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):

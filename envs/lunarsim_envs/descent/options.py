@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
-from lunarsim_envs.arguments import options_of
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.arguments import checked_options
+from lunarsim_envs.descent.lanes import DescentBatch
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,9 @@ _AIMS = {"target_m": slice(0, 2), "target_scatter_m": slice(2, 4)}
 MOST = 5000.0
 
 
-def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_]) -> None:
+def apply_options(
+    options: Mapping[str, Any] | None, lanes: DescentBatch, mask: NDArray[np.bool_]
+) -> None:
     """Set start, target and rock cover of the next flights of some lanes.
 
     Parameters
@@ -57,7 +59,7 @@ def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_
     """
     starts, aims = lanes.craft.start.copy(), lanes.craft.aim.copy()
     cover: float | None = None
-    for key, value in options_of(options).items():
+    for key, value in checked_options(options).items():
         if key in _STARTS:
             starts[_STARTS[key]] = _numbers(key, value, starts[_STARTS[key]])
         elif key in _AIMS:
@@ -78,13 +80,13 @@ def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_
     lanes.starts[mask], lanes.aims[mask], lanes.spans[mask] = starts, aims, span
 
 
-def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
+def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
     """Return a scenario with the options of a reset applied.
 
     Parameters
     ----------
     options
-        Options of `take`, and ``sun_azimuth_deg`` and ``sun_elevation_deg`` as in the table [sun].
+        Options of `apply_options`, and ``sun_azimuth_deg`` and ``sun_elevation_deg`` as in the table [sun].
     scenario
         Scenario to change.
 
@@ -93,7 +95,7 @@ def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenari
     InputError
         If a key is unknown or a value is invalid.
     """
-    for key, value in options_of(options).items():
+    for key, value in checked_options(options).items():
         if key not in KEYS:
             raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
         plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
@@ -126,7 +128,7 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
     return np.asarray(numbers)
 
 
-def _check_aims(aims: Array, lanes: Lanes) -> None:
+def _check_aims(aims: Array, lanes: DescentBatch) -> None:
     """Check that targets are within the target area of the scenario, where terrain is stored."""
     middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
     low, high = middle - scatter, middle + scatter
@@ -138,7 +140,7 @@ def _check_aims(aims: Array, lanes: Lanes) -> None:
         )  # fmt: skip
 
 
-def check_height(starts: Array, lanes: Lanes) -> None:
+def check_height(starts: Array, lanes: DescentBatch) -> None:
     """Check that starts are above the terrain.
 
     Raises

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
-from lunarsim_envs.descent.lanes import FLYING, Lanes
+from lunarsim_envs.descent.lanes import FLYING, DescentBatch
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -25,7 +25,7 @@ _NEAREST, _ROOM, _LEAST = 24.0, 1.3, 26.0
 _UNDER, _TOP, _HALF = 0.25, 1.1, 0.55
 
 
-class Picture:
+class PlaneView:
     """Draw one lane with its path.
 
     Parameters
@@ -34,7 +34,7 @@ class Picture:
         Batch of landers, and index of the lane to draw.
     """
 
-    def __init__(self, lanes: Lanes, lane: int = 0) -> None:
+    def __init__(self, lanes: DescentBatch, lane: int = 0) -> None:
         self._lanes, self._lane = lanes, lane
         self._path: list[Array] = []
         self._along = np.array([1.0, 0.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.descent.lanes import DescentBatch
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ _BRAKES, _LANDS = 0.38, 0.4
 _LAST, _SOONER = 4.0, 1.5
 
 
-def wanted_velocity(lanes: Lanes) -> Array:
+def reference_velocity(lanes: DescentBatch) -> Array:
     """Return the reference velocity towards the target (n, 3), ENU, m/s.
 
     It is the vector to the target divided by T + sqrt(r / 2 a), where r is the distance. Far away
@@ -38,12 +38,12 @@ def wanted_velocity(lanes: Lanes) -> Array:
     return np.asarray(-away / time[:, None])
 
 
-def off(lanes: Lanes) -> Array:
+def velocity_deviation(lanes: DescentBatch) -> Array:
     """Return the deviation of each lander from its reference velocity (n,).
 
     It is log(1 + error / horizontal speed limit). The logarithm distinguishes 1 from 2 m/s near the
     end as well as 10 from 20 m/s earlier.
     """
-    error = np.linalg.norm(lanes.y[:, 3:6] - wanted_velocity(lanes), axis=1)
+    error = np.linalg.norm(lanes.y[:, 3:6] - reference_velocity(lanes), axis=1)
     limit = lanes.craft.dynamics.lander.horizontal_speed_limit
     return np.asarray(np.log1p(error / limit))

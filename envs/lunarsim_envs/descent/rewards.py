@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.rewards import DescentReward
-from lunarsim_envs.descent.lanes import FLYING, LATE, Lanes
-from lunarsim_envs.descent.potential import off as off_wanted
+from lunarsim_envs.descent.lanes import FLYING, LATE, DescentBatch
+from lunarsim_envs.descent.potential import velocity_deviation as off_wanted
 
 Array = NDArray[np.float64]
 
 # Maximum miss distance in the reward, m.
-MOST_MISS = 50.0
+MAX_MISS_M = 50.0
 # Maximum severity of a crash (distance plus speed, each over that of the planned start), and
 # maximum excess over a limit (natural logarithm of the ratio).
-MOST_SEVERITY, MOST_EXCESS = 2.0, 3.0
+MAX_SEVERITY, MAX_EXCESS = 2.0, 3.0
 # Number of columns of `Lanes.told` with a limit: vertical and horizontal speed, tilt and rate.
 _LIMITED = 4
 
@@ -47,7 +47,7 @@ class DescentWeights(DescentReward):
         InputError
             Naming the weight ``safe``.
         """
-        least = self.crash + self.propellant * propellant + self.miss * MOST_MISS
+        least = self.crash + self.propellant * propellant + self.miss * MAX_MISS_M
         if not self.safe > least:
             raise InputError(
                 "weights.safe", self.safe,
@@ -64,7 +64,7 @@ class Rewards:
     before it. The potential is 0 after a flight has ended; the discounted sum over an episode is
     therefore minus the initial potential, which does not change the ranking of policies (Ng, Harada
     and Russell, "Policy invariance under reward transformations", ICML 1999). The potential falls
-    with the deviation from a reference velocity (`potential.off`). A flight that reaches the time
+    with the deviation from a reference velocity (`potential.velocity_deviation`). A flight that reaches the time
     limit has not ended, so its last potential counts.
 
     Parameters
@@ -77,7 +77,7 @@ class Rewards:
 
     names = ("touchdown", "propellant", "miss", "severity", "excess", "shaping")
 
-    def __init__(self, weights: DescentWeights, lanes: Lanes) -> None:
+    def __init__(self, weights: DescentWeights, lanes: DescentBatch) -> None:
         weights.check(lanes.craft.dynamics.lander.propellant_mass)
         self.weights, self.lanes = weights, lanes
         start = lanes.craft.start
@@ -106,7 +106,7 @@ class Rewards:
         ])  # fmt: skip
         times = np.abs(self.lanes.told[:, :_LIMITED]) / limits
         folds = np.log(np.maximum(times, 1.0))
-        folds = np.where(np.isfinite(folds), np.minimum(folds, MOST_EXCESS), MOST_EXCESS)
+        folds = np.where(np.isfinite(folds), np.minimum(folds, MAX_EXCESS), MAX_EXCESS)
         return np.asarray(folds.sum(axis=1))
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
@@ -120,11 +120,11 @@ class Rewards:
         over = (lanes.ended != FLYING) & (lanes.ended != LATE)
         after = np.where(over, 0.0, self.potential())
         safe = lanes.safe
-        severity = 0.5 * w.severity * np.minimum(self._off(), MOST_SEVERITY)
+        severity = 0.5 * w.severity * np.minimum(self._off(), MAX_SEVERITY)
         told = {
             "touchdown": np.where(over, np.where(safe, w.safe, w.crash), 0.0),
             "propellant": -w.propellant * (self._mass - lanes.y[:, 13]),
-            "miss": np.where(safe, -w.miss * np.minimum(lanes.miss, MOST_MISS), 0.0),
+            "miss": np.where(safe, -w.miss * np.minimum(lanes.miss, MAX_MISS_M), 0.0),
             "excess": np.where(over & ~safe, -w.excess * self._excess(), 0.0),
             "severity": np.where(over & ~safe, -severity, 0.0),
             "shaping": w.discount * after - self._potential,

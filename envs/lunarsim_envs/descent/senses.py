@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunarsim_envs.descent import _kernels as k
-from lunarsim_envs.descent.lanes import Lanes
-from lunarsim_envs.descent.observations import Shown
+from lunarsim_envs.descent.lanes import DescentBatch
+from lunarsim_envs.descent.observations import ObservationLayout
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Late:
+class DelayLine:
     """Delay line with a separate delay for each lane.
 
     Parameters
@@ -27,7 +27,9 @@ class Late:
         Maximum delay and duration of a step, s.
     """
 
-    def __init__(self, lanes: Lanes, size: int, place: int, most: float, period: float) -> None:
+    def __init__(
+        self, lanes: DescentBatch, size: int, place: int, most: float, period: float
+    ) -> None:
         self._lanes, self._place, self._period = lanes, place, period
         self._kept = np.zeros((round(most / period) + 1, lanes.count, size))
         self._rows = np.arange(lanes.count)
@@ -48,7 +50,7 @@ class Late:
         return np.asarray(self._kept[steps, self._rows])
 
 
-class Senses:
+class SensingModel:
     """Add noise and delay to observations, and delay to actions.
 
     Parameters
@@ -61,14 +63,16 @@ class Senses:
         Command before the first action (size,).
     """
 
-    def __init__(self, lanes: Lanes, shown: Shown, period: float, idle: Array) -> None:
+    def __init__(
+        self, lanes: DescentBatch, shown: ObservationLayout, period: float, idle: Array
+    ) -> None:
         varied = lanes.craft.variation
         assert varied is not None
         self._lanes, self._shown = lanes, shown
         self._idle = np.tile(idle, (lanes.count, 1))
         width = shown.space.shape[0]
-        self._seen = Late(lanes, width, k.SEES_LATE, varied.sensing_delay, period)
-        self._asked = Late(lanes, len(idle), k.ACTS_LATE, varied.actuation_delay, period)
+        self._seen = DelayLine(lanes, width, k.SEES_LATE, varied.sensing_delay, period)
+        self._asked = DelayLine(lanes, len(idle), k.ACTS_LATE, varied.actuation_delay, period)
         self._noise = [
             (shown.places[name], sigma, name == "attitude")
             for name, sigma in varied.noise.items() if sigma > 0.0 and name in shown.places

@@ -26,7 +26,7 @@ _SINGLE = 1e-6
 
 
 @dataclass(frozen=True)
-class Worlds:
+class WorldPool:
     """Terrain of each world around its target area.
 
     Attributes
@@ -50,7 +50,9 @@ class Worlds:
     covers: tuple[float, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()) -> Worlds:
+    def of(
+        cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
+    ) -> WorldPool:
         """Generate the worlds of a scenario.
 
         Parameters
@@ -73,7 +75,7 @@ class Worlds:
             raise InputError("worlds", count, "must be 1 or more")
         drawn = (
             build_world(one, Streams(flight_seed(seed, k)))
-            for one in with_covers(scenario, covers)
+            for one in scenarios_by_cover(scenario, covers)
             for k in range(count)
         )
         return cls.about(scenario, count, drawn, covers)
@@ -81,9 +83,9 @@ class Worlds:
     @classmethod
     def about(
         cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
-    ) -> Worlds:
+    ) -> WorldPool:
         """Store the terrain around the targets of generated worlds; arguments as in `of`."""
-        told = tuple(one.rocks.cover for one in with_covers(scenario, covers))
+        told = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
         grounds, reliefs, grids = [], [], None
         for world in drawn:
             if grids is None:
@@ -132,7 +134,7 @@ class Worlds:
         return k * count, count
 
 
-def with_covers(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
+def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
     """Return a scenario, followed by copies with other rock covers.
 
     Raises

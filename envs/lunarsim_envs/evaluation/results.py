@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Mean:
+class BootstrapMean:
     """A mean over finite values with its 95 % bootstrap interval."""
 
     value: float
@@ -65,12 +65,12 @@ class AgentFigures:
 
     name: str
     episodes: int
-    score: Mean
-    steps: Mean
+    score: BootstrapMean
+    steps: BootstrapMean
     safe: Proportion | None
     on_target: Proportion | None
-    propellant: Mean
-    miss: Mean
+    propellant: BootstrapMean
+    miss: BootstrapMean
 
 
 def column(rows: Rows, name: str) -> Array:
@@ -98,12 +98,12 @@ def figures(rows: Rows, seed: int) -> list[AgentFigures]:
     """Return the metrics of every agent, in the order of the rows."""
     rng = np.random.default_rng(design_seed(seed))
 
-    def mean(own: Rows, name: str) -> Mean:
+    def mean(own: Rows, name: str) -> BootstrapMean:
         values = column(own, name)
         values = values[np.isfinite(values)]
         if not len(values):
-            return Mean(*3 * (float("nan"),))
-        return Mean(float(values.mean()), *mean_bootstrap(values, rng))
+            return BootstrapMean(*3 * (float("nan"),))
+        return BootstrapMean(float(values.mean()), *mean_bootstrap(values, rng))
 
     found = []
     for agent in dict.fromkeys(row["agent"] for row in rows):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import Sights
+from lunarsim_envs.sites.sights import SiteInputs
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
@@ -27,12 +27,12 @@ Mask = NDArray[np.bool_]
 STRETCHES = (1.0, 1.07, 1.15, 1.3)
 
 
-def _every(sights: Sights, count: int) -> Mask:
+def _every(sights: SiteInputs, count: int) -> Mask:
     return np.ones((len(sights.site), count), np.bool_)
 
 
 @dataclass(frozen=True)
-class ActionPart:
+class ActionComponent:
     """One component of an action.
 
     Attributes
@@ -56,16 +56,16 @@ class ActionPart:
     sets: Literal["site", "stretch"]
     count: int
     meaning: str
-    of: Callable[[Sights, Choice], Array]
-    open: Callable[[Sights], Mask] | None = None
+    of: Callable[[SiteInputs, Choice], Array]
+    open: Callable[[SiteInputs], Mask] | None = None
 
 
-PARTS: dict[str, ActionPart] = {}
+PARTS: dict[str, ActionComponent] = {}
 # Default components of the action.
 DEFAULT_ACTION = ("site",)
 
 
-def register(part: ActionPart) -> None:
+def register(part: ActionComponent) -> None:
     """Register a component.
 
     Raises
@@ -81,7 +81,7 @@ def register(part: ActionPart) -> None:
     PARTS[part.name] = part
 
 
-def _sites(sights: Sights, chosen: Choice) -> Array:
+def _sites(sights: SiteInputs, chosen: Choice) -> Array:
     n, most = len(chosen), sights.position_of.shape[1]
     out = np.full((n, 3), np.nan)
     (moved,) = np.nonzero((chosen > 0) & (chosen <= most))
@@ -89,7 +89,7 @@ def _sites(sights: Sights, chosen: Choice) -> Array:
     return out
 
 
-def _sites_open(sights: Sights) -> Mask:
+def _sites_open(sights: SiteInputs) -> Mask:
     mask = np.zeros((len(sights.site), SITES + 1), np.bool_)
     mask[:, 0] = True
     n = min(SITES, sights.cost.shape[1])
@@ -98,17 +98,17 @@ def _sites_open(sights: Sights) -> Mask:
     return mask
 
 
-def _stretches(sights: Sights, chosen: Choice) -> Array:
+def _stretches(sights: SiteInputs, chosen: Choice) -> Array:
     return np.array([np.nan, *STRETCHES])[chosen]
 
 
 for _part in (
-    ActionPart(
+    ActionComponent(
         "site", "site", SITES + 1,
         "0 keeps the current site, i diverts to row i - 1 of the observation `sites`",
         _sites, _sites_open,
     ),
-    ActionPart(
+    ActionComponent(
         "stretch", "stretch", len(STRETCHES) + 1,
         "0 keeps the time-to-go (minimum propellant for a new site); 1 and above set it to "
         f"{', '.join(f'{one:g}' for one in STRETCHES)} times that of minimum propellant",
@@ -119,7 +119,7 @@ for _part in (
 
 
 @dataclass(frozen=True)
-class Orders:
+class SiteDecisions:
     """Decisions of n landers.
 
     Attributes
@@ -252,7 +252,7 @@ class SiteActions:
     def _out(self, given: NDArray[Any]) -> bool:
         return bool(((given < 0) | (given >= np.array(self.counts))).any())
 
-    def masks(self, sights: Sights) -> Mask:
+    def masks(self, sights: SiteInputs) -> Mask:
         """Return the available choices of all components, concatenated (n, sum).
 
         Factors on the time-to-go are always available; whether they can be flown also depends on
@@ -260,14 +260,14 @@ class SiteActions:
         """
         return np.concatenate([self._open(part, sights) for part in self.parts], axis=1)
 
-    def _open(self, part: ActionPart, sights: Sights) -> Mask:
+    def _open(self, part: ActionComponent, sights: SiteInputs) -> Mask:
         if part.open is None:
             return _every(sights, part.count)
         mask = np.asarray(part.open(sights), dtype=np.bool_)
         check_shape(f"action: {part.name}: open", mask, (len(sights.site), part.count))
         return mask
 
-    def orders(self, chosen: Choice, sights: Sights) -> Orders:
+    def orders(self, chosen: Choice, sights: SiteInputs) -> SiteDecisions:
         """Convert choices (n, parts) to decisions."""
         n = len(chosen)
         places = chosen + np.cumsum([0, *self.counts[:-1]])
@@ -285,4 +285,4 @@ class SiteActions:
         lost = invalid & np.isfinite(told["stretch"])
         for value in told.values():
             value[invalid] = np.nan
-        return Orders(told["site"], told["stretch"], invalid, lost)
+        return SiteDecisions(told["site"], told["stretch"], invalid, lost)

@@ -15,9 +15,14 @@ from scipy.stats import rankdata
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.draws import correlation, drawn_like, judged, length_of
-from lunarsim_envs.sites.looks import Look, LookedFlight
-from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, stood_for
+from lunarsim_envs.sites.draws import (
+    correlation,
+    draw_surrogate_maps,
+    is_evaluated,
+    correlation_length,
+)
+from lunarsim_envs.sites.looks import MapSample, LookedFlight
+from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, surrogate_tables
 
 Array = NDArray[np.float64]
 
@@ -69,7 +74,7 @@ def fitted(scenario: Scenario, grounds: Sequence[Sequence[LookedFlight]]) -> Sur
         shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
         np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
         np.array([_altitude(looks, stage) for stage in range(scans)]),
-        json.dumps(stood_for(scenario), sort_keys=True),
+        json.dumps(surrogate_tables(scenario), sort_keys=True),
     )  # fmt: skip
     return _stretched(plain, [grounds[ground] for ground in order])
 
@@ -80,25 +85,25 @@ def _stretched(surrogate: Surrogate, grounds: Sequence[Sequence[LookedFlight]]) 
         stretch = surrogate.stretch.copy()
         for g, ground in enumerate(grounds):
             rng = np.random.default_rng(g)
-            drawn = [drawn_like(surrogate, flight, rng) for flight in ground]
+            drawn = [draw_surrogate_maps(surrogate, flight, rng) for flight in ground]
             for scan in range(stretch.shape[1]):
                 looks = [look for f in ground for look in f.looks if look.stage == scan]
-                wanted = length_of(looks, [look.p_safe for look in looks])
-                found = length_of(looks, [one[scan] for one in drawn if len(one) > scan])
+                wanted = correlation_length(looks, [look.p_safe for look in looks])
+                found = correlation_length(looks, [one[scan] for one in drawn if len(one) > scan])
                 if np.isfinite(wanted) and np.isfinite(found):
                     stretch[g, scan] = np.clip(stretch[g, scan] * wanted / found, 0.5, 5.0)
         surrogate = replace(surrogate, stretch=stretch)
     return surrogate
 
 
-def _altitude(looks: Sequence[Sequence[Look]], stage: int) -> float:
+def _altitude(looks: Sequence[Sequence[MapSample]], stage: int) -> float:
     return float(np.mean([k.altitude for ground in looks for k in ground if k.stage == stage]))
 
 
-def quantile_tables(looks: Sequence[Look]) -> Array:
+def quantile_tables(looks: Sequence[MapSample]) -> Array:
     """Return p_safe of each class at the nodes (classes, nodes)."""
-    kind = np.concatenate([look.kind[judged(look)] for look in looks])
-    p = np.concatenate([look.p_safe[judged(look)] for look in looks]).astype(np.float64)
+    kind = np.concatenate([look.kind[is_evaluated(look)] for look in looks])
+    p = np.concatenate([look.p_safe[is_evaluated(look)] for look in looks]).astype(np.float64)
     share = ndtr(np.linspace(-MOST, MOST, NODES))
     sizes = hazard.size_class(kind)
     known = np.flatnonzero(np.bincount(sizes, minlength=len(hazard.SIZES) + 1) >= 1)
@@ -115,9 +120,9 @@ def quantile_tables(looks: Sequence[Look]) -> Array:
     return out
 
 
-def normal_scores(looks: Sequence[Look]) -> list[Array]:
+def normal_scores(looks: Sequence[MapSample]) -> list[Array]:
     """Return the normal score of each site within its class (rows, cols); NaN elsewhere."""
-    masks = [judged(look) for look in looks]
+    masks = [is_evaluated(look) for look in looks]
     kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
     p = np.concatenate([look.p_safe[mask] for look, mask in zip(looks, masks, strict=True)])
     z = np.empty(len(p))

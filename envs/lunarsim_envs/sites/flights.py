@@ -15,10 +15,10 @@ from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.options import changed_by, take
-from lunarsim_envs.rewards import touch_shares
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.sights import Sights, shrunk
+from lunarsim_envs.descent.options import scenario_with_options, apply_options
+from lunarsim_envs.rewards import touchdown_limit_ratios
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.sights import SiteInputs, downsample_maps
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class SiteFlight(Protocol):
 
     simulation: Simulation | None
 
-    def take(self, options: Mapping[str, Any]) -> None:
+    def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply reset options to the next flights."""
         ...
 
@@ -63,7 +63,7 @@ class SiteFlight(Protocol):
         ...
 
     @property
-    def sights(self) -> Sights:
+    def sights(self) -> SiteInputs:
         """Current observation as arrays."""
         ...
 
@@ -84,7 +84,7 @@ class SiteFlight(Protocol):
 
     @property
     def touch(self) -> Array:
-        """Touchdown values over their limits (1, 3), from `touch_shares`; NaN without one."""
+        """Touchdown values over their limits (1, 3), from `touchdown_limit_ratios`; NaN without one."""
         ...
 
     def close(self) -> None:
@@ -107,9 +107,9 @@ class OnboardFlight:
         assert self.simulation is not None
         return self.simulation
 
-    def take(self, options: Mapping[str, Any]) -> None:
+    def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply reset options to the next flights."""
-        self._told = changed_by(options, self.scenario)
+        self._told = scenario_with_options(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
@@ -143,13 +143,13 @@ class OnboardFlight:
         return self._seen
 
     @property
-    def sights(self) -> Sights:
+    def sights(self) -> SiteInputs:
         """The same as arrays."""
         hazard_map = self.seen.hazard_map
         if self._small is None or self._small[0] is not hazard_map:
-            small = shrunk(hazard_map.p_safe[None], hazard_map.observed[None])
+            small = downsample_maps(hazard_map.p_safe[None], hazard_map.observed[None])
             self._small = (hazard_map, small)
-        return Sights.of(self.seen, self._small[1])
+        return SiteInputs.of(self.seen, self._small[1])
 
     @property
     def time(self) -> float:
@@ -175,7 +175,7 @@ class OnboardFlight:
         if t is None:
             return np.full((1, 3), np.nan)
         told = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
-        return touch_shares(self._flown.lander, [told])
+        return touchdown_limit_ratios(self._flown.lander, [told])
 
     def close(self) -> None:
         """Release the simulation, including graphics buffers of its terrain."""
@@ -185,23 +185,23 @@ class OnboardFlight:
 class KernelFlight:
     """A flight by kernels in a batch of one lane, over a pool of worlds."""
 
-    def __init__(self, lanes: SiteLanes) -> None:
+    def __init__(self, lanes: SiteDescentBatch) -> None:
         self.simulation: Simulation | None = None
         self.lanes = lanes
         self._one = np.ones(1, np.bool_)
-        self._small = shrunk(lanes.maps.p, lanes.maps.seen)
-        self._sights: Sights | None = None
+        self._small = downsample_maps(lanes.maps.p, lanes.maps.seen)
+        self._sights: SiteInputs | None = None
 
-    def take(self, options: Mapping[str, Any]) -> None:
+    def apply_options(self, options: Mapping[str, Any]) -> None:
         """Apply reset options to the next flights."""
-        take(options, self.lanes, self._one)
+        apply_options(options, self.lanes, self._one)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
         self._sights = None
         self.lanes.seed(self._one, rng.integers(2**64, size=1, dtype=np.uint64))
         self.lanes.begin(self._one)
-        self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+        self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
 
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
@@ -212,7 +212,7 @@ class KernelFlight:
         self.lanes.decide(goal, self._one, asked)
         self._sights = None
         if self.lanes.mapped[0]:
-            self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+            self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
         each()
 
     @property
@@ -223,13 +223,13 @@ class KernelFlight:
     @property
     def seen(self) -> Observation:
         """What a policy is shown now."""
-        return seen_by(self.lanes, 0)
+        return observation_of_lane(self.lanes, 0)
 
     @property
-    def sights(self) -> Sights:
+    def sights(self) -> SiteInputs:
         """The same as arrays."""
         if self._sights is None:
-            self._sights = sights_of(self.lanes, self._small)
+            self._sights = site_inputs(self.lanes, self._small)
         return self._sights
 
     @property
@@ -252,18 +252,18 @@ class KernelFlight:
     @property
     def touch(self) -> Array:
         """How near its touchdown is to the limits (1, 3)."""
-        return touch_shares(self.lanes.craft.dynamics.lander, self.lanes.told)
+        return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.told)
 
     def close(self) -> None:
         """Do nothing: there are no resources to release."""
 
 
-def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
+def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInputs:
     """Return the observation arrays of all lanes; `small` are downsampled maps (n, 2, 48, 48)."""
     place, velocity = lanes.believed
     course, found, maps = lanes.course, lanes.found, lanes.maps
     left = np.maximum(course.arrival - lanes.time, 0.0)
-    return Sights(
+    return SiteInputs(
         place, velocity, lanes.y[:, 6:10], course.site, left,
         lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
         found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
@@ -271,7 +271,7 @@ def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
     )  # fmt: skip
 
 
-def seen_by(lanes: SiteLanes, lane: int) -> Observation:
+def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
     """Return the observation of a policy for one lane."""
     place, velocity = (one[lane] for one in lanes.believed)
     y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course

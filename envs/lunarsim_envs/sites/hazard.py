@@ -55,7 +55,7 @@ class TruthLayers:
         to_safe = ndimage.distance_transform_edt(~safety.safe)
         # The edge is halfway between cell centres, so half a cell is subtracted.
         distance = np.where(safety.safe, to_unsafe - 0.5, 0.5 - to_safe) * safety.grid.posting
-        kind = kind_of(size, distance)
+        kind = hazard_class(size, distance)
         kind[~safety.observed] = UNKNOWN
         return cls(safety.grid, kind, safety.safe, truth.elevation)
 
@@ -86,7 +86,7 @@ def hazard_size(
     )
 
 
-def kind_of(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
+def hazard_class(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
     """Return the class for a hazard size and a distance to the edge, m."""
     by_size = np.searchsorted(SIZES, size, side="right")
     by_distance = np.searchsorted(DISTANCES, distance, side="right")

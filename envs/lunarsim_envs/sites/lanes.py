@@ -15,11 +15,11 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import _LEVELS
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle._kernels import WIDE
-from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
+from lunarsim_envs.descent.lanes import FLYING, VehicleParams, DescentBatch
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.pool import SitePool
+from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.view import deciding_mapper, scan_altitudes
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ _CYCLE, _MAP = 6.0, 2000.0
 _NOTHING = np.array([np.nan, np.inf, 0.0])
 
 
-def law_of(scenario: Scenario, craft: Craft) -> f.Law:
+def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
     """Return the guidance of a scenario in the form that kernels use.
 
     Raises
@@ -94,7 +94,7 @@ def _refuse_others(scenario: Scenario, guidance: Any) -> None:
         )
 
 
-class SiteLanes(Lanes):
+class SiteDescentBatch(DescentBatch):
     """A batch of landers that fly to selectable sites.
 
     Parameters
@@ -128,14 +128,14 @@ class SiteLanes(Lanes):
     keeps_maps: ClassVar[bool] = True
 
     def __init__(
-        self, count: int, scenario: Scenario, pool: SitePool, *, errors: m.Errors, view: Array,
+        self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.Errors, view: Array,
         drift: Array, claimed: float, posting: float,
     ) -> None:  # fmt: skip
-        craft = Craft.of(scenario)
+        craft = VehicleParams.of(scenario)
         clock = scenario.simulation.make()
         super().__init__(count, craft, pool.grounds, guided=True, rate=1.0 / clock.cycle)
         self.pool, self.errors, self.view = pool, errors, view
-        self.law = law_of(scenario, craft)
+        self.law = kernel_guidance(scenario, craft)
         self.decisions = scenario.decisions.make()
         size = scenario.mappers[deciding_mapper(scenario)].make().size
         cells = max(1, round(size / posting)) if self.keeps_maps else 1

@@ -12,7 +12,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
-from lunarsim_envs.sites.view import in_view, scan_altitudes, view_of
+from lunarsim_envs.sites.view import in_view, scan_altitudes, fov_and_footprint
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ _AFTER = 4.0
 
 
 @dataclass(frozen=True)
-class Look:
+class MapSample:
     """A map after a scan, with the truth at its cells.
 
     Attributes
@@ -71,7 +71,7 @@ class LookedFlight:
         Truly safe fraction of the terrain.
     """
 
-    looks: tuple[Look, ...]
+    looks: tuple[MapSample, ...]
     drift: Array
     claimed: float
     safe_share: float
@@ -93,7 +93,7 @@ def looked_flights(scenario: Scenario, seed: int, flights: Iterable[int]) -> Ite
     for flight in flights:
         simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
         layers = TruthLayers.of(simulation.truth)
-        looks: list[Look] = []
+        looks: list[MapSample] = []
         first: tuple[float, Array] | None = None
         claimed = float("nan")
         name = simulation.computer.decisions_map
@@ -116,7 +116,7 @@ def looked_flights(scenario: Scenario, seed: int, flights: Iterable[int]) -> Ite
         yield LookedFlight(tuple(looks), drift, claimed, share)
 
 
-def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> Look:
+def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
     mapper = simulation.computer.mapper
     assert mapper is not None
     drawn = mapper.hazard_map()
@@ -125,8 +125,10 @@ def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int)
     kind, safe = layers.at(xy)
     pick = np.ix_(rows, cols)
     here, aim = simulation.state.position, simulation.site - error
-    viewed = in_view(xy, layers.height(xy), here, aim - here, view_of(simulation.scenario))
-    return Look(
+    viewed = in_view(
+        xy, layers.height(xy), here, aim - here, fov_and_footprint(simulation.scenario)
+    )
+    return MapSample(
         stage, simulation.altitude, EVERY * drawn.grid.posting, drawn.p_safe[pick].copy(),
         drawn.observed[pick].copy(), kind, safe, viewed,
     )  # fmt: skip

@@ -17,14 +17,14 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle import State
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.lanes import Mask, SiteLanes
+from lunarsim_envs.sites.lanes import Mask, SiteDescentBatch
 from lunarsim_envs.sites.view import deciding_mapper
 
 Array = NDArray[np.float64]
 
 
-class MappedLanes(SiteLanes):
-    """A batch like `SiteLanes`, with LiDAR scans of the true terrain and Gaussian DEM maps.
+class MappedDescentBatch(SiteDescentBatch):
+    """A batch like `SiteDescentBatch`, with LiDAR scans of the true terrain and Gaussian DEM maps.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.descent.lanes import LATE, LIMITS
 from lunarsim_envs.sites import _sparse_kernels as k
-from lunarsim_envs.sites.lanes import Mask, SiteLanes
+from lunarsim_envs.sites.lanes import Mask, SiteDescentBatch
 from lunarsim_envs.sites.perception import lanes_of
 
 # Number of parallel lanes (results do not depend on it); spacing of the site lattice, cells; half
@@ -92,8 +92,8 @@ def batches(
     if flights < 1:
         raise InputError("--flights", flights, "must be at least 1")
     one = lanes_of(1, "surrogate", scenario, worlds, 0, surrogate)
-    many = SparseLanes(
-        min(lanes, flights), without_decisions(scenario), one.pool, errors=one.errors,
+    many = SparseDescentBatch(
+        min(lanes, flights), without_site_decisions(scenario), one.pool, errors=one.errors,
         view=one.view, drift=one.drift, claimed=float(one.maps.stated[1]),
         posting=one.maps.posting,
     )  # fmt: skip
@@ -107,7 +107,7 @@ def batches(
         yield many.tally(mask)
 
 
-class SparseLanes(SiteLanes):
+class SparseDescentBatch(SiteDescentBatch):
     """A batch with perception on a sparse lattice of sites and one decision after every scan.
 
     Attributes
@@ -149,6 +149,6 @@ class SparseLanes(SiteLanes):
         )  # fmt: skip
 
 
-def without_decisions(scenario: Scenario) -> Scenario:
+def without_site_decisions(scenario: Scenario) -> Scenario:
     """Return a scenario without decisions: their altitude window is below the pads."""
     return scenario.changed(decisions={"first_altitude_m": 2e-4, "last_altitude_m": 1e-4})

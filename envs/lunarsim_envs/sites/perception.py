@@ -10,25 +10,25 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import covers_of
-from lunarsim_envs.descent.worlds import with_covers
+from lunarsim_envs.arguments import checked_covers
+from lunarsim_envs.descent.worlds import scenarios_by_cover
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.mapped import MappedLanes, gaussian_dem_of
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.mapped import MappedDescentBatch, gaussian_dem_of
 from lunarsim_envs.sites.onboard import MAPPER_OF
-from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact
-from lunarsim_envs.sites.view import view_of
+from lunarsim_envs.sites.pool import SiteWorldPool
+from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact_errors
+from lunarsim_envs.sites.view import fov_and_footprint
 
 # Perceptions that the full simulation flies, and those that kernels fly.
-WHOLE = ("onboard", *MAPPER_OF)
+FULL_SIMULATION = ("onboard", *MAPPER_OF)
 KERNELS = ("truth", "surrogate", "gaussian-dem")
 PERCEPTIONS = ("onboard", *KERNELS, *MAPPER_OF)
 # Cell size of maps in kernels, m.
 _POSTING = 0.4
 
 
-def flight_of(
+def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteFlight:  # fmt: skip
@@ -39,9 +39,9 @@ def flight_of(
     InputError
         If the perception is unknown, or does not support the scenario.
     """
-    if perception in WHOLE:
+    if perception in FULL_SIMULATION:
         # The full simulation generates worlds per flight; this call only checks the covers.
-        with_covers(scenario, covers_of(covers))
+        scenarios_by_cover(scenario, checked_covers(covers))
         return OnboardFlight(scenario)
     return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
 
@@ -49,7 +49,7 @@ def flight_of(
 def lanes_of(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
-) -> SiteLanes:  # fmt: skip
+) -> SiteDescentBatch:  # fmt: skip
     """Return a batch of landers flown by kernels.
 
     Parameters
@@ -74,7 +74,7 @@ def lanes_of(
     """
     if not isinstance(perception, str) or perception not in KERNELS:
         near = suggestion(str(perception), PERCEPTIONS)
-        if perception in WHOLE:
+        if perception in FULL_SIMULATION:
             near = "The full simulation flies only single environments."
         raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", near)
     if isinstance(surrogate, Surrogate):
@@ -83,19 +83,19 @@ def lanes_of(
         raise InputError("surrogate", surrogate, "must be a Surrogate or the path of its file")
     else:
         model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
-    view = view_of(scenario)
+    view = fov_and_footprint(scenario)
     if perception == "surrogate":
         model.check(scenario)
     elif perception == "gaussian-dem":
         gaussian_dem_of(scenario)
-    pool = SitePool.of(scenario, worlds, world_seed, covers_of(covers))
+    pool = SiteWorldPool.of(scenario, worlds, world_seed, checked_covers(covers))
     if perception == "truth":
-        return SiteLanes(
-            count, scenario, pool, errors=exact(), view=view, drift=np.zeros(2), claimed=0.0,
+        return SiteDescentBatch(
+            count, scenario, pool, errors=exact_errors(), view=view, drift=np.zeros(2), claimed=0.0,
             posting=_POSTING,
         )  # fmt: skip
-    errors = exact() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
-    kind = MappedLanes if perception == "gaussian-dem" else SiteLanes
+    errors = exact_errors() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
+    kind = MappedDescentBatch if perception == "gaussian-dem" else SiteDescentBatch
     return kind(
         count, scenario, pool, errors=errors, view=view, drift=model.drift,
         claimed=model.claimed, posting=_POSTING,

@@ -15,17 +15,17 @@ from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
-from lunarsim_envs.descent.worlds import Worlds, with_covers
+from lunarsim_envs.descent.worlds import WorldPool, scenarios_by_cover
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
 # Number of pools that a process keeps in memory (least recently used are dropped).
 _REMEMBERED = 4
-_pools: OrderedDict[str, SitePool] = OrderedDict()
+_pools: OrderedDict[str, SiteWorldPool] = OrderedDict()
 
 
 @dataclass(frozen=True)
-class SitePool:
+class SiteWorldPool:
     """Worlds of a scenario with their true safety.
 
     Attributes
@@ -41,14 +41,14 @@ class SitePool:
     """
 
     worlds: tuple[World, ...]
-    grounds: Worlds
+    grounds: WorldPool
     layers: Pool
     shares: NDArray[np.float64]
 
     @classmethod
     def of(
         cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
-    ) -> SitePool:
+    ) -> SiteWorldPool:
         """Return a pool, from memory if this process has used it recently.
 
         Parameters
@@ -80,13 +80,13 @@ class SitePool:
         return _pools[key]
 
 
-def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SitePool:
+def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SiteWorldPool:
     worlds: list[World] = []
     layers: list[TruthLayers] = []
     cache = opened(standard_folder())
 
     def drawn() -> Iterator[World]:
-        for one in with_covers(scenario, covers):
+        for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
                 grounds = Grounds(flight_seed(seed, k), {}, cache)
                 world, truth = grounds.world_and_truth(one)
@@ -94,7 +94,7 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
                 layers.append(TruthLayers.of(truth))
                 yield world
 
-    grounds = Worlds.about(scenario, count, drawn(), covers)
+    grounds = WorldPool.about(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
     pool = Pool(
@@ -102,4 +102,4 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
         np.stack([one.elevation for one in layers]), frame,
     )  # fmt: skip
     shares = np.array([one.safe[one.kind != UNKNOWN].mean() for one in layers])
-    return SitePool(tuple(worlds), grounds, pool, shares)
+    return SiteWorldPool(tuple(worlds), grounds, pool, shares)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.draws import drawn_like, judged, length_of
-from lunarsim_envs.sites.looks import Look, LookedFlight
+from lunarsim_envs.sites.draws import draw_surrogate_maps, is_evaluated, correlation_length
+from lunarsim_envs.sites.looks import MapSample, LookedFlight
 from lunarsim_envs.sites.surrogate import Surrogate
 
 Array = NDArray[np.float64]
@@ -22,16 +22,16 @@ _RESAMPLED = 500
 
 
 @dataclass(frozen=True)
-class Quality:
+class MapQuality:
     """Quality metrics of maps: names and values (n,) in the same order."""
 
     names: tuple[str, ...]
     values: Array
 
 
-def quality(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> Quality:
+def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> MapQuality:
     """Return calibration error, false rates and correlation length of maps."""
-    masks = [judged(look) for look in looks]
+    masks = [is_evaluated(look) for look in looks]
     p = np.concatenate([one[mask] for one, mask in zip(maps, masks, strict=True)])
     safe = np.concatenate([look.safe[mask] for look, mask in zip(looks, masks, strict=True)])
     kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
@@ -56,8 +56,8 @@ def quality(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> Quali
         ("safe, at the edge, classified unsafe", safe & (edge < 8)),
     ):
         named[words] = _share(p[own] < TOLD_UNSAFE)
-    named["correlation length (m)"] = length_of(looks, maps)
-    return Quality(tuple(named), np.array(list(named.values())))
+    named["correlation length (m)"] = correlation_length(looks, maps)
+    return MapQuality(tuple(named), np.array(list(named.values())))
 
 
 def _share(told: NDArray[np.bool_]) -> float:
@@ -76,7 +76,7 @@ def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float
 
 
 @dataclass(frozen=True)
-class Beside:
+class MetricComparison:
     """One metric for the mapper and for the surrogate.
 
     Attributes
@@ -103,11 +103,11 @@ class Beside:
 
 def beside(
     surrogate: Surrogate, flights: Sequence[LookedFlight], scan: int, rng: np.random.Generator
-) -> list[Beside]:
+) -> list[MetricComparison]:
     """Return the metrics of one scan of all flights, for mapper and surrogate."""
     looks = [look for f in flights for look in f.looks if look.stage == scan]
     maps = [look.p_safe for look in looks]
-    drawn = [drawn_like(surrogate, f, rng)[scan] for f in flights if len(f.looks) > scan]
+    drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.looks) > scan]
     real, made = quality(looks, maps), quality(looks, drawn)
     again = []
     for _ in range(_RESAMPLED // 10):
@@ -117,6 +117,6 @@ def beside(
     spread = np.nanstd(again, axis=0) * 1.96 * np.sqrt(len(looks) / max(len(looks) - 1, 1))
     low, high = real.values - spread, real.values + spread
     return [
-        Beside(n, *map(float, row))
+        MetricComparison(n, *map(float, row))
         for n, *row in zip(real.names, real.values, low, high, made.values, strict=True)
     ]

@@ -17,7 +17,7 @@ MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
 
 
 @dataclass(frozen=True)
-class Sights:
+class SiteInputs:
     """Onboard information of n landers, local frames, SI.
 
     Attributes
@@ -61,7 +61,7 @@ class Sights:
     small: NDArray[np.float32]
 
     @classmethod
-    def of(cls, observation: Observation, small: NDArray[np.float32]) -> Sights:
+    def of(cls, observation: Observation, small: NDArray[np.float32]) -> SiteInputs:
         """Convert the observation of one policy; `small` is its map in blocks (1, 2, 48, 48)."""
         o, c, e = observation, observation.candidates, observation.estimate
         grid = o.hazard_map.grid
@@ -86,7 +86,7 @@ class Sights:
         return out
 
 
-def shrunk(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def downsample_maps(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Return mean p_safe and observed fraction in equal blocks of maps (n, 2, 48, 48)."""
     out = np.zeros((len(p), 2, MAP_CELLS, MAP_CELLS))
     every = np.ones(len(p), np.bool_)

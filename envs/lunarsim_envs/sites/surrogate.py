@@ -148,7 +148,7 @@ class Surrogate:
         InputError
             Naming the scenario table that differs.
         """
-        mine, theirs = json.loads(self.made_for), stood_for(scenario)
+        mine, theirs = json.loads(self.made_for), surrogate_tables(scenario)
         taken = theirs["tasking"].get("altitudes_m", [])
         if taken and taken == mine["tasking"]["altitudes_m"][: len(taken)]:
             mine["tasking"]["altitudes_m"] = taken
@@ -191,7 +191,7 @@ class Surrogate:
         )  # fmt: skip
 
 
-def stood_for(scenario: Scenario) -> dict[str, Any]:
+def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario tables, except terrain, on which the maps depend."""
     held, name = scenario.to_dict(), deciding_mapper(scenario)
     mapper = held["mappers"][name]
@@ -233,7 +233,7 @@ def noise(
     return out
 
 
-def exact() -> Errors:
+def exact_errors() -> Errors:
     """Return the error model of perfect perception."""
     return Errors(
         np.zeros((1, 1, 1, 2), np.float32), MOST, np.zeros((1, 1, 1, 1, 1), np.float32),

@@ -12,7 +12,7 @@ from lunarsim.sensors.lidar import FlashLidar
 Array = NDArray[np.float64]
 
 
-def view_of(scenario: Scenario) -> Array:
+def fov_and_footprint(scenario: Scenario) -> Array:
     """Return tangent of half the field of view, and footprint radius, m (2,).
 
     They are those of the LiDAR of the mapper that decisions use.
@@ -75,7 +75,7 @@ def in_view(
     here, boresight
         Position (3,), m, and boresight (3,) of the LiDAR; image x is horizontal.
     view
-        Field of view and footprint radius, from `view_of`.
+        Field of view and footprint radius, from `fov_and_footprint`.
     """
     out = boresight / np.linalg.norm(boresight)
     across = np.array([out[1], -out[0], 0.0])

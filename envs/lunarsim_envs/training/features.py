@@ -9,7 +9,7 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
-class TwoScales(BaseFeaturesExtractor):  # type: ignore[misc]
+class TwoScaleFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
     """Scale each input x in two ways: x / far and asinh(x / near).
 
     The second feature resolves small values near the terrain and never saturates.

@@ -23,8 +23,8 @@ from stable_baselines3 import PPO
 from lunarsim.errors import InputError
 from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.agents.network import Network
-from lunarsim_envs.training.features import TwoScales
-from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+from lunarsim_envs.training.features import TwoScaleFeatures
+from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 from lunarsim_envs.training.settings import Training, scales
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v0"
@@ -32,7 +32,7 @@ ENV = "lunarsim_envs:lunarsim/Guidance-v0"
 _LOOKED_AT, _LOOK_SEED = 300, 10**9
 
 
-def batch_of(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+def create_batch_env(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
     """Create the vector environment of the training with `count` lanes."""
     return gymnasium.make_vec(
         ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
@@ -40,7 +40,7 @@ def batch_of(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, 
     )  # fmt: skip
 
 
-def network_of(model: PPO) -> Network:
+def policy_network(model: PPO) -> Network:
     """Convert the policy of a PPO model to a NumPy network."""
     flown = model.get_env().batch.unwrapped.descents
     parts = tuple(part.name for part in flown.shown.parts)
@@ -77,7 +77,7 @@ class Look:
 
 def look(network: Network, settings: Training) -> Look:
     """Evaluate an agent on held-out seeds."""
-    batch = batch_of(settings, _LOOKED_AT)
+    batch = create_batch_env(settings, _LOOKED_AT)
     observation, _ = batch.reset(seed=_LOOK_SEED)
     waiting = np.ones(_LOOKED_AT, np.bool_)
     safe, on_target = np.zeros(_LOOKED_AT, np.bool_), np.zeros(_LOOKED_AT, np.bool_)
@@ -134,16 +134,16 @@ class Run:
 
     def _new(self) -> PPO:
         s = self.settings
-        batch = batch_of(s, s.lanes)
+        batch = create_batch_env(s, s.lanes)
         descents = batch.unwrapped.descents  # type: ignore[attr-defined]
-        env = LanesVecEnv(batch, s.starts(descents.lanes.craft.start))
+        env = Sb3VecEnv(batch, s.starts(descents.lanes.craft.start))
         env.seed(s.seed)
         far, near = scales(tuple(part.name for part in descents.shown.parts))
         model = PPO(
             "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
             gamma=s.discount, gae_lambda=s.trace, seed=s.seed, device="cpu",
             policy_kwargs={
-                "features_extractor_class": TwoScales,
+                "features_extractor_class": TwoScaleFeatures,
                 "features_extractor_kwargs": {"far": far, "near": near},
                 "net_arch": [s.width, s.width], "log_std_init": s.spread,
             },
@@ -167,7 +167,7 @@ class Run:
 
     def look(self) -> Look:
         """Evaluate the agent and append the result to the learning curve."""
-        seen = look(network_of(self.model), self.settings)
+        seen = look(policy_network(self.model), self.settings)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
         row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
@@ -187,14 +187,14 @@ class Run:
         write_text_whole(new / "state.json", json.dumps(state, indent=1))
         shutil.rmtree(there, ignore_errors=True)
         new.rename(there)
-        network_of(self.model).save(self.out / "agent.npz")
+        policy_network(self.model).save(self.out / "agent.npz")
 
     def _resume(self) -> None:
         """Continue from the last checkpoint."""
         there = self.out / "checkpoint"
         kept = pickle.loads((there / "flights.pickle").read_bytes())
         self.model = PPO.load(
-            there / "model.zip", env=LanesVecEnv(kept["batch"]), device="cpu", force_reset=False
+            there / "model.zip", env=Sb3VecEnv(kept["batch"]), device="cpu", force_reset=False
         )
         torch.set_rng_state(torch.from_numpy(kept["generators"]["torch"]))
         np.random.set_state(kept["generators"]["numpy"])  # noqa: NPY002

@@ -22,7 +22,7 @@ def _of(shown: Any, lane: Any) -> Any:
     return shown[lane]
 
 
-class LanesVecEnv(VecEnv):  # type: ignore[misc]
+class Sb3VecEnv(VecEnv):  # type: ignore[misc]
     """Present a vector environment to Stable-Baselines3 without a loop over lanes.
 
     Parameters

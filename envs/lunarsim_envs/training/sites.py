@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lunarsim_envs.agents.site_network import FEATURES, SiteNetwork, features
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.sites.flights import sights_of
-from lunarsim_envs.sites.lanes import SiteLanes
+from lunarsim_envs.sites.flights import site_inputs
+from lunarsim_envs.sites.lanes import SiteDescentBatch
 from lunarsim_envs.sites.parts import SITES
 from lunarsim_envs.sites.sights import MAP_CELLS
 
@@ -64,7 +64,7 @@ def start(hidden: int) -> SiteNetwork:
     return SiteNetwork(linear, np.zeros((hidden, k)), np.zeros(hidden), np.zeros(hidden))
 
 
-def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
+def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
     """Fly every lane once with its own network; return safety (0 or 1) and propellant (n, 2).
 
     Parameters
@@ -87,7 +87,7 @@ def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: in
     small = np.zeros((n, 2, MAP_CELLS, MAP_CELLS), np.float32)
     rows = np.arange(n)
     while (lanes.ended == FLYING).any():
-        sights = sights_of(lanes, small)
+        sights = site_inputs(lanes, small)
         x, good = features(sights)
         scores = np.einsum("nok,nk->no", x, linear)
         layer = np.tanh(np.einsum("nok,nhk->noh", x, inner) + bias[:, None])
@@ -102,7 +102,9 @@ def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: in
 
 
 def train(
-    lanes: SiteLanes, settings: SiteTraining, told: Callable[[int, float, float, float], None]
+    lanes: SiteDescentBatch,
+    settings: SiteTraining,
+    told: Callable[[int, float, float, float], None],
 ) -> SiteNetwork:
     """Train a network and return it.
 
