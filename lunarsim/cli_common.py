@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from lunarsim.cli_start import INTERRUPTED, interrupt_message, acknowledge_interrupt
+from lunarsim.cli_start import INTERRUPTED, acknowledge_interrupt, interrupt_message
 from lunarsim.errors import InputError, RenderingError
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from lunarsim.cli_common import (
     SEED,
     FloatRange,
     IntRange,
-    allow_named_modules,
     add_to_interrupt_message,
+    allow_named_modules,
     progress_bar,
     wide_console,
 )

@@ -16,11 +16,11 @@ from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.arguments import (
-    checked_options,
-    scenario_argument,
     checked_bool,
-    checked_weights,
     checked_int,
+    checked_options,
+    checked_weights,
+    scenario_argument,
 )
 from lunarsim_envs.descent.picture import PlaneView
 from lunarsim_envs.rendering import FrameRenderer
@@ -30,7 +30,7 @@ from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
 from lunarsim_envs.sites.parts import DEFAULT, SiteObservationLayout
-from lunarsim_envs.sites.perception import PERCEPTIONS, FULL_SIMULATION, create_flight
+from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
 from lunarsim_envs.views import ChaseViewRenderer
 
 FloatArray = NDArray[np.float32]

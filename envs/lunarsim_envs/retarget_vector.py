@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.scenario import Scenario
 from lunarsim_envs.arguments import (
     check_no_render_mode,
+    checked_int,
     checked_options,
     checked_weights,
-    checked_int,
 )
 from lunarsim_envs.descent.lanes import FLYING, LATE
 from lunarsim_envs.descent.options import apply_options

@@ -406,8 +406,8 @@ def _check_effect(scenario: CheckedTables, sensors: dict[str, Any]) -> None:
     if scenario.prior_map is not None and not _has_sensor_for(sensors, LidarScan):
         raise InputError(
             "prior_map", "given",
-            f"needs a sensor of kind {_sensor_kinds_for(LidarScan)}, whose scans are matched to the "
-            "map",
+            f"needs a sensor of kind {_sensor_kinds_for(LidarScan)}, whose scans are matched to "
+            "the map",
             "Add the sensor, or omit [prior_map].",
         )  # fmt: skip
     if scenario.prior_map is not None and not navigation.uses_prior_map:

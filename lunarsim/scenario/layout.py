@@ -14,7 +14,7 @@ from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
-from lunarsim.scenario.mission import SimulationClock, MissionTarget, Start, StartKnowledge
+from lunarsim.scenario.mission import MissionTarget, SimulationClock, Start, StartKnowledge
 from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs

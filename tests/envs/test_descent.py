@@ -340,8 +340,9 @@ def test_a_number_of_lanes_that_is_none_is_refused(count):
 
 
 def test_parts_of_an_observation_are_chosen_and_added():
-    own = ObservationComponent("height", 1, "m", -100.0, 5000.0, "of the centre of mass over the target",
-               lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
+    own = ObservationComponent(
+        "height", 1, "m", -100.0, 5000.0, "height of the centre of mass over the target",
+        lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
     register(own)
     try:
         with pytest.raises(InputError, match="there is such a part"):

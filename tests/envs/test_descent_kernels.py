@@ -16,7 +16,7 @@ from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
 from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent._loop_kernels import arc
-from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, VehicleParams, DescentBatch
+from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
 from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent as plain
 from tests.reference.raster import RasterGround

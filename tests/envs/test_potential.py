@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from lunarsim_envs.descent.potential import velocity_deviation, reference_velocity
+from lunarsim_envs.descent.potential import reference_velocity, velocity_deviation
 from lunarsim_envs.descent.rewards import DescentWeights
 from tests.low_descents import IDS, batch
 from tests.reference import descent as reference

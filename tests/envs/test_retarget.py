@@ -285,7 +285,7 @@ def test_misuse_is_explained(small_scenario):
     with pytest.raises(gymnasium.error.ResetNeeded):
         fresh.step(0)
     fresh.reset(seed=1)
-    with pytest.raises(ValueError, match="action: must.*got 99"):
+    with pytest.raises(ValueError, match=r"action: must.*got 99"):
         fresh.step(99)
     with pytest.raises(ValueError, match="render_mode"):
         RetargetEnv(small_scenario, render_mode="ansi")

@@ -76,7 +76,8 @@ def drawn(seed, count):
 def test_kernels_stretch_as_the_whole_simulation_does():
     """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
     kernels = SiteDescentBatch(
-        1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(), view=fov_and_footprint(LEVEL), drift=np.zeros(2),
+        1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(),
+        view=fov_and_footprint(LEVEL), drift=np.zeros(2),
         claimed=0.0, posting=0.4,
     )  # fmt: skip
     one, counts = np.ones(1, bool), [0, 0, 0]

@@ -79,7 +79,7 @@ WRONG = {
     ),
     "shadow mapper without rocks navigation": (
         camera_lander(navigation={"kind": "fixes"}),
-        "navigation.kind", "fixes", "must be 'rocks', because mappers.rocks (kind 'shadow') uses that filter",
+        "navigation.kind", "fixes", "must be 'rocks', because mappers.rocks",
     ),
     "navigation without what it needs": (
         {"sensors": {"imu": IMU, "flash": FLASH}, "navigation": {"kind": "fixes"}},

@@ -50,7 +50,7 @@ def rasters(tmp_path_factory):
     ("terrain", "words"),
     [
         ({"path": "large.tif", "posting_m": 10.0}, ["terrain.path", "large.tif", "dtm_window"]),
-        ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m: ", "got 0.25", "larger value"]),
+        ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m:", "got 0.25", "larger"]),
         ({"path": "coarse.tif", "posting_m": 5.0, "mirrored_to_m": 90_000.0},
          ["terrain.posting_m: ", "got 5.0", "larger value"]),
     ],

@@ -14,16 +14,16 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.arguments import (
-    checked_covers,
-    scenario_argument,
     checked_bool,
-    checked_weights,
+    checked_covers,
     checked_int,
+    checked_weights,
+    scenario_argument,
 )
 from lunarsim_envs.descent.actions import Actions
-from lunarsim_envs.descent.lanes import FLYING, LATE, VehicleParams, DescentBatch
+from lunarsim_envs.descent.lanes import FLYING, LATE, DescentBatch, VehicleParams
 from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
-from lunarsim_envs.descent.options import check_height, apply_options
+from lunarsim_envs.descent.options import apply_options, check_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
 from lunarsim_envs.descent.senses import SensingModel
 from lunarsim_envs.descent.worlds import WorldPool

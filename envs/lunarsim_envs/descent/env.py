@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim_envs.arguments import check_no_render_mode, checked_options
-from lunarsim_envs.descent.core import DescentEnvCore, DescentEnvArguments
+from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.descent.picture import PlaneView
 from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask

@@ -86,7 +86,7 @@ def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario)
     Parameters
     ----------
     options
-        Options of `apply_options`, and ``sun_azimuth_deg`` and ``sun_elevation_deg`` as in the table [sun].
+        Options of `apply_options`, and ``sun_azimuth_deg`` and ``sun_elevation_deg`` of [sun].
     scenario
         Scenario to change.
 

@@ -64,8 +64,8 @@ class Rewards:
     before it. The potential is 0 after a flight has ended; the discounted sum over an episode is
     therefore minus the initial potential, which does not change the ranking of policies (Ng, Harada
     and Russell, "Policy invariance under reward transformations", ICML 1999). The potential falls
-    with the deviation from a reference velocity (`potential.velocity_deviation`). A flight that reaches the time
-    limit has not ended, so its last potential counts.
+    with the deviation from a reference velocity (`potential.velocity_deviation`). A flight that
+    reaches the time limit has not ended, so its last potential counts.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.looks import MapSample, LookedFlight
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
 from lunarsim_envs.sites.surrogate import Surrogate
 
 Array = NDArray[np.float64]

@@ -17,11 +17,11 @@ from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
 from lunarsim_envs.sites.draws import (
     correlation,
+    correlation_length,
     draw_surrogate_maps,
     is_evaluated,
-    correlation_length,
 )
-from lunarsim_envs.sites.looks import MapSample, LookedFlight
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
 from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, surrogate_tables
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.options import scenario_with_options, apply_options
+from lunarsim_envs.descent.options import apply_options, scenario_with_options
 from lunarsim_envs.rewards import touchdown_limit_ratios
 from lunarsim_envs.sites.lanes import SiteDescentBatch
 from lunarsim_envs.sites.sights import SiteInputs, downsample_maps
@@ -84,7 +84,7 @@ class SiteFlight(Protocol):
 
     @property
     def touch(self) -> Array:
-        """Touchdown values over their limits (1, 3), from `touchdown_limit_ratios`; NaN without one."""
+        """Touchdown values over their limits (1, 3), by `touchdown_limit_ratios`; NaN in flight."""
         ...
 
     def close(self) -> None:

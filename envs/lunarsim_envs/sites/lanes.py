@@ -15,7 +15,7 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import _LEVELS
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle._kernels import WIDE
-from lunarsim_envs.descent.lanes import FLYING, VehicleParams, DescentBatch
+from lunarsim_envs.descent.lanes import FLYING, DescentBatch, VehicleParams
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m

@@ -12,7 +12,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
-from lunarsim_envs.sites.view import in_view, scan_altitudes, fov_and_footprint
+from lunarsim_envs.sites.view import fov_and_footprint, in_view, scan_altitudes
 
 Array = NDArray[np.float64]
 

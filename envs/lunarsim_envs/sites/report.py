@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.draws import draw_surrogate_maps, is_evaluated, correlation_length
-from lunarsim_envs.sites.looks import MapSample, LookedFlight
+from lunarsim_envs.sites.draws import correlation_length, draw_surrogate_maps, is_evaluated
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
 from lunarsim_envs.sites.surrogate import Surrogate
 
 Array = NDArray[np.float64]
