@@ -272,7 +272,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Start a new flight and run it to the first decision."""
-        self.flight.take(checked_options(options))
+        self.flight.apply_options(checked_options(options))
         self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
         self._begun, self._over = True, False

@@ -56,7 +56,7 @@ def test_zero_and_hover_are_the_actions_of_their_names(env):
     thrust = control.descents.actions.physical(agent_of("hover", control).act(None, {}))[0]
     assert thrust == pytest.approx([1500.0 * 1.622, 0.0, 0.0, 0.0], abs=1e-3)
     assert agent_of("zero", RetargetEnv()).act(None, {}) == 0
-    with pytest.raises(InputError, match="hover flies Guidance-v0 and Control-v0"):
+    with pytest.raises(InputError, match="needs Guidance-v0 or Control-v0"):
         agent_of("hover", RetargetEnv())
 
 
@@ -179,7 +179,7 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"level": "Control-v0"}, "flies Control-v0"), ({"rate": 10.0}, "10 actions a second"),
+        ({"level": "Control-v0"}, "needs Control-v0"), ({"rate": 10.0}, "10 actions per second"),
         ({"parts": ("position",)}, "observations of position"),
         ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions of 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),

@@ -21,7 +21,7 @@ from tests.worlds import TINY_FLIGHT
 
 EVERY = RewardWeights(
     safe=4.0, unsafe=-3.0, propellant=0.7, invalid=0.06, speed=0.5, tilt=0.3, hazard=0.4,
-    map_information=0.9, shaping=0.8, discount=0.95,
+    information=0.9, shaping=0.8, discount=0.95,
 )  # fmt: skip
 SETTINGS = {
     "scenario": SMALL, "worlds": 2, "world_seed": 5, "surrogate": made_up(),

@@ -330,7 +330,7 @@ def test_agents_of_sites_leave_the_time_as_it_comes(name):
     turned, _ = flown(made(action=("stretch", "site")), name, 3)
     assert turned == plainly
     if name != "zero":
-        with pytest.raises(InputError, match=f"{name} flies Retarget-v0 with the part 'site'"):
+        with pytest.raises(InputError, match="needs Retarget-v0 with the action component 'site'"):
             agent_of(name, made(action=("stretch",)))
 
 

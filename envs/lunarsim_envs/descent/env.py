@@ -52,7 +52,7 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Shown, dict[str, Any]]:
         """Start a new episode."""
-        self.descents.take(self._one, options)
+        self.descents.apply_options(self._one, options)
         super().reset(seed=seed)
         if seed is not None or not self.descents.lanes.has_key[0]:
             self.descents.key(0, self.np_random)
@@ -154,7 +154,7 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
         check_all_reset(self._begun, mask)
         seeds = lane_seeds(seed, mask)
-        self.descents.take(mask, left)
+        self.descents.apply_options(mask, left)
         self.descents.seed(mask, seeds)
         self._restart(mask)
         self._begun |= mask
