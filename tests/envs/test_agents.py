@@ -180,8 +180,8 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
     ("changes", "says"),
     [
         ({"level": "Control-v0"}, "needs Control-v0"), ({"rate": 10.0}, "10 actions per second"),
-        ({"parts": ("position",)}, "observations of position"),
-        ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions of 4"),
+        ({"parts": ("position",)}, "observation components position"),
+        ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions with 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),
         ({"weights": tuple(w * np.nan for w in network().weights)}, "not finite"),
         ({"weights": network().weights[1:], "biases": network().biases[1:]}, "a layer of shape"),

@@ -108,7 +108,7 @@ class SiteDescentBatch(DescentBatch):
     errors
         Error model of the perception, from `surrogate`.
     view
-        Field of view of the LiDAR, from `view.view_of`.
+        Field of view of the LiDAR, from `fov_and_footprint`.
     drift, claimed
         True standard deviation of the drift velocity, east and north (2,), and the standard
         deviation that navigation reports per axis, m/s.

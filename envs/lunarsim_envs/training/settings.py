@@ -14,7 +14,7 @@ from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.descent.observations import PARTS
 from lunarsim_envs.descent.rewards import DescentWeights
 
-# Input scales (far, near) of each observation component for `features.TwoScales`: typical magnitude
+# Input scales (far, near) of each observation component for `TwoScaleFeatures`: typical magnitude
 # of a flight, and resolution near the target.
 SCALES: dict[str, tuple[float, float]] = {
     "position": (600.0, 3.0), "velocity": (40.0, 1.0), "attitude": (1.0, 0.1), "rate": (0.5, 0.1),
@@ -138,7 +138,7 @@ class Training:
         Parameters
         ----------
         planned
-            Position, velocity and their standard deviations (8,), SI, as `lanes.Craft.start`. At a
+            Position, velocity and their standard deviations (8,), SI, as `VehicleParams.start`. At a
             fraction f of the distance, the speed is multiplied by sqrt(f), as for a constant
             deceleration.
         """
