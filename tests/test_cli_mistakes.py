@@ -22,8 +22,10 @@ SPEC = str(SCENARIOS / "campaigns" / "hard.toml")
 # Of every command that takes a scenario: arguments, and what the line must hold.
 OF_A_SCENARIO = [
     (["gone.toml"], ["scenario", "gone.toml", "an existing TOML file"]),
-    (["hirisee"],
-     ["scenario: ", "got 'hirisee'", "an existing TOML file", "Did you mean 'hirise'"]),
+    (
+        ["hirisee"],
+        ["scenario: ", "got 'hirisee'", "an existing TOML file", "Did you mean 'hirise'"],
+    ),
     (["qqq"], ["scenario: ", "got 'qqq'", "an existing TOML file", "`lunarsim scenario list`"]),
     (["empty.toml"], ["scenario", "empty.toml", "at least one key"]),
     (["broken.toml"], ["scenario", "broken.toml", "a TOML file"]),
@@ -34,8 +36,10 @@ OF_A_SCENARIO = [
     (["chosen.toml"], ["policy: ", "got 'safest'", 'a table [policy] with kind = "safest"']),
     (["wide.toml"], ["scenario", "wide.toml", "a TOML file in UTF-8"]),
     (["words.toml"], ["vehicle.dry_mass_kg: ", "got '1100'", "a plain number in kg"]),
-    ([GOOD, "--set", "start.position_m=5"],
-     ["--set start.position_m: ", "got 5", "a list of 3 values"]),
+    (
+        [GOOD, "--set", "start.position_m=5"],
+        ["--set start.position_m: ", "got 5", "a list of 3 values"],
+    ),
     ([GOOD, "--set", "rocks=0.08"], ["--set rocks: ", "got 0.08", "a table [rocks]"]),
     ([GOOD, "--set", "rocks.cover"], ["--set", "KEY=VALUE"]),
     ([GOOD, "--set", "rocks.covr=0.1"], ["--set rocks.covr", "Did you mean 'cover'"]),

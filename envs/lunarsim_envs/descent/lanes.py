@@ -33,7 +33,8 @@ _STEP = 0.1
 _ALIKE = np.zeros(len(DRAWN))
 _ALIKE[k.FAILS] = np.inf
 _ALIKE[k.ENGINE : k.SEES_LATE] = 1.0
-# Names of the touchdown limits, in the order of the bits of `Lanes.failed`; see `judge_touchdown`.
+# Names of the touchdown limits of `judge_touchdown`, in the order of the bits of
+# `DescentBatch.failed`.
 LIMITS = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
     "tip-over",
@@ -182,7 +183,8 @@ class DescentBatch:
         Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
         touchdown (n, 7), SI.
     starts, aims
-        Start and target parameters of each lane, as `Craft.start` (n, 8) and `Craft.aim` (n, 4).
+        Start and target parameters of each lane, as `VehicleParams.start` (n, 8) and
+        `VehicleParams.aim` (n, 4).
     spans
         Index of the first world that each lane may use, and number of these worlds (n, 2).
     has_key

@@ -24,7 +24,7 @@ KEYS = {
     "cover": "rocks.cover",
     "sun_azimuth_deg": "sun.azimuth_deg", "sun_elevation_deg": "sun.elevation_deg",
 }  # fmt: skip
-# Slices of the options in `Lanes.starts` and `Lanes.aims`.
+# Slices of the options in `DescentBatch.starts` and `DescentBatch.aims`.
 _STARTS = {
     "position_m": slice(0, 3), "velocity_m_s": slice(3, 6), "position_sigma_m": slice(6, 7),
     "velocity_sigma_m_s": slice(7, 8),

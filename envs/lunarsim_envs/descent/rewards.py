@@ -20,7 +20,7 @@ MAX_MISS_M = 50.0
 # Maximum severity of a crash (distance plus speed, each over that of the planned start), and
 # maximum excess over a limit (natural logarithm of the ratio).
 MAX_SEVERITY, MAX_EXCESS = 2.0, 3.0
-# Number of columns of `Lanes.told` with a limit: vertical and horizontal speed, tilt and rate.
+# Number of columns of `DescentBatch.told` with a limit: vertical and horizontal speed, tilt, rate.
 _LIMITED = 4
 
 

@@ -22,7 +22,7 @@ class DelayLine:
     lanes, size
         Batch of landers, and number of values per row.
     place
-        Column of `Lanes.drawn` with the delay, s. Delays are rounded to whole steps.
+        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to whole steps.
     most, period
         Maximum delay and duration of a step, s.
     """
@@ -56,7 +56,7 @@ class SensingModel:
     Parameters
     ----------
     lanes, shown
-        Batch of landers whose `Craft.variation` is set, and the observation components.
+        Batch of landers whose `VehicleParams.variation` is set, and the observation components.
     period
         Duration of a step, s.
     idle

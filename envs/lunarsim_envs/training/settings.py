@@ -138,7 +138,7 @@ class Training:
         Parameters
         ----------
         planned
-            Position, velocity and their standard deviations (8,), SI, as `VehicleParams.start`. At a
+            Position, velocity and their standard deviations (8,), SI (`VehicleParams.start`). At a
             fraction f of the distance, the speed is multiplied by sqrt(f), as for a constant
             deceleration.
         """
