@@ -58,7 +58,7 @@ def test_a_name_stands_for_its_file_where_no_file_has_it(tmp_path, monkeypatch):
     (tmp_path / "golombek").write_text("")
     assert shipped.found(Path("golombek")) == Path("golombek")
     for given, words in (
-        ("nothing.toml", "an existing TOML file; or a name that `lunarsim scenario list` shows"),
+        ("nothing.toml", "an existing TOML file.*`lunarsim scenario list`"),
         ("hirisee", "Did you mean 'hirise'"),
     ):
         with pytest.raises(InputError, match=words):
