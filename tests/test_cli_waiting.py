@@ -77,7 +77,7 @@ def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys,
     assert said[1:] == [
         "  2 kernels in 8 s",
         "  3 kernels in 12 s",
-        "compiled 3 kernels in 12 s; they are kept for next time",
+        "compiled 3 kernels in 12 s; the cache keeps them",
     ]
 
 
