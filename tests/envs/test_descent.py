@@ -315,7 +315,7 @@ def test_a_mask_that_is_none_is_refused(mask):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"observation": []}, "non-empty list"), ({"observation": "position"}, "a list"),
+        ({"observation": []}, "non-empty list"), ({"observation": "position"}, "list of names"),
         ({"observation": ["postion"]}, "Did you mean 'position'"),
         ({"observation": ["rate", "rate"]}, "not repeat"), ({"rate_hz": 3.0}, "multiple of"),
         ({"worlds": 0}, "at least 1"), ({"worlds": 2.0}, "worlds"),

@@ -192,7 +192,7 @@ def test_a_part_of_ones_own():
     ("settings", "word"),
     [
         ({"perception": "thruth"}, "truth"),
-        ({"observation": ["site", "site"]}, "once"),
+        ({"observation": ["site", "site"]}, "not repeat"),
         ({"observation": ["hazards"]}, "hazard"),
         ({"worlds": 0}, "worlds"),
         ({"changes": {"guidance.kind": "gravity-turn"}}, "guidance"),

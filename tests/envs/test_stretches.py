@@ -248,8 +248,8 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (("sites",), "Did you mean 'site'"), ((), "at least one part"), ("site", "a list"),
-        (("site", "site"), "once"), (3, "a list"),
+        (("sites",), "Did you mean 'site'"), ((), "non-empty list"), ("site", "list of names"),
+        (("site", "site"), "not repeat a name"), (3, "list of names"),
     ],
     ids=str,
 )  # fmt: skip
@@ -284,7 +284,7 @@ def test_a_part_of_ones_own(monkeypatch):
     start = env.flight.time
     env.step([0, 1])
     assert env.flight.lanes.course.arrival[0] - start == pytest.approx(1.2 * left, rel=0.05)
-    with pytest.raises(InputError, match="one part that sets the stretch"):
+    with pytest.raises(InputError, match="one component that sets the stretch"):
         SiteActions(("slow", "stretch"))
     for part, says in (
         (slow, "a name of its own"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
