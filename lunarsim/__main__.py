@@ -1,12 +1,12 @@
-"""Where the `lunarsim` command begins; also `python -m lunarsim`."""
+"""Entry point of the `lunarsim` command and of `python -m lunarsim`."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-# `python -m` looks for modules in the working folder first, which may hold a numpy.py from
-# somebody else. It stays only if the package itself is there.
+# `python -m` searches the working folder first, which may contain an unrelated numpy.py. The
+# folder stays on the search path only if it contains this package.
 if (
     __name__ == "__main__"
     and not sys.flags.safe_path
@@ -16,11 +16,11 @@ if (
 
 
 def main() -> None:
-    """Run the `lunarsim` command; an interrupt while it is loaded ends it as one does later."""
-    from lunarsim.cli_start import run  # noqa: PLC0415  (after the search path is mended)
+    """Run the `lunarsim` command; handle interrupts during its import too."""
+    from lunarsim.cli_start import run  # noqa: PLC0415  (after the search path is corrected)
 
     def command() -> None:
-        from lunarsim.cli import main as lunarsim  # noqa: PLC0415  (what may be interrupted)
+        from lunarsim.cli import main as lunarsim  # noqa: PLC0415  (this import may be interrupted)
 
         lunarsim()
 

@@ -1,8 +1,8 @@
-"""One thread for the matrix products of a flight.
+"""Limit BLAS to one thread during a flight.
 
-They are small: more threads wait for each other, and what waits spins on a core that the pictures
-and the kernels need (a fifth of the wall clock of a flight with all eyes). And the bits must not
-depend on how many there are.
+The matrices are small. Additional threads would wait for each other, and waiting threads occupy a
+core that image processing and kernels need (a fifth of the wall-clock time of a flight with all
+sensors). Results also must not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 
-import scipy.linalg  # noqa: F401  (brings its own BLAS, which must be known by then)
+import scipy.linalg  # noqa: F401  (loads its own BLAS, which the controller must find)
 from threadpoolctl import ThreadpoolController
 
 
 class _Inside(threading.local):
-    """Whether a thread is inside."""
+    """Whether the current thread is inside `one_blas_thread`."""
 
     now = False
 
@@ -32,10 +32,10 @@ def _libraries() -> ThreadpoolController:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Keep BLAS to one thread, in a `with` block or as a decorator; as it was, after the outermost.
+    """Limit BLAS to one thread, in a `with` block or as a decorator.
 
-    The setting is one of the process: of Python threads that ask at once the first has its way, see
-    `threadpoolctl`.
+    The outermost block restores the setting. The setting belongs to the process: if several Python
+    threads enter blocks at the same time, the first one sets it (see `threadpoolctl`).
     """
     if _inside.now:
         yield

@@ -1,7 +1,7 @@
-"""Threads that serve calls until the process ends.
+"""A thread pool that accepts calls until the process ends.
 
 A `concurrent.futures.ThreadPoolExecutor` refuses calls as soon as the main thread has ended,
-although other threads may still fly or render then.
+although other threads may still be flying or rendering.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ R = TypeVar("R")
 
 
 class NoThreadError(RuntimeError):
-    """Threads can no longer be started."""
+    """No thread can be started any more."""
 
 
 class DaemonThreads:
-    """Run calls on threads that start at the first call.
+    """Run calls on daemon threads, which start at the first call.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class DaemonThreads:
         os.register_at_fork(after_in_child=self._forget_threads)
 
     def submit(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Return the future result of a call.
+        """Queue a call and return its future result.
 
         Raises
         ------
         NoThreadError
-            If this is the first call, and comes too late: from Python 3.12 on no thread starts once
-            the main thread has ended.
+            If this is the first call and the main thread has ended: since Python 3.12, no thread
+            can start after that.
         """
         with self._starting:
             calls = self._calls or self._started()
@@ -57,7 +57,7 @@ class DaemonThreads:
         return future
 
     def _started(self) -> SimpleQueue[Any]:
-        """Start the threads; return the queue of their calls."""
+        """Start the threads and return their queue of calls."""
         calls: SimpleQueue[Any] = SimpleQueue()
         try:
             for _ in range(self._count):
@@ -80,6 +80,6 @@ def _serve(calls: SimpleQueue[Any]) -> None:
         future, call = calls.get()
         try:
             future.set_result(call())
-        except BaseException as error:  # it belongs to the caller
+        except BaseException as error:  # the caller of `result()` gets it
             future.set_exception(error)
-        del future, call  # an idle thread keeps nothing alive
+        del future, call  # an idle thread must not keep objects alive

@@ -1,4 +1,4 @@
-"""Compiled quaternion arithmetic, for kernels on either side of the wall; see `lunarsim.frames`."""
+"""Compiled quaternion arithmetic (scalar last, body to ENU; conventions in `lunarsim.frames`)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def rotation_between(q, target, out):
-    """Write the rotation vector (body axes) from attitude q to `target`; return its length."""
+    """Write the rotation vector (body axes, rad) from q to `target`; return its angle."""
     # conj(q) * target
     x = q[3] * target[0] - q[0] * target[3] - q[1] * target[2] + q[2] * target[1]
     y = q[3] * target[1] - q[1] * target[3] - q[2] * target[0] + q[0] * target[2]
@@ -28,7 +28,7 @@ def rotation_between(q, target, out):
 
 @kernel()
 def turned(q, phi):
-    """Turn the unit quaternion q by a rotation vector phi (body axes), in place."""
+    """Rotate the unit quaternion q in place by a rotation vector phi (body axes, rad)."""
     angle = np.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     s = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
     x, y, z, w = phi[0] * s, phi[1] * s, phi[2] * s, np.cos(0.5 * angle)
@@ -44,9 +44,9 @@ def turned(q, phi):
 
 @kernel()
 def rotated_back(q, v, out):
-    """Write the ENU vector v in the body axes of the unit quaternion q."""
+    """Rotate the ENU vector v into body axes by the unit quaternion q; write it to `out`."""
     x, y, z, w = q[0], q[1], q[2], q[3]
-    # v + 2 u x (u x v - w v), u being the vector part: the inverse rotation.
+    # Inverse rotation: v + 2 u x (u x v - w v), where u is the vector part.
     cx = y * v[2] - z * v[1] - w * v[0]
     cy = z * v[0] - x * v[2] - w * v[1]
     cz = x * v[1] - y * v[0] - w * v[2]
@@ -57,10 +57,10 @@ def rotated_back(q, v, out):
 
 @kernel()
 def points_along(position, rotation, direction, reach):
-    """Return the points (n, 3) at distances (n,) from a position (3,) along rays.
+    """Return the points (n, 3) at distances `reach` (n,) along rays from a position (3,).
 
-    `direction` (n, 3) are the rays in axes from which `rotation` (3, 3) leads to those of the
-    position.
+    `direction` (n, 3) has the rays in sensor axes; `rotation` (3, 3) rotates sensor axes into the
+    axes of the position.
     """
     out = np.empty(direction.shape)
     for i in range(len(direction)):
@@ -72,8 +72,8 @@ def points_along(position, rotation, direction, reach):
 
 
 @kernel()
-def along_thrust(direction, heading):
-    """Return the quaternion whose body z is along `direction` and body x near `heading`."""
+def thrust_attitude(direction, heading):
+    """Return the quaternion with body z along `direction` and body x near `heading`."""
     q = np.empty(4)
     turn_along(direction[0], direction[1], direction[2], heading, q)
     return q
@@ -81,11 +81,11 @@ def along_thrust(direction, heading):
 
 @kernel(allocates=False)
 def turn_along(east, north, up, heading, q):
-    """Write the quaternion (4,) whose body z is along a direction and body x near `heading`."""
+    """Write the quaternion (4,) with body z along a direction and body x near `heading`."""
     size = np.sqrt(east * east + north * north + up * up)
     zx, zy, zz = east / size, north / size, up / size
     fx, fy = np.sin(heading), np.cos(heading)
-    # z x forward; thrust along the heading: any roll will do.
+    # y = z x forward. If the thrust is along the heading, any roll angle is valid.
     yx, yy, yz = -zz * fy, zz * fx, zx * fy - zy * fx
     size = np.sqrt(yx * yx + yy * yy + yz * yz)
     if size < 1e-9:

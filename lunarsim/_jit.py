@@ -1,7 +1,7 @@
-"""Compile kernels with Numba, all by the same options.
+"""Compile kernels with Numba, with the same options everywhere.
 
-Every kernel is cached, so it is compiled once per machine. NaN must survive because it means no
-data; `fastmath` is therefore limited to flags that keep NaN and infinities.
+Every kernel is cached, so it is compiled once per machine. NaN marks missing data and must be
+preserved; `fastmath` is therefore limited to flags that keep NaN and infinities.
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ from numba.core.registry import CPUDispatcher
 
 from lunarsim import forks
 from lunarsim._kernel_cache import enable_cache
-from lunarsim._shares import Shared
+from lunarsim._shares import PartitionedKernel
 
-# Threads that have done their share sleep, where the user has not said otherwise: those that spin
-# until the next kernel take a fifth of the processor of a flight with cameras. It is read when the
-# first kernel is spread over threads.
+# Idle OpenMP threads sleep instead of spinning until the next kernel; spinning threads use a fifth
+# of the processor time of a flight with cameras. OpenMP reads this at the first parallel kernel.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -32,12 +31,15 @@ _FAST_FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 _FINITE_FLAGS = _FAST_FLAGS | {"nnan", "ninf"}
 
 
-class _Inner(CPUDispatcher):  # type: ignore[misc]
-    """A kernel without a wrapper for Python: calling it from there would end the process."""
+class _InternalKernel(CPUDispatcher):  # type: ignore[misc]
+    """A kernel without a Python wrapper: calling it from Python would end the process."""
 
     def __call__(self, *args: Any) -> Any:
-        """Refuse."""
-        raise TypeError(f"{self.py_func.__name__}: only kernels call it; see kernel(inner=False)")
+        """Raise an error, because only kernels can call this function."""
+        raise TypeError(
+            f"{self.py_func.__name__}: only kernels can call this. Use kernel(inner=False) to call "
+            "it from Python."
+        )
 
 
 _one_at_a_time = RLock()
@@ -45,23 +47,23 @@ _one_at_a_time = RLock()
 
 @lru_cache(maxsize=1)
 def _parallel_lock() -> AbstractContextManager[Any]:
-    """Return the lock for parallel kernels; the layer "workqueue" aborts if two run at once."""
+    """Return the lock for parallel kernels; the layer "workqueue" aborts if two run together."""
     numba.get_num_threads()  # starts the layer
     return _one_at_a_time if numba.threading_layer() == "workqueue" else nullcontext()
 
 
-class _Parallel(CPUDispatcher):  # type: ignore[misc]
-    """A kernel on several threads: safe to call in a forked process and from several threads."""
+class _ParallelKernel(CPUDispatcher):  # type: ignore[misc]
+    """A parallel kernel that is safe in forked processes and with several Python threads."""
 
     def __call__(self, *args: Any) -> Any:
-        """Run the kernel, or raise an error where that would end the process."""
+        """Run the kernel, or raise an error if running it would end the process."""
         forks.check()
         with _parallel_lock():
             return super().__call__(*args)
 
 
 def _without_warnings(function: F) -> F:
-    """Return a function whose overflows and NaN raise no warnings, as in a compiled kernel."""
+    """Suppress NumPy warnings about overflow and NaN, as compiled kernels do."""
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -106,30 +108,33 @@ def kernel(
     Parameters
     ----------
     parallel
-        Spread `numba.prange` loops over threads. One iteration writes each output element.
+        Distribute `numba.prange` loops over threads. Only one iteration may write an output
+        element.
     shared
-        The same for a kernel with one such loop, compiled four times faster: its first parameter is
-        a share (first turn, step) of that loop, which callers from Python omit. It returns nothing.
+        Run a kernel with one parallel loop on Python threads. This compiles four times faster than
+        `parallel`. The first parameter of the kernel is its share of the loop (first index, step);
+        callers from Python omit it. The kernel returns nothing.
     fast
-        Let the compiler reassociate sums and fuse multiply-adds, which it needs to vectorise.
+        Let the compiler reassociate sums and fuse multiply-adds, which vectorisation needs.
     finite
-        As `fast`, and promise that no NaN or infinity occurs: vectorises a running minimum.
+        As `fast`, and assume that no NaN or infinity occurs. This vectorises a running minimum.
     inline
-        For scalar helpers that allocate nothing: compile into callers, fuse multiply-adds.
+        For scalar helpers that allocate nothing: inline into callers and fuse multiply-adds.
     exact
-        As `inline`, without fusing: the bits are those of the helper's code in the caller.
+        As `inline`, but without fused multiply-adds, so that results are bitwise the same.
     inner
-        For kernels that only kernels call; they compile faster without a wrapper for Python. The
-        default is kernels whose names begin with an underscore.
+        For kernels that only kernels call; they compile faster without a Python wrapper. Default:
+        true for names that begin with an underscore.
     allocates
-        Without it no atomic operation counts each view of a row. `inline` and `exact` imply it.
+        If false, views of array rows are not reference-counted (an atomic operation each). `inline`
+        and `exact` imply false.
     """
     flags = _FINITE_FLAGS if finite else _FAST_FLAGS if fast else {"contract"} if inline else False
 
     def decorate(function: Any) -> Any:
         if numba.config.DISABLE_JIT:
             plain = _without_warnings(function)
-            return Shared(plain) if shared else plain
+            return PartitionedKernel(plain) if shared else plain
         closed = function.__name__.startswith("_") and not shared if inner is None else inner
         compiled = numba.njit(
             nogil=True,
@@ -143,10 +148,10 @@ def kernel(
         )(function)
         enable_cache(compiled, function)
         if closed:
-            compiled.__class__ = _Inner
+            compiled.__class__ = _InternalKernel
         elif parallel:
-            compiled.__class__ = _Parallel
-        return Shared(compiled) if shared else compiled
+            compiled.__class__ = _ParallelKernel
+        return PartitionedKernel(compiled) if shared else compiled
 
     return decorate
 
@@ -154,24 +159,24 @@ def kernel(
 prange = numba.prange
 
 
-# So many microseconds of work repay the waking of threads.
-_WORTH_THREADS = 256
+# Minimum work for which starting threads pays off, microseconds.
+_MIN_THREADED_WORK_US = 256
 
 
 @contextmanager
 def threads_for(microseconds: float) -> Iterator[None]:
-    """Let parallel kernels run on one thread where they have little work to share.
+    """Run parallel kernels in the block on one thread if they have little work.
 
-    Waking threads for a handful of rays takes longer than the rays, and on a busy machine a
-    thousand times as long.
+    Waking threads for a few rays takes longer than computing them; on a busy machine it takes a
+    thousand times longer.
 
     Parameters
     ----------
     microseconds
-        What the work takes on one thread, roughly: a ray one, a thousand sums of products one.
+        Approximate duration of the work on one thread. A ray, or 1000 multiply-adds, takes 1.
     """
     before = numba.get_num_threads()
-    if microseconds >= _WORTH_THREADS or before == 1:
+    if microseconds >= _MIN_THREADED_WORK_US or before == 1:
         yield
         return
     numba.set_num_threads(1)

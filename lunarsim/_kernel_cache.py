@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: where they are kept, for which source they hold, and whether intact."""
+"""Cache compiled kernels on disk, with checks of their source and their integrity."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ _DIGEST_BYTES = 16
 
 @lru_cache
 def _folder_of(modules: Path) -> Path | None:
-    """Return the folder for kernels of a folder of modules: NUMBA_CACHE_DIR, beside, or the user's.
+    """Return the cache folder for the kernels of a folder of modules; None if none is writable.
 
-    None if none of them can be written to.
+    Candidates in order: NUMBA_CACHE_DIR, ``__pycache__`` beside the modules, the user's cache.
     """
     name = f"{modules.name}_{hashlib.blake2b(bytes(modules), digest_size=8).hexdigest()}"
     folders = [modules / "__pycache__", user_cache("kernels") / name]
-    # Numba's own setting may come from a .numba_config.yaml in the working folder, whose author
-    # could then lay pickles in place of kernels.
+    # Numba's own setting may come from a .numba_config.yaml in the working folder. Its author could
+    # then make this process load foreign pickles.
     given = os.environ.get("NUMBA_CACHE_DIR", "")
     if given:
         folders.insert(0, expanded(given) / name)
     usable = next(filter(_can_create, folders), None)
     if given and usable != folders[0]:
-        _warn_once(f"NUMBA_CACHE_DIR = {given}: cannot be written to, kernels are kept elsewhere")
+        _warn_once(f"NUMBA_CACHE_DIR: cannot write to {given}; kernels are cached elsewhere")
     if usable is None:
-        _warn_once("no cache folder can be written to: kernels are compiled at each start")
+        _warn_once("no cache folder is writable: kernels are compiled at each start")
     return usable
 
 
@@ -58,7 +58,7 @@ def _warn_once(text: str) -> None:
 
 
 class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
-    """Gives the folder of a kernel and a stamp of all sources that it is linked with."""
+    """Provide the cache folder of a kernel and a stamp of all sources linked into it."""
 
     def __init__(self, function: FunctionType, file: str) -> None:
         super().__init__(function, file)
@@ -66,7 +66,7 @@ class _Locator(caching.InTreeCacheLocator):  # type: ignore[misc]
         self._cache_path = str(_folder_of(Path(file).resolve().parent))
 
     def get_source_stamp(self) -> tuple[Any, bytes, str]:
-        """Return a stamp; Numba looks at the kernel's own file only."""
+        """Return a stamp of all linked sources; Numba's own covers the kernel's file only."""
         return super().get_source_stamp(), self._linked, "with checksum"
 
 
@@ -75,7 +75,7 @@ class _Impl(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
-    """Files that are ignored and written again if they are damaged."""
+    """Cache files with checksums; damaged files are ignored and replaced."""
 
     def _load_index(self) -> dict[Any, str]:
         try:
@@ -86,7 +86,7 @@ class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
         return found
 
     def _load_data(self, name: str) -> Any:
-        # Machine code that is damaged would end the process: the checksum comes first.
+        # Damaged machine code would end the process, so the checksum is verified first.
         stored = Path(self._data_path(name)).read_bytes()
         if _digest(stored[_DIGEST_BYTES:]) != stored[:_DIGEST_BYTES]:
             self._report_damage()
@@ -117,7 +117,7 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
         )
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Save a compiled kernel; a disk that is full must not end a flight."""
+        """Save a compiled kernel; a full disk must not end a flight."""
         try:
             super().save_overload(signature, result)
         except OSError as error:
@@ -125,6 +125,6 @@ class _KernelCache(caching.Cache):  # type: ignore[misc]
 
 
 def enable_cache(dispatcher: Any, function: FunctionType) -> None:
-    """Let a kernel be loaded from a cache and saved in it, where there is a folder for that."""
+    """Cache a kernel on disk, if there is a writable folder."""
     if _folder_of(Path(function.__code__.co_filename).resolve().parent) is not None:
         dispatcher._cache = _KernelCache(function)

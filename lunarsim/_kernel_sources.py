@@ -18,7 +18,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
-from lunarsim._shares import Shared
+from lunarsim._shares import PartitionedKernel
 
 _PLAIN = (bool, int, float, complex, str, bytes, np.generic)
 # Packages whose versions Numba compares itself, or that a kernel takes no constants from.
@@ -26,15 +26,15 @@ _FOREIGN = sys.stdlib_module_names | {"numba", "numpy", "scipy"}
 
 
 def sources_digest(module: str) -> bytes:
-    """Return a digest of a module's source and of all that is compiled into its kernels.
+    """Return a digest of all sources and constants compiled into a module's kernels.
 
-    It covers the files of all kernels that the module's kernels can call, whatever package they are
-    in and however they are imported, and the values of the constants that these modules hold.
+    It covers the files of all kernels that the module's kernels can call, in any package, and the
+    values of the constants in these modules.
 
     Parameters
     ----------
     module
-        Name of an imported module. A module that is still being executed counts with the names that
+        Name of an imported module. If it is still being executed, the digest covers the names that
         it has defined so far.
     """
     linked = sorted(linked_modules(module) - {module})
@@ -65,8 +65,8 @@ def _module_of(value: Any) -> str:
 
 def _function_of(value: Any) -> Any:
     """Return the Python function of a kernel or an intrinsic, None for anything else."""
-    # Other objects are not asked for attributes: some import modules or raise errors of their own.
-    if isinstance(value, Shared):
+    # Attributes of other objects are not accessed: some import modules or raise errors.
+    if isinstance(value, PartitionedKernel):
         value = value.compiled
     if isinstance(value, Dispatcher):
         return value.py_func
@@ -90,7 +90,7 @@ def _contents(name: str) -> bytes:
 
 
 def _constants(names: dict[str, Any]) -> dict[str, str]:
-    """Return the values that kernels can compile in; names such as `__file__` are no such."""
+    """Return the values that kernels can compile in, without names such as `__file__`."""
     return {k: _constant(v) for k, v in sorted(names.items()) if not k.startswith("__")}
 
 
@@ -99,7 +99,7 @@ _contents_when_complete = cache(_contents)
 
 
 def _constant(value: Any) -> str:
-    """Return what kernels can compile in of a global: a value, or the fields of a tuple class."""
+    """Return what kernels can use of a global: a value, or the fields of a tuple class."""
     if isinstance(value, _PLAIN):
         return repr(value)
     if isinstance(value, tuple):

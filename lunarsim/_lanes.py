@@ -1,15 +1,15 @@
-"""Sixteen float32 at a time in compiled kernels.
+"""SIMD vectors of sixteen float32 values for compiled kernels.
 
-LLVM unrolls short loops over lanes before it would vectorise them, and must assume that what they
-write overlaps what they read; values of the type below are vectors from the start and stay in
-registers. A kernel loads neighbours from a flat array, computes with ``+ - * /`` (a number stands
-for sixteen equal ones) and stores the outcome::
+LLVM unrolls short loops before it can vectorise them, and must assume that inputs and outputs
+overlap. Values of the type below are vectors from the start and stay in registers. A kernel loads
+neighbours from a flat array, computes with ``+ - * /`` (a scalar is broadcast to all lanes) and
+stores the result::
 
     height = load(z, at) - column * gx - row * gy
     store(out, at, larger(height, load(out, at)))
 
-A NaN loses every comparison, so garbage in a lane beyond the last element does no harm. Indices are
-not checked.
+Every comparison with NaN is false, so undefined lanes beyond the last element do no harm. Indices
+are not checked.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LANES = 16
 _FLOAT = ir.FloatType()
 _VECTOR = ir.VectorType(_FLOAT, LANES)
 _MASK = ir.IntType(LANES)
-# Multiply-adds may be fused, and a division by the same number become a product.
+# Allow fused multiply-adds, and products instead of divisions by the same number.
 _FLAGS = ("contract", "nsz", "arcp")
 
 
@@ -47,25 +47,25 @@ class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Return the address of sixteen elements of an array."""
+    """Return the address of sixteen consecutive elements of an array."""
     data = cgutils.create_struct_proxy(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
 
 
 def _want(argument: Any, kind: type) -> None:
     if not isinstance(argument, kind):
-        raise TypingError(f"{argument} where {kind.__name__} is needed")
+        raise TypingError(f"expected {kind.__name__}, got {argument}")
 
 
 def _want_line(array: Any, dtype: Any = None) -> None:
     _want(array, types.Array)
     if array.ndim != 1 or array.layout != "C" or array.dtype != (dtype or array.dtype):
-        raise TypingError(f"{array} where a contiguous array of one dimension is needed")
+        raise TypingError(f"expected a contiguous 1-D array, got {array}")
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def load(typing: Any, array: Any, at: Any) -> Any:
-    """Return sixteen elements of a contiguous float32 array (n,) from index `at` on."""
+    """Return sixteen elements of a contiguous float32 array (n,), starting at index `at`."""
     _want_line(array, types.float32)
     _want(at, types.Integer)
 
@@ -77,7 +77,7 @@ def load(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def item(typing: Any, array: Any, at: Any) -> Any:
-    """Return one element of a contiguous array (n,), without minding negative indices."""
+    """Return one element of a contiguous array (n,); negative indices are not supported."""
     _want_line(array)
     _want(at, types.Integer)
 
@@ -91,7 +91,7 @@ def item(typing: Any, array: Any, at: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
-    """Write sixteen elements of a contiguous float32 array (n,) from index `at` on."""
+    """Write sixteen elements of a contiguous float32 array (n,), starting at index `at`."""
     _want_line(array, types.float32)
     _want(at, types.Integer)
     _want(value, _Lanes)
@@ -107,7 +107,7 @@ def store(typing: Any, array: Any, at: Any, value: Any) -> Any:
 
 @intrinsic  # type: ignore[untyped-decorator]
 def spread(typing: Any, number: Any) -> Any:
-    """Return sixteen times the same number."""
+    """Return a vector with the same number in all lanes."""
     _want(number, types.Number)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -142,9 +142,9 @@ larger = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", 
 
 
 def _operator(symbol: Any, function: Any) -> None:
-    """Let `symbol` stand for a function of two vectors, or of a vector and a number."""
+    """Overload an operator for two vectors, or for a vector and a number."""
 
-    # Numba compares this signature with the ones below: no annotations.
+    # No annotations: Numba compares this signature with those below.
     @overload(symbol)
     def choose(a, b):  # type: ignore[no-untyped-def]
         if isinstance(a, _Lanes) and isinstance(b, _Lanes):
@@ -166,7 +166,7 @@ for _symbol, _function in (
 
 
 def _unary(name: str) -> Any:
-    """Return a function of one vector that is an instruction of LLVM's."""
+    """Return a function of one vector that calls an LLVM intrinsic."""
 
     def typed(typing: Any, a: Any) -> Any:
         _want(a, _Lanes)
@@ -189,7 +189,7 @@ magnitude = _unary("fabs")
 
 @intrinsic  # type: ignore[untyped-decorator]
 def where_above(typing: Any, a: Any, b: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` in the lanes in which a >= b, elsewhere `no`."""
+    """Return `yes` in lanes with a >= b, and `no` in the others."""
     for argument in (a, b, yes, no):
         _want(argument, _Lanes)
 

@@ -1,4 +1,4 @@
-"""The functions of `_lanes` in Python, for NUMBA_DISABLE_JIT: a vector is an array (16,)."""
+"""NumPy versions of the functions of `_lanes`, for NUMBA_DISABLE_JIT; vectors are arrays (16,)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Vector = NDArray[np.float32]
 
 
 def load(array: Vector, at: int) -> Vector:
-    """Return sixteen elements from index `at` on; zeros beyond the end of the array."""
+    """Return sixteen elements, starting at index `at`; zeros beyond the end of the array."""
     out = np.zeros(LANES, np.float32)
     part = array[at : at + LANES]
     out[: part.size] = part
@@ -26,18 +26,18 @@ def item(array: NDArray[Any], at: int) -> Any:
 
 
 def store(array: Vector, at: int, value: Vector) -> None:
-    """Write sixteen elements from index `at` on, those within the array."""
+    """Write up to sixteen elements, starting at index `at`, but not beyond the array."""
     part = array[at : at + LANES]
     part[:] = value[: part.size]
 
 
 def spread(number: float) -> Vector:
-    """Return sixteen times the same number."""
+    """Return a vector with the same number in all lanes."""
     return np.full(LANES, number, np.float32)
 
 
 def larger(a: Vector, b: Vector) -> Vector:
-    """Return the larger one in each lane; b where one is NaN."""
+    """Return the maximum in each lane; b if either is NaN."""
     return np.where(a > b, a, b)
 
 
@@ -52,7 +52,7 @@ def magnitude(a: Vector) -> Vector:
 
 
 def where_above(a: Vector, b: Vector, yes: Vector, no: Vector) -> Vector:
-    """Return `yes` in the lanes in which a >= b, elsewhere `no`."""
+    """Return `yes` in lanes with a >= b, and `no` in the others."""
     return np.where(a >= b, yes, no)
 
 

@@ -1,8 +1,8 @@
-"""Threads for compiled kernels that do a share of their work at a time.
+"""Run compiled kernels on Python threads, each thread with a part of the loop.
 
-A kernel that Numba spreads over threads itself is compiled four times over, once for each wrapper
-about its loop. One that is handed a share is compiled once, and Python threads run it side by side:
-it holds no lock while it runs.
+Numba compiles a `parallel` kernel four times, once for each wrapper of its loop. A kernel that
+takes its part of the loop as an argument is compiled once. Python threads run it concurrently,
+because it releases the global interpreter lock.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import numba
 
 from lunarsim._daemon_threads import DaemonThreads, NoThreadError
 
-# The caller's own thread does a share too.
+# One thread less than Numba's limit, because the calling thread works too.
 _threads = DaemonThreads(max(int(numba.config.NUMBA_NUM_THREADS) - 1, 1), "lunarsim-share")
 
 
-class Shared:
-    """Runs a compiled kernel in shares, as many as Numba is allowed threads.
+class PartitionedKernel:
+    """Run a compiled kernel on as many threads as Numba may use.
 
     Parameters
     ----------
     compiled
-        Takes (which share, of how many), then the arguments of the call; of its outer loop it does
-        every so-manieth turn, beginning with its own. It writes into arrays that it is given and
-        returns nothing.
+        Kernel that takes a tuple (first index, step) and then the arguments of the call. It does
+        the iterations first, first + step, ... of its outer loop, writes into the arrays that it
+        is given, and returns nothing.
     """
 
     def __init__(self, compiled: Callable[..., Any]) -> None:
@@ -37,8 +37,8 @@ class Shared:
         self._called = False
 
     def __call__(self, *args: Any) -> None:
-        """Do all shares, and return when the last is done."""
-        # The first call compiles; others would only wait for it.
+        """Run all parts and return when the last one has finished."""
+        # The first call compiles, so further threads would only wait for it.
         shares = numba.get_num_threads() if self._called else 1
         if shares == 1:
             self.compiled((0, 1), *args)

@@ -18,11 +18,11 @@ from lunarsim.cli_common import (
     FloatRange,
     Group,
     IntRange,
-    allow_typed,
+    add_to_interrupt_message,
+    allow_named_modules,
     cache_options,
-    kept_if_interrupted,
     load_scenario,
-    opened_cache,
+    open_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -64,25 +64,30 @@ for _command in (campaign, sweep, replay, terrain, scenario, parts, evaluate):
 @main.command()
 @scenario_options
 @click.option(
-    "--policy", default=None, show_default="the scenario's",
-    help="A name that `lunarsim parts policy` lists, or module:Class.",
+    "--policy", default=None, show_default="policy of the scenario",
+    help="Policy that chooses the landing site: a name from `lunarsim parts policy`, or "
+    "module:Class.",
 )  # fmt: skip
 @click.option(
-    "--guidance", default=None, show_default="the scenario's",
-    help="A law that `lunarsim parts guidance` lists, with its defaults, or module:Class.",
+    "--guidance", default=None, show_default="guidance law of the scenario",
+    help="Guidance law with its default settings: a name from `lunarsim parts guidance`, or "
+    "module:Class.",
 )  # fmt: skip
 @SEED
 @FLIGHT
 @click.option(
     "--out", type=PATH, default=None,
-    help="New folder for the scenario, the record and figures.",
+    help="New folder for the scenario, the flight record and the figures.",
 )  # fmt: skip
 def fly(
     scenario: Path, changes: tuple[str, ...], policy: str | None, guidance: str | None, seed: int,
     flight: int, out: Path | None,
 ) -> None:  # fmt: skip
-    """Fly one descent of SCENARIO (a TOML file, or a name of `scenario list`): print its end."""
-    from lunarsim.cli_waiting import compilation_told
+    """Fly one descent of SCENARIO and print its outcome.
+
+    SCENARIO is a TOML file or a name from `lunarsim scenario list`.
+    """
+    from lunarsim.cli_waiting import report_compilation
     from lunarsim.rng import flight_seed
     from lunarsim.simulation import Simulation
     from lunarsim.simulation.lock_forecast import lock_forecast
@@ -92,7 +97,7 @@ def fly(
         check_folder(out)
     maps = any(mapper.kind == "gaussian-dem" for mapper in loaded.mappers.values())
     beside = ["lunarsim.safety.warming"] + ["--exact"] * (out is not None)
-    with compilation_told(beside if maps else []):
+    with report_compilation(beside if maps else []):
         simulation = Simulation(loaded, flight_seed(seed, flight), loaded.policy.kind)
         forecast = lock_forecast(simulation.briefing)
         if forecast is not None and not forecast.can_lock:
@@ -101,19 +106,19 @@ def fly(
         if out is not None:
             from lunarsim.viz import truth_shown
 
-            # It compiles kernels, which are counted here.
+            # This call compiles kernels, so it must run inside the block that counts them.
             truth = truth_shown(record, simulation.world, simulation.lander)
     if out is not None:
-        # Before anything is printed: whoever reads that may stop listening.
+        # Save before printing: the reader of a pipe may close it early.
         remove = remover_of_new(out)
         with filled_whole(out):
             record.save(out)
             loaded.save(out / "scenario.toml")
     if out is None:
-        _tell(record)
+        _print_outcome(record)
         return
-    with kept_if_interrupted(f"scenario and record are in {out}, not all figures"):
-        _tell(record)
+    with add_to_interrupt_message(f"{out} has the scenario and the record, but not all figures"):
+        _print_outcome(record)
         from lunarsim.viz import draw_flight
 
         try:
@@ -121,21 +126,21 @@ def fly(
         except OSError:
             remove()
             raise
-    click.echo(f"scenario, record and figures in {out}")
+    click.echo(f"scenario, flight record and figures are in {out}")
 
 
-def _tell(record: Flight) -> None:
-    """Print how a flight ended."""
+def _print_outcome(record: Flight) -> None:
+    """Print the outcome of a flight."""
     from rich.table import Table
 
     verdict = record.verdict
-    click.echo("landed safe" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
+    click.echo("landed safely" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
     table = Table(show_header=False, box=None)
-    for name, value in _facts(record):
+    for name, value in _outcome_rows(record):
         table.add_row(name, value)
     wide_console(120).print(table)
     if record.decisions:
-        click.echo("diverts, east and north in m of the frame that the computer flies in:")
+        click.echo("diverts (east, north in m; onboard frame):")
     for decision in record.decisions:
         click.echo(
             f"{decision['time']:6.1f} s  to ({decision['to'][0]:.1f}, "
@@ -143,7 +148,7 @@ def _tell(record: Flight) -> None:
         )
 
 
-def _facts(record: Flight) -> list[tuple[str, str]]:
+def _outcome_rows(record: Flight) -> list[tuple[str, str]]:
     from lunarsim.evaluation.map_words import words_on_maps
 
     facts = [
@@ -152,13 +157,13 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
         ("divert", f"{record.divert_distance:.1f} m"),
     ]
     if record.first_lost is not None:
-        end = "to the end" if record.lost else "believed again later"
-        facts.append(("navigation", f"lost from {record.first_lost:.1f} s, {end}"))
+        end = "not recovered" if record.lost else "recovered later"
+        facts.append(("navigation", f"lost at {record.first_lost:.1f} s, {end}"))
     facts += [(f"map {name!r}", words) for name, words in words_on_maps(record).items()]
     touchdown = record.verdict.touchdown
     if touchdown is not None:
         x, y = touchdown.position[:2]
-        facts.append(("touchdown", f"({x:.1f}, {y:.1f}) m east and north, true frame"))
+        facts.append(("touchdown", f"({x:.1f}, {y:.1f}) m (east, north; true frame)"))
         degrees = 57.29577951308232
         facts += [
             ("vertical speed", f"{touchdown.vertical_speed:.2f} m/s"),
@@ -166,7 +171,7 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
             ("tilt at contact", f"{touchdown.tilt * degrees:.1f} deg"),
             ("slope under the legs", f"{touchdown.slope * degrees:.1f} deg"),
             ("roughness under the belly", f"{touchdown.roughness:.2f} m"),
-            ("margin against tipping over", f"{touchdown.tip_margin:.2f}"),
+            ("tip-over margin", f"{touchdown.tip_margin:.2f}"),
         ]
     return facts
 
@@ -174,22 +179,26 @@ def _facts(record: Flight) -> list[tuple[str, str]]:
 @main.command()
 @scenario_options
 @click.option(
-    "--policies", default=None, show_default=f"{_POLICIES}; with --guidance the scenario's",
-    help="Policies, separated by commas.",
+    "--policies", default=None,
+    show_default=f"{_POLICIES}; with --guidance: policy of the scenario",
+    help="Policies to compare, separated by commas.",
 )  # fmt: skip
 @click.option(
     "--guidance", "laws", multiple=True, metavar="LAW",
-    help="A law that `lunarsim parts guidance` lists, or module:Class; once for each law.",
+    help="Guidance law to compare: a name from `lunarsim parts guidance`, or module:Class. "
+    "Repeat the option for each law.",
 )  # fmt: skip
-@click.option("--flights", type=int, default=20, show_default=True, help="Flights a policy.")
+@click.option(
+    "--flights", type=int, default=20, show_default=True, help="Number of flights per policy."
+)
 @SEED
 @click.option(
     "--jobs", type=int, default=os.cpu_count() or 1, show_default="number of cores",
-    help="Processes; the results do not depend on it.",
+    help="Number of processes. Results do not depend on it.",
 )  # fmt: skip
 @click.option(
     "--out", type=PATH, required=True,
-    help="New folder for results.parquet, every flight's record, and figures.",
+    help="New folder for results.parquet, the flight records and the figures.",
 )  # fmt: skip
 @click.option("--figures/--no-figures", default=True, show_default=True, help="Draw figures.")
 @cache_options
@@ -198,15 +207,16 @@ def compare(
     flights: int, seed: int, jobs: int, out: Path, figures: bool, cache: Path | None,
     cache_size: float,
 ) -> None:  # fmt: skip
-    """Fly several policies, or laws of guidance, over the same worlds of SCENARIO and compare them.
+    """Compare policies or guidance laws on identical flights.
 
-    Each meets the same worlds, starts and noise. The table gives, a row a policy or law: the
-    share that landed safe with its 95 % Wilson interval; the same among flights whose scanned
-    ground held an exactly safe site within reach; how many climbed away; propellant; divert
-    distance; the largest touchdown speeds and tilt; precision and recall of the hazard map (cells
-    with p > 0.5 against the exact map); and wall-clock time a flight, where the first policy's
-    holds what all of them share. With laws it tells besides what each spends more than the first,
-    flight by flight.
+    All policies (or laws) fly the same worlds, start states and noise of SCENARIO. The table has
+    one row per policy or law, with these columns: fraction of safe landings with its 95 % Wilson
+    interval; the same fraction for flights whose scanned terrain contained a reachable site that
+    is truly safe; aborts; propellant; divert distance; maximum touchdown speeds and tilt;
+    precision and recall of the hazard map (cells with p > 0.5 against the true map); and
+    wall-clock time per flight. The time of the first policy includes work that all policies share.
+    With several laws, the last column gives the extra propellant relative to the first law,
+    paired by flight.
     """
     from lunarsim.campaign.comparison import check_request
     from lunarsim.campaign.comparison import compare as fly_all
@@ -214,9 +224,9 @@ def compare(
 
     given = _POLICIES if policies is None else policies
     names = [name.strip() for name in given.split(",") if name.strip()]
-    allow_typed(*names, *laws)
+    allow_named_modules(*names, *laws)
     check_request(names, flights, jobs, laws)
-    # Keys of a single part apply to it; if several are compared, they apply to the scenario's own.
+    # With one policy or law, --set keys apply to it; with several, to the scenario's own part.
     single = {
         contract: kinds[0]
         for contract, kinds in {"policy": names, "guidance": laws}.items()
@@ -225,7 +235,7 @@ def compare(
     loaded = load_scenario(scenario, changes, parts=single)
     if policies is None and laws:
         names = [loaded.policy.kind]
-    kept, console = opened_cache(cache, cache_size), wide_console(195 if laws else 170)
+    kept, console = open_cache(cache, cache_size), wide_console(195 if laws else 170)
     with progress_bar(loaded.name, flights * len(names) * max(len(laws), 1)) as advance:
         try:
             result = fly_all(
@@ -236,14 +246,14 @@ def compare(
         except WorkersDieError as error:
             raise click.ClickException(str(error)) from None
     if result.rows:
-        console.print(_table(result))
+        console.print(_comparison_table(result))
         console.print(
-            f"exactly safe share of the ground where targets are drawn: {result.safe_share:.3f} at "
-            f"every heading, {result.safe_share_at_heading:.3f} at the heading flown"
+            f"truly safe fraction of the terrain where targets are drawn: {result.safe_share:.3f} "
+            f"at every heading, {result.safe_share_at_heading:.3f} at the heading flown"
         )
-        console.print(f"results, records and figures in {out}", soft_wrap=True)
+        console.print(f"results, flight records and figures are in {out}", soft_wrap=True)
     if not result.complete:
-        click.echo("interrupted: only finished flights were written", err=True)
+        click.echo("interrupted: the results contain only finished flights", err=True)
         sys.exit(INTERRUPTED)
     if result.unrecorded:
         click.echo(f"error: {result.unrecorded}", err=True)
@@ -252,47 +262,50 @@ def compare(
 
 @main.command()
 @scenario_options
-@click.option("--flights", type=int, default=12, show_default=True, help="Descents, at least 2.")
+@click.option(
+    "--flights", type=int, default=12, show_default=True, help="Number of flights, at least 2."
+)
 @click.option(
     "--seed", type=IntRange(min=0), default=1, show_default=True,
-    help="Root seed of these flights; `compare` flies others, whatever its seed.",
+    help="Root seed of these flights. No seed of `fly` or `compare` gives the same flights.",
 )  # fmt: skip
 @click.option(
     "--jobs", type=int, default=os.cpu_count() or 1, show_default="number of cores",
-    help="Processes; the result does not depend on it.",
+    help="Number of processes. Results do not depend on it.",
 )  # fmt: skip
 @click.option(
     "--sites", type=int, default=300, show_default=True,
-    help="Drawn at random from each map that a decision is made on.",
+    help="Number of random sites per map that a divert decision used.",
 )  # fmt: skip
 @click.option(
-    "--mapper", default=None, show_default="the one that decides, or the only one",
-    help="Name of the mapper of kind gaussian-dem.",
+    "--mapper", default=None, show_default="the mapper that decisions use, or the only one",
+    help="Name of the gaussian-dem mapper to calibrate.",
 )  # fmt: skip
 @click.option(
     "--out", type=PATH, required=True, help="JSON file to write.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 def calibrate(
     scenario: Path, changes: tuple[str, ...], flights: int, seed: int, jobs: int, sites: int,
     mapper: str | None, out: Path, force: bool,
 ) -> None:  # fmt: skip
-    """Fit the Gaussian DEM's probability of safety to SCENARIO's own ground.
+    """Calibrate the Gaussian DEM's p_safe to one scenario's terrain.
 
-    Flies SCENARIO's descents under its own policy, draws sites from the maps that it decides on,
-    and fits the last stage of the calibration to how many of them are exactly safe: once in the
-    domain of the packaged calibration, once outside of it. To use what is written:
+    The command flies SCENARIO with its own policy and draws random sites from the maps that divert
+    decisions used. It then fits the last stage of the calibration to the observed fraction of
+    truly safe sites: once inside the domain of the packaged calibration, once outside. To use the
+    file:
 
     \b
       [mappers.NAME]
       kind = "gaussian-dem"
       calibration_path = "FILE.json"    # relative to the scenario file
 
-    The table sets the packaged probability beside the refit on the same sites. Each flight is
-    judged by a refit to the others; 95 % intervals come from drawing flights anew. Over measured
-    ground all flights share the relief: then the table tells of other flights there, not of other
-    ground. The flights derive from the seed in a way of their own, so that flights of
-    `lunarsim fly` and `compare` are never those that were fitted to.
+    The table compares the packaged probability with the refit on the same sites. Each flight is
+    evaluated with a refit to all other flights (leave-one-out); the 95 % intervals are bootstrapped
+    over flights. Over measured terrain, all flights share the same terrain: the table then
+    describes other flights over it, not other terrain. Calibration flights use a separate random
+    stream; `lunarsim fly` and `compare` never fly them.
     """  # noqa: D301
     from lunarsim.campaign.calibrate import calibrate as fit
     from lunarsim.campaign.calibrate import gaussian_mapper
@@ -300,12 +313,12 @@ def calibrate(
 
     check_output("--out", out, ".json")
     if out.exists() and not force:
-        raise InputError("--out", str(out), "a new file, or --force to write over this one")
+        raise InputError("--out", str(out), "must be a new file", "Use --force to overwrite it.")
     loaded = load_scenario(scenario, changes)
     gaussian_mapper(loaded, mapper)
     console = wide_console(170)
     with (
-        kept_if_interrupted("nothing was written"),
+        add_to_interrupt_message("no file was written"),
         progress_bar(loaded.name, max(flights, 0)) as advance,
     ):
         found = fit(
@@ -316,30 +329,36 @@ def calibrate(
     console.print(calibration_table(found))
     for line in verdicts(found):
         console.print(line, soft_wrap=True)
-    console.print(f"calibration in {out}", soft_wrap=True)
+    console.print(f"the calibration is in {out}", soft_wrap=True)
 
 
 @main.command()
 @scenario_options
 @click.option(
     "--altitude", type=float, default=100.0, show_default=True,
-    help="Height of the camera above the ground at the target, m.",
+    help="Height of the camera above the terrain at the target (m).",
 )  # fmt: skip
-@click.option("--sun-elevation", type=float, default=None, help="deg; left out: the scenario's.")
-@click.option("--sun-azimuth", type=float, default=None, help="deg from north, clockwise.")
+@click.option(
+    "--sun-elevation", type=float, default=None,
+    help="Elevation of the Sun above the horizon (deg). Default: that of the scenario.",
+)  # fmt: skip
+@click.option(
+    "--sun-azimuth", type=float, default=None,
+    help="Azimuth of the Sun, clockwise from north (deg). Default: that of the scenario.",
+)  # fmt: skip
 @click.option(
     "--off-nadir", type=float, default=0.0, show_default=True,
-    help="Tilt of the boresight from straight down, deg; the target stays in the middle.",
+    help="Off-nadir angle of the boresight (deg). The target stays in the image centre.",
 )  # fmt: skip
 @click.option(
     "--heading", type=float, default=0.0, show_default=True,
-    help="Azimuth of the top of the picture, deg.",
+    help="Azimuth of the top of the image, clockwise from north (deg).",
 )  # fmt: skip
 @click.option(
     "--exposure", type=FloatRange(0.0, 100.0, min_open=True), default=None,
-    help="s; left out: so that the brightest ground nearly fills the detector.",
+    help="Exposure time (s). Default: the brightest terrain is just below saturation.",
 )  # fmt: skip
-@click.option("--ideal", is_flag=True, help="Without blur, noise and distortion; 16 bits.")
+@click.option("--ideal", is_flag=True, help="Disable blur, noise and distortion; use 16 bits.")
 @SEED
 @FLIGHT
 @click.option(
@@ -347,7 +366,7 @@ def calibrate(
 )  # fmt: skip
 @click.option(
     "--truth", type=PATH, default=None,
-    help="NPZ file for radiance, range, normal and identity of every pixel.",
+    help="NPZ file to write: true radiance, range, normal and object ID of every pixel.",
 )  # fmt: skip
 def render(
     scenario: Path, changes: tuple[str, ...], altitude: float, sun_elevation: float | None,
@@ -355,7 +374,7 @@ def render(
     off_nadir: float, heading: float, exposure: float | None, ideal: bool, seed: int,
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
-    """Take a picture of SCENARIO's ground with its camera."""
+    """Render an image of SCENARIO's terrain with its camera."""
     from lunarsim.simulation.picture import take_picture
 
     info = take_picture(
@@ -375,19 +394,19 @@ def render(
     click.echo(info)
 
 
-def _table(result: Any) -> Table:
+def _comparison_table(result: Any) -> Table:
     from rich.table import Table
 
     from lunarsim.evaluation.statistics import summarise
 
     table = Table(title=None)
     headings = (
-        "guidance" if result.by_law else "policy", "landed safe [95 %]", "safe, site in reach",
-        "aborted",
-        "propellant kg\nmedian / 95 %",
-        "divert m\nmedian", "touchdown m/s\ndown / side max", "tilt deg\nmax",
-        "map\nprecision", "map\nrecall", "s a flight",
-        *(["kg over the first\nmean, 95 %"] if result.by_law else []),
+        "Guidance law" if result.by_law else "Policy", "Landed safely\n[95 % CI]",
+        "Landed safely,\nsite in reach", "Aborted",
+        "Propellant (kg)\nmedian / 95th pct.",
+        "Divert (m)\nmedian", "Touchdown (m/s)\nmax. down / lateral", "Tilt (deg)\nmax.",
+        "Map\nprecision", "Map\nrecall", "Time per\nflight (s)",
+        *(["Extra propellant (kg)\nmean, 95 % CI"] if result.by_law else []),
     )  # fmt: skip
     for i, heading in enumerate(headings):
         table.add_column(heading, justify="left" if i == 0 else "right", no_wrap=i == 0)
@@ -407,14 +426,14 @@ def _table(result: Any) -> Table:
             f"{row['precision']:.4f}",
             f"{row['recall']:.3f}",
             f"{sum(seconds) / len(seconds):.2f}",
-            *([_more(rows, first, policy)] if result.by_law else []),
+            *([_extra_propellant(rows, first, policy)] if result.by_law else []),
         )
         first = first or policy
     return table
 
 
-def _more(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
-    """Return what one arm spends more than the first, flight by flight, in words."""
+def _extra_propellant(rows: list[dict[str, Any]], first: str | None, other: str) -> str:
+    """Return the mean extra propellant over the first law with its 95 % interval, kg."""
     from lunarsim.evaluation.statistics import mean_interval
     from lunarsim.viz.comparison import paired
 

@@ -1,4 +1,4 @@
-"""The commands of campaigns: `lunarsim campaign ...`, `lunarsim sweep`, `lunarsim replay`."""
+"""Define the commands `lunarsim campaign ...`, `lunarsim sweep` and `lunarsim replay`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from lunarsim.cli_common import (
     PATH,
     FloatRange,
     IntRange,
-    allow_typed,
+    add_to_interrupt_message,
+    allow_named_modules,
     cache_options,
-    kept_if_interrupted,
     load_scenario,
-    opened_cache,
+    open_cache,
     progress_bar,
     scenario_options,
     wide_console,
@@ -36,25 +36,25 @@ if TYPE_CHECKING:
 _FOLDER = click.argument("folder", type=PATH)
 _JOBS = click.option(
     "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
-    show_default="number of cores", help="Processes; the results do not depend on it.",
+    show_default="number of cores", help="Number of processes. Results do not depend on it.",
 )  # fmt: skip
 _OUT = click.option(
     "--out", type=PATH, required=True,
-    help="Folder for results: new, or of the same campaign, which is then gone on with.",
+    help="Folder for results: a new one, or one of the same campaign, which is then continued.",
 )  # fmt: skip
 _RETRY = click.option(
     "--retry-failed", is_flag=True,
-    help="Fly again what raised an error, ran out of its time limit or was killed.",
+    help="Repeat flights that raised an error, exceeded their time limit or were killed.",
 )  # fmt: skip
 
 
 @click.group()
 def campaign() -> None:
-    """Fly many flights that one file declares, and see what came of it.
+    """Run and analyse many flights declared in one file.
 
     \b
-      lunarsim campaign plan SPEC             # every flight's inputs, nothing flown
-      lunarsim campaign run SPEC --out DIR    # again after an interrupt: goes on
+      lunarsim campaign plan SPEC             # list the inputs of every flight
+      lunarsim campaign run SPEC --out DIR    # fly; repeat to continue after an interrupt
       lunarsim campaign status DIR
       lunarsim campaign export DIR --out results.csv
     """  # noqa: D301
@@ -68,7 +68,10 @@ def campaign() -> None:
     help="CSV or Parquet file to write.",
 )  # fmt: skip
 def plan(spec: Path, out: Path | None) -> None:
-    """Write every flight's inputs of SPEC (a TOML file) without flying."""
+    """Write the inputs of every flight of SPEC without flying.
+
+    SPEC is a TOML file that declares the campaign.
+    """
     from lunarsim.campaign.flying import check_files, plan_of
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -77,7 +80,7 @@ def plan(spec: Path, out: Path | None) -> None:
         check_output("--out", out, suffix if suffix in (".csv", ".parquet") else ".csv")
     loaded = CampaignSpec.load(spec)
     check_files(loaded)
-    _tell_notes(loaded)
+    _print_warnings(loaded)
     planned = plan_of(loaded)
     if out is not None:
         from lunarsim.campaign.planned import write_plan
@@ -86,7 +89,7 @@ def plan(spec: Path, out: Path | None) -> None:
         write_whole(out, lambda path: write_plan(planned, path, out.suffix.lower()))
         told = f"{planned.flights} flights of {len(planned.arms)} arms"
         if planned.chains is not None:
-            told = f"{planned.chains.flights} flights of the first level; others follow from these"
+            told = f"{planned.chains.flights} flights of the first level; later levels depend on it"
         click.echo(f"{out}: {told}")
         return
     names = ["id", "flight", "arm", "seed", *planned.inputs]
@@ -101,11 +104,13 @@ def plan(spec: Path, out: Path | None) -> None:
 @_OUT
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
-    help="Processes of this machine, or Ray.",
+    help="Where flights run: processes of this machine, or a Ray cluster.",
 )  # fmt: skip
 @_JOBS
 @click.option(
-    "--address", default=None, help="Of a running Ray cluster; left out: one is started here."
+    "--address",
+    default=None,
+    help="Address of a running Ray cluster. Default: start one on this machine.",
 )
 @cache_options
 @_RETRY
@@ -113,26 +118,32 @@ def run_command(
     spec: Path, out: Path, engine: str, jobs: int, address: str | None, cache: Path | None,
     cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
-    """Fly what SPEC (a TOML file) declares; the same command goes on with an unfinished folder."""
+    """Fly the campaign SPEC, or continue it.
+
+    SPEC is a TOML file that declares the campaign. If the folder has results of an unfinished run,
+    the same command continues it.
+    """
     from lunarsim.campaign.spec import CampaignSpec
 
     if address is not None and engine != "ray":
-        raise InputError("--address", address, "nothing, or --engine ray")
+        raise InputError("--address", address, "applies only to --engine ray")
     loaded = CampaignSpec.load(spec)
-    _flown(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
+    _fly_campaign(loaded, out, engine, jobs, address, retry_failed, (cache, cache_size))
 
 
 @click.command()
 @scenario_options
 @click.option(
     "--over", "over", multiple=True, required=True,
-    help="KEY=A,B,C or KEY=LOW:HIGH:COUNT; may be repeated: every combination is flown.",
+    help="Values of a key: KEY=A,B,C or KEY=LOW:HIGH:COUNT. Repeat to fly all combinations.",
 )  # fmt: skip
 @click.option(
     "--flights", type=IntRange(min=1), default=20, show_default=True,
-    help="Of each combination.",
+    help="Number of flights per combination.",
 )  # fmt: skip
-@click.option("--seed", type=IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--seed", type=IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @_OUT
 @_JOBS
 @cache_options
@@ -141,14 +152,18 @@ def sweep(
     scenario: Path, changes: tuple[str, ...], over: tuple[str, ...], flights: int, seed: int,
     out: Path, jobs: int, cache: Path | None, cache_size: float, retry_failed: bool,
 ) -> None:  # fmt: skip
-    """Fly SCENARIO (a TOML file) under every combination of values of some of its keys.
+    """Fly SCENARIO for all combinations of some key values.
 
-    Every combination meets the same draws. The short form of `lunarsim campaign run`.
-    """
+    All combinations use the same random draws. This is a short form of `lunarsim campaign run`.
+
+    \b
+    Example:
+      lunarsim sweep hirise.toml --over rocks.cover=0.02,0.1 --out out/sweep
+    """  # noqa: D301
     from lunarsim.campaign.factors import parse_over, split_changes
     from lunarsim.campaign.spec import CampaignSpec
 
-    allow_typed(*over, *changes)
+    allow_named_modules(*over, *changes)
     levels = parse_over(over)
     base, of_swept_parts = split_changes(changes, levels)
     data = {
@@ -164,11 +179,11 @@ def sweep(
         is_set = error.field.removeprefix("factors.") in of_swept_parts
         field = error.field.replace("factors.", "--set " if is_set else "--over ", 1)
         raise error.renamed(field) from None
-    _flown(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
+    _fly_campaign(spec, out, "local", jobs, None, retry_failed, (cache, cache_size))
 
 
-def _tell_notes(spec: CampaignSpec) -> None:
-    """Print what is odd about the scenarios of the arms, as their first flights have them."""
+def _print_warnings(spec: CampaignSpec) -> None:
+    """Print warnings about the scenario of the first flight of each arm."""
     from lunarsim.scenario.notes import notes_on
 
     found: dict[str, list[str]] = {}
@@ -181,18 +196,18 @@ def _tell_notes(spec: CampaignSpec) -> None:
         click.echo(f"warning: {whose}{note}{more}", err=True)
 
 
-def _flown(
+def _fly_campaign(
     spec: CampaignSpec, out: Path, engine: str, jobs: int, address: str | None, retry: bool,
     cache: tuple[Path | None, float],
 ) -> None:  # fmt: skip
-    """Fly a spec behind a progress bar, and tell how it ended."""
+    """Fly a campaign with a progress bar and print its outcome."""
     from lunarsim.campaign.engines import engine_of
     from lunarsim.campaign.engines.local import WorkersDieError
     from lunarsim.campaign.fly_spec import fly_spec
 
-    _tell_notes(spec)
+    _print_warnings(spec)
     flies = engine_of(engine, jobs, address, spec.head.time_limit)
-    kept = opened_cache(*cache)
+    kept = open_cache(*cache)
     total = spec.most_flights * len(spec.arms)
     with progress_bar(spec.head.name, total) as advance:
         try:
@@ -205,14 +220,14 @@ def _flown(
     for note in ran.notes:
         click.echo(f"note: {note}", err=True)
     click.echo(
-        f"{ran.state}: {ran.flown} flights flown, {ran.before} were there already; "
-        f"{ran.failed} of these runs ended without a verdict"
+        f"{ran.state}: {ran.flown} new flights, {ran.before} flights from earlier runs; "
+        f"{ran.failed} of them ended without an outcome"
         if ran.failed
-        else f"{ran.state}: {ran.flown} flights flown, {ran.before} were there already"
+        else f"{ran.state}: {ran.flown} new flights, {ran.before} flights from earlier runs"
     )
-    click.echo(f"results in {out}: lunarsim campaign report {out}")
+    click.echo(f"results are in {out}; next: lunarsim campaign report {out}")
     if not ran.complete:
-        click.echo("not complete: the same command goes on", err=True)
+        click.echo("not complete: repeat the command to continue", err=True)
         if engine == "ray" and ran.state == "interrupted":
             from lunarsim.campaign.engines.ray_cluster import leave_at_once
 
@@ -228,19 +243,24 @@ def _flown(
 @campaign.command()
 @_FOLDER
 def status(folder: Path) -> None:
-    """Tell how far the campaign in FOLDER is; it may be flying."""
+    """Show the progress of the campaign in FOLDER.
+
+    The campaign may be running.
+    """
     from lunarsim.campaign.results import status_of
 
     found = status_of(folder)
     click.echo(f"{found.name}: {found.state}, {found.done} of {found.wanted} flights")
     if found.rate == found.rate:
-        left = "" if found.done >= found.wanted else f", {_span(found.seconds_left)} left"
-        click.echo(f"{60.0 * found.rate:.1f} flights a minute{left}")
+        left = (
+            "" if found.done >= found.wanted else f", {_format_duration(found.seconds_left)} left"
+        )
+        click.echo(f"{60.0 * found.rate:.1f} flights per minute{left}")
     for outcome, count in sorted(found.outcomes.items()):
         click.echo(f"{outcome}: {count}")
 
 
-def _span(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     minutes, hours = seconds / 60.0, seconds / 3600.0
     if hours >= 1.0:
         return f"{hours:.1f} h"
@@ -250,9 +270,9 @@ def _span(seconds: float) -> str:
 @campaign.command()
 @_FOLDER
 @click.option("--out", type=PATH, required=True, help="CSV or Parquet file to write.")
-@click.option("--timing", is_flag=True, help="Wall-clock times too.")
+@click.option("--timing", is_flag=True, help="Add columns with wall-clock times.")
 def export(folder: Path, out: Path, timing: bool) -> None:
-    """Write all rows of the campaign in FOLDER into one file."""
+    """Write all results of a campaign to one table."""
     from lunarsim.campaign.results import export as write
 
     click.echo(f"{out}: {write(folder, out, timing=timing)} rows")
@@ -262,34 +282,38 @@ def export(folder: Path, out: Path, timing: bool) -> None:
 @_FOLDER
 @click.option(
     "--out", type=PATH, default=None, show_default="report.html in FOLDER",
-    help="HTML file; or Markdown file (.md), its tables alone.",
+    help="HTML file to write, or Markdown file (.md) with the tables only.",
 )  # fmt: skip
 def report(folder: Path, out: Path | None) -> None:
-    """Write a report of the campaign in FOLDER: one HTML file that needs no network."""
+    """Write a report of the campaign in FOLDER.
+
+    The report is one HTML file that needs no network.
+    """
     from lunarsim.campaign.report import write_report
     from lunarsim.campaign.results import load_results
 
     load_results(folder, ["outcome"])
     target = folder / "report.html" if out is None else out
     write_report(folder, target)
-    click.echo(f"report in {target}")
+    click.echo(f"the report is in {target}")
 
 
 @campaign.command()
 @_FOLDER
 @click.option(
     "--metric", default="safe", show_default=True,
-    help="A column of numbers, or of true and false.",
+    help="Result column to analyse (numbers or true/false).",
 )  # fmt: skip
 @click.option(
     "--resamples", type=IntRange(min=20), default=100, show_default=True,
-    help="Of the bootstrap that gives the intervals.",
+    help="Number of bootstrap resamples for the intervals.",
 )  # fmt: skip
 def sensitivity(folder: Path, metric: str, resamples: int) -> None:
-    """Tell which dispersions of the campaign in FOLDER a metric hangs on, with 95 % intervals.
+    """Print sensitivity indices of a metric to the dispersions.
 
-    Sobol indices where the spec said method = "saltelli"; else PAWN, the distance by which the
-    metric's distribution moves when a key is held in a tenth of its range.
+    Campaigns with method = "saltelli" give Sobol indices. All others give PAWN indices: the
+    distance by which the metric's distribution moves when one key is fixed to a tenth of its
+    range. All indices have 95 % intervals.
     """
     from rich.table import Table
 
@@ -299,10 +323,10 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
     for found in sensitivities(load_results(folder), metric, resamples):
         click.echo(
             f"{found.arm}: {found.metric}, {found.method}, {found.rows} flights"
-            + (f", {found.left_out} left out" if found.left_out else "")
+            + (f", {found.left_out} excluded" if found.left_out else "")
         )
         if found.why_not:
-            click.echo(f"  none: {found.why_not}")
+            click.echo(f"  no indices: {found.why_not}")
             continue
         table = Table("key", *found.indices)
         for i, name in enumerate(found.names):
@@ -312,41 +336,45 @@ def sensitivity(folder: Path, metric: str, resamples: int) -> None:
             table.add_row(name, *cells)
         wide_console(140).print(table)
         if found.chance == found.chance:
-            click.echo(f"  of a column drawn for nothing: up to {found.chance:.3f}")
+            click.echo(f"  noise floor (index of an unused random column): {found.chance:.3f}")
 
 
 @campaign.command()
 @_FOLDER
 @click.option(
     "--metric", default="safe", show_default=True,
-    help="A column of true and false (failed: false), or of numbers with a limit.",
+    help="True/false column (false is a failure), or number column with --above or --below.",
 )  # fmt: skip
-@click.option("--above", type=float, default=None, help="A number above this is a failure.")
-@click.option("--below", type=float, default=None, help="A number below this is a failure.")
+@click.option("--above", type=float, default=None, help="Values above this limit are failures.")
+@click.option("--below", type=float, default=None, help="Values below this limit are failures.")
 def rare(folder: Path, metric: str, above: float | None, below: float | None) -> None:
-    """Tell the share of failures of the campaign in FOLDER, of method importance or subset.
+    """Estimate the failure probability from a rare-event campaign.
 
-    The share is that under the dispersions as declared, with its 95 % interval, and worth so many
-    flights of plain Monte Carlo. Of method subset the levels are told too.
+    The campaign in FOLDER must use method "importance" or "subset". The estimate holds for the
+    dispersions as declared and has a 95 % interval. "Equivalent flights" is the number of plain
+    Monte Carlo flights with the same precision. Method "subset" also prints its levels.
     """
     from rich.table import Table
 
     from lunarsim.campaign.rare import rare_shares
     from lunarsim.campaign.results import load_results
 
-    table = Table("arm", "flights", "failed", "without verdict", "share that fails [95 %]", "worth")
+    table = Table(
+        "Arm", "Flights", "Failures", "No outcome", "Failure probability [95 % CI]",
+        "Equivalent flights",
+    )  # fmt: skip
     found = load_results(folder)
     for s in rare_shares(found, metric, above, below):
-        interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" rough" if s.few else "")
+        interval = f"{s.value:.3g} [{s.low:.3g}, {s.high:.3g}]" + (" (rough)" if s.few else "")
         interval = interval if s.value == s.value else "-"
         worth = f"{s.worth:.3g}" if s.worth == s.worth else "-"
         table.add_row(s.arm, str(s.flights), str(s.failures), str(s.left_out), interval, worth)
     wide_console(140).print(table)
     if found.is_subset:
-        _tell_levels(found)
+        _print_levels(found)
 
 
-def _tell_levels(found: Results) -> None:
+def _print_levels(found: Results) -> None:
     """Print the levels of a subset simulation."""
     from rich.table import Table
 
@@ -368,19 +396,21 @@ def _tell_levels(found: Results) -> None:
 @click.argument("second", type=PATH, metavar="B")
 @click.option(
     "--margin", type=FloatRange(0.0, 1.0, min_open=True), default=0.05, show_default=True,
-    help="Differences of the share up to this do not matter.",
+    help="Largest difference of the fraction that counts as equivalent.",
 )  # fmt: skip
-@click.option("--metric", default="safe", show_default=True, help="A column of true and false.")
+@click.option(
+    "--metric", default="safe", show_default=True, help="Result column to compare (true/false)."
+)
 @click.option(
     "--require-equivalent", is_flag=True,
-    help="Fail too where the flights are too few to show that the share is within the margin.",
+    help="Exit with code 1 also if an arm is not shown to be equivalent.",
 )  # fmt: skip
 def diff(first: Path, second: Path, margin: float, metric: str, require_equivalent: bool) -> None:
-    """Compare campaign B with A, flight by flight: exit code 1 if an arm has become worse.
+    """Compare campaigns A and B, paired by flight.
 
-    Worse: McNemar's exact test of the flights that ended otherwise, at 5 % after Holm's correction
-    for all arms. Equivalent: the 90 % interval of the difference lies within the margin, which is
-    two one-sided tests at 5 %.
+    The exit code is 1 if an arm of B is worse. "Worse" means that McNemar's exact test is
+    significant at 5 % after Holm's correction over all arms. "Equivalent" means that the 90 %
+    interval of the difference lies within the margin (two one-sided tests at 5 %).
     """
     from rich.table import Table
 
@@ -389,18 +419,21 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
     from lunarsim.campaign.results import load_results
 
     if math.isnan(margin):
-        raise InputError("--margin", margin, "above 0, at most 1")
+        raise InputError("--margin", margin, "must be above 0 and at most 1")
     a, b = load_results(first), load_results(second)
     verdicts = compare(a, b, margin, metric)
     other = first_difference(a.manifest["identity"], b.manifest["identity"])
     if other is not None:
-        click.echo(f"note: their specs differ: {other[0]} is {other[1]!r}, {other[2]!r}", err=True)
+        click.echo(
+            f"note: the specs of A and B differ: {other[0]} is {other[1]!r} and {other[2]!r}",
+            err=True,
+        )
     table = Table()
-    for heading in ("arm", "pairs", f"{metric}: B - A [90 %]", "p", "p after Holm", "verdict"):
-        table.add_column(heading, justify="left" if heading in ("arm", "verdict") else "right")
+    for heading in ("Arm", "Pairs", f"{metric}: B - A [90 % CI]", "p", "p (Holm)", "Result"):
+        table.add_column(heading, justify="left" if heading in ("Arm", "Result") else "right")
     for v in verdicts:
         d = v.difference
-        word = "worse" if v.worse else ("equivalent" if v.equivalent else "not shown equivalent")
+        word = "worse" if v.worse else ("equivalent" if v.equivalent else "inconclusive")
         table.add_row(
             d.first, str(d.pairs), f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]", f"{d.p:.3g}",
             f"{d.corrected:.3g}", word,
@@ -413,10 +446,17 @@ def diff(first: Path, second: Path, margin: float, metric: str, require_equivale
 @click.command()
 @_FOLDER
 @ALLOW_MODULE
-@click.option("--flight", required=True, help="Its id, such as 12-0: index and number of the arm.")
-@click.option("--out", type=PATH, default=None, help="New folder for its record and figures.")
+@click.option(
+    "--flight", required=True, help="ID of the flight: index and arm number, for example 12-0."
+)
+@click.option(
+    "--out", type=PATH, default=None, help="New folder for the flight record and the figures."
+)
 def replay(folder: Path, flight: str, out: Path | None) -> None:
-    """Fly one flight of the campaign in FOLDER again, and compare it with its row."""
+    """Repeat one flight of a campaign and compare results.
+
+    The exit code is 1 if the repeated flight differs from its row in FOLDER.
+    """
     from rich.table import Table
 
     from lunarsim.campaign.replay import replay as fly
@@ -425,30 +465,30 @@ def replay(folder: Path, flight: str, out: Path | None) -> None:
         check_folder(out)
     found = fly(folder, flight)
     if out is not None:
-        # Before anything is printed: whoever reads that may stop listening.
+        # Save before printing: the reader of a pipe may close it early.
         with filled_whole(out):
             found.flight.save(out)
     table = Table(show_header=False, box=None)
     for name, value in found.row.items():
-        table.add_row(name, _word(value))
+        table.add_row(name, _format_cell(value))
     wide_console(120).print(table)
     if found.recorded is None:
-        click.echo("the campaign has no row of this flight yet")
+        click.echo("the campaign has no result of this flight yet")
     elif found.differences is None:
-        click.echo(f"recorded without a verdict: {found.recorded['error']}")
+        click.echo(f"the campaign recorded no outcome: {found.recorded['error']}")
     elif not found.differences:
-        click.echo("the same as recorded")
+        click.echo("identical to the recorded result")
     for name, old, new in found.differences or []:
-        click.echo(f"{name}: recorded {_word(old)}, now {_word(new)}")
+        click.echo(f"{name}: recorded {_format_cell(old)}, now {_format_cell(new)}")
     if out is not None:
         from lunarsim.viz import draw_flight
 
-        with kept_if_interrupted(f"the record is in {out}, not all figures"):
+        with add_to_interrupt_message(f"{out} has the flight record, but not all figures"):
             draw_flight(found.flight, found.simulation.world, found.simulation.truth, out)
-        click.echo(f"record and figures in {out}")
+        click.echo(f"flight record and figures are in {out}")
     if found.differences:
         sys.exit(1)
 
 
-def _word(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)

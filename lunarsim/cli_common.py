@@ -1,4 +1,4 @@
-"""What all commands share: mistakes as one line, scenarios by file or name, options, progress."""
+"""Share error handling, options, scenario loading and progress bars between commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from lunarsim.cli_start import INTERRUPTED, end_of, heard
+from lunarsim.cli_start import INTERRUPTED, acknowledge_interrupt, interrupt_message
 from lunarsim.errors import InputError, RenderingError
 
 if TYPE_CHECKING:
@@ -26,54 +26,58 @@ F = TypeVar("F", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
 
 
-# Errors of a disk, which are not the user's mistake: full, over quota, file too large, damaged.
-_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+# Disk errors (full, over quota, file too large, damaged) exit with code 1: not a usage mistake.
+_DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class IntRange(click.IntRange):
-    """Whole numbers within bounds, named as what they are where one is none."""
+    """Parse integers within bounds; errors call them "integer", not "integer range"."""
 
     name = "integer"
 
 
 class FloatRange(click.FloatRange):
-    """Numbers within bounds, named as what they are where one is none."""
+    """Parse numbers within bounds; errors call them "float", not "float range"."""
 
     name = "float"
 
 
 class Group(click.Group):
-    """Turns a user's mistake into one line and exit code 2."""
+    """Report a user's mistake as one line with exit code 2."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command."""
+        """Run a command and turn its known exceptions into messages and exit codes."""
         try:
             return super().invoke(ctx)
         except click.exceptions.NoArgsIsHelpError:
             raise
         except click.UsageError as error:
             where = ctx.command_path if error.ctx is None else error.ctx.command_path
-            _end(ctx, f"{error.format_message()} (`{where} --help` tells more)", 2)
+            _exit_with_message(ctx, f"{error.format_message()} See `{where} --help`.", 2)
         except InputError as error:
-            _end(ctx, str(error), 2)
+            _exit_with_message(ctx, str(error), 2)
         except RenderingError as error:
-            _end(ctx, str(error), 1)
+            _exit_with_message(ctx, str(error), 1)
         except KeyboardInterrupt as error:
-            heard()
-            _end(ctx, end_of(error), INTERRUPTED, kind="")
+            acknowledge_interrupt()
+            _exit_with_message(ctx, interrupt_message(error), INTERRUPTED, kind="")
         except MemoryError as error:
-            _end(ctx, f"memory: {error or 'not enough'}; smaller sizes take less", 1)
+            _exit_with_message(
+                ctx, f"out of memory: {error or 'allocation failed'}. Use smaller sizes.", 1
+            )
         except OSError as error:
             if error.filename is None:
-                # A pipe that its reader has closed is nobody's error: click ends the command.
+                # A pipe closed by its reader is no error: click ends the command.
                 if isinstance(error, BrokenPipeError):
                     raise
-                _end(ctx, f"output: {error.strerror or error}", 1)
-            _end(ctx, f"{error.filename}: {error.strerror}", 1 if error.errno in _STORAGE else 2)
+                _exit_with_message(ctx, f"output: {error.strerror or error}", 1)
+            _exit_with_message(
+                ctx, f"{error.filename}: {error.strerror}", 1 if error.errno in _DISK_ERRORS else 2
+            )
 
 
-def _end(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
-    """Write a message as one line and leave."""
+def _exit_with_message(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> None:
+    """Print a message as one line on stderr and exit."""
     click.echo(kind + " ".join(message.split()), err=True)
     ctx.exit(code)
 
@@ -83,17 +87,19 @@ def _end(ctx: click.Context, message: str, code: int, kind: str = "error: ") -> 
 _FILE = click.argument("scenario", type=PATH)
 _SET = click.option(
     "--set", "changes", multiple=True, metavar="KEY=VALUE",
-    help="Another value of a key, such as sun.elevation_deg=5; may be repeated.",
+    help="Set a scenario key, for example sun.elevation_deg=5. Repeatable.",
 )  # fmt: skip
-SEED = click.option("--seed", type=IntRange(min=0), default=1, show_default=True, help="Root seed.")
+SEED = click.option(
+    "--seed", type=IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 FLIGHT = click.option(
     "--flight", type=IntRange(min=0), default=0, show_default=True,
-    help="Index of the flight: world and noise derive from the seed and this.",
+    help="Flight index. Seed and index together fix the world and the noise.",
 )  # fmt: skip
 
 
 def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> None:
-    """Allow modules as long as the command runs."""
+    """Allow modules while the command runs."""
     from lunarsim.parts.allowed import allowing
 
     try:
@@ -104,43 +110,43 @@ def _allow(ctx: click.Context, _: click.Parameter, names: tuple[str, ...]) -> No
 
 ALLOW_MODULE = click.option(
     "--allow-module", multiple=True, metavar="MODULE", expose_value=False, callback=_allow,
-    help="Run code of this module if a file names it; repeatable.",
+    help="Allow files to run code of this Python module. Repeatable.",
 )  # fmt: skip
 
 
-def allow_typed(*texts: str | None) -> None:
-    """Allow the modules that the user named as "module:Class" on the command line."""
+def allow_named_modules(*texts: str | None) -> None:
+    """Allow modules that the user names as "module:Class" on the command line."""
     from lunarsim.parts.allowed import allowing, modules_in
 
     click.get_current_context().with_resource(allowing(modules_in(texts)))
 
 
 def scenario_options(command: F) -> F:
-    """Give a command the argument SCENARIO, and the options ``--set`` and ``--allow-module``."""
+    """Add the argument SCENARIO and the options ``--set`` and ``--allow-module``."""
     return _FILE(_SET(ALLOW_MODULE(command)))
 
 
 _CACHE = click.option(
     "--cache", type=PATH, default=None, show_default="lunarsim/worlds in the user's cache folder",
-    help="Folder where the truth about grounds is kept between campaigns.",
+    help="Folder that caches true terrain maps between campaigns.",
 )  # fmt: skip
 _CACHE_SIZE = click.option(
     "--cache-size", type=FloatRange(min=0.0), default=4.0, show_default=True,
-    help="Of that folder at most, GiB; 0: nothing is kept. Results do not depend on it.",
+    help="Maximum size of the cache (GiB); 0 disables it. Results do not depend on it.",
 )  # fmt: skip
 
 
 def cache_options(command: F) -> F:
-    """Give a command the options of the cache of truth about grounds."""
+    """Add the options of the cache of true terrain maps."""
     return _CACHE(_CACHE_SIZE(command))
 
 
-def opened_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
-    """Return the cache of a folder, None where nothing is kept."""
+def open_cache(folder: Path | None, gigabytes: float) -> DiskCache | None:
+    """Return the cache in a folder, or None if the cache is disabled (size 0)."""
     from lunarsim.campaign.cache import opened, standard_folder
 
     if not math.isfinite(gigabytes):
-        raise InputError("--cache-size", gigabytes, "a finite number of GiB; 0: nothing is kept")
+        raise InputError("--cache-size", gigabytes, "must be finite", "Use 0 to disable the cache.")
     if gigabytes == 0.0:
         return None
     return opened(standard_folder() if folder is None else folder, int(gigabytes * 2**30))
@@ -153,31 +159,31 @@ def load_scenario(
     flown: bool = True,
     parts: Mapping[str, str | None] | None = None,
 ) -> Scenario:
-    """Return a scenario with changes of the command line; tell on stderr what is odd about it.
+    """Load a scenario, apply command-line changes, and print warnings on stderr.
 
     Parameters
     ----------
     given
-        A file, or the name of a scenario that comes with the package.
+        File, or name of a scenario that comes with the package.
     changes
-        ``KEY=VALUE`` each.
+        Texts ``KEY=VALUE``. They apply to the parts that `parts` names.
     parts
-        By contract the kind of part that an option such as ``--guidance`` names, or None. A kind
-        that is not the scenario's starts from its defaults. Changes apply to the named part.
+        Kind of part by contract, as given by options such as ``--guidance``; None keeps the
+        scenario's part. Another kind than the scenario's starts from its defaults.
     flown
-        Whether a flight follows; pictures and maps of the ground use more, and less, of it.
+        Whether a flight follows; only then are warnings printed.
 
     Raises
     ------
     InputError
-        If the file or a change will not do.
+        If the file or a change is invalid.
     """
     from lunarsim.scenario import Scenario
     from lunarsim.scenario.changes import with_changes
     from lunarsim.scenario.notes import notes_on
     from lunarsim.scenario.shipped import found
 
-    allow_typed(*changes, *filter(None, (parts or {}).values()))
+    allow_named_modules(*changes, *filter(None, (parts or {}).values()))
     loaded = Scenario.load(found(given))
     for contract, kind in (parts or {}).items():
         loaded = _with_part(loaded, contract, kind)
@@ -188,7 +194,7 @@ def load_scenario(
 
 
 def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
-    """Return a scenario with a part that an option names, with that kind's defaults."""
+    """Return a scenario with a part of another kind, with that kind's defaults."""
     from lunarsim.parts import resolve
 
     if kind is None or kind == getattr(scenario, contract).kind:
@@ -197,19 +203,19 @@ def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
     return scenario.changed(**{contract: {"kind": kind}})
 
 
-# --- what is shown meanwhile --------------------------------------------------------------------
+# --- output -------------------------------------------------------------------------------------
 
 
 def wide_console(width: int) -> Console:
-    """Return a console for tables, `width` columns wide where it is no terminal."""
+    """Return a console for tables, `width` columns wide if stdout is not a terminal."""
     from lunarsim.console import plain_console
 
     return plain_console(None if sys.stdout.isatty() else width)
 
 
 @contextmanager
-def kept_if_interrupted(what: str) -> Iterator[None]:
-    """Say in the line about an interrupt what is there all the same."""
+def add_to_interrupt_message(what: str) -> Iterator[None]:
+    """Add a text to the message of an interrupt, such as what was written before it."""
     try:
         yield
     except KeyboardInterrupt:
@@ -218,7 +224,7 @@ def kept_if_interrupted(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar on stderr; what is yielded takes the number of things done since the last call."""
+    """Show a progress bar on stderr; yield a function that advances it by a number of items."""
     from lunarsim.console import plain_console, plain_progress
 
     with plain_progress(plain_console(stderr=True)) as bar:
@@ -226,6 +232,6 @@ def progress_bar(name: str, total: int) -> Iterator[Callable[[int], None]]:
         try:
             yield lambda n: bar.advance(task, n)
         except (InputError, OSError):
-            bar.live.transient = True  # the error is the only line
+            bar.live.transient = True  # print nothing but the error
             bar.console.quiet = not bar.console.is_terminal
             raise

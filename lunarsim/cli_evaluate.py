@@ -1,4 +1,4 @@
-"""The command of environments and agents: `lunarsim evaluate`."""
+"""Define the command `lunarsim evaluate` for environments and agents."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from lunarsim.cli_common import (
     SEED,
     FloatRange,
     IntRange,
-    allow_typed,
-    kept_if_interrupted,
+    add_to_interrupt_message,
+    allow_named_modules,
     progress_bar,
     wide_console,
 )
@@ -28,45 +28,49 @@ from lunarsim.whole_files import filled_whole
 @click.argument("env")
 @click.option(
     "--agent", "agents", multiple=True, required=True, metavar="NAME|FILE|module:Name",
-    help="Who flies; may be repeated.",
+    help="Agent to evaluate. Repeatable.",
 )  # fmt: skip
 @click.option(
     "--trust-pickle", is_flag=True,
-    help="Read agents in .zip files, which can run any code.",
+    help="Allow .zip agents (pickles). Loading them can run any code.",
 )  # fmt: skip
 @click.option(
-    "--scenario", type=PATH, default=None, show_default="the environment's own",
-    help="A TOML file, or a name of `scenario list`.",
+    "--scenario", type=PATH, default=None, show_default="scenario of the environment",
+    help="TOML file, or a name from `lunarsim scenario list`.",
 )  # fmt: skip
 @click.option(
     "--set", "values", multiple=True, metavar="KEY=VALUE",
-    help="Another value of a key of the scenario; may be repeated.",
+    help="Set a scenario key, for example sun.elevation_deg=5. Repeatable.",
 )  # fmt: skip
 @ALLOW_MODULE
 @click.option(
-    "--perception", default=None, metavar="NAME", show_default="the environment's own",
-    help="Of Retarget-v0: onboard, truth, surrogate, gaussian-dem, shadows, quadtree or fused.",
+    "--perception", default=None, metavar="NAME", show_default="perception of the environment",
+    help="Source of the hazard map in Retarget-v0: onboard, truth, surrogate, gaussian-dem, "
+    "shadows, quadtree or fused.",
 )  # fmt: skip
 @click.option(
-    "--observation", "parts", multiple=True, metavar="PART", show_default="the environment's own",
-    help="A part of the observation that agents were trained on; may be repeated.",
+    "--observation", "parts", multiple=True, metavar="PART",
+    show_default="observation of the environment",
+    help="Component of the observation that the agents were trained with. Repeatable.",
 )  # fmt: skip
 @click.option(
     "--action", "decided", multiple=True, metavar="PART", show_default="site",
-    help="Of Retarget-v0: a part of the action that agents decide on, site or stretch; may be "
-    "repeated.",
+    help="Component of the action that the agents choose in Retarget-v0: site or stretch (time "
+    "scale of the divert). Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--episodes", type=IntRange(min=1), default=100, show_default=True, help="Episodes an agent.",
+    "--episodes", type=IntRange(min=1), default=100, show_default=True,
+    help="Number of episodes per agent.",
 )  # fmt: skip
 @SEED
 @click.option(
     "--jobs", type=IntRange(min=1), default=os.cpu_count() or 1,
-    show_default="number of cores", help="Processes; the results do not depend on it.",
+    show_default="number of cores",
+    help="Number of processes. Results do not depend on it.",
 )  # fmt: skip
 @click.option(
     "--within", type=FloatRange(min=0.0, min_open=True), default=10.0, show_default=True,
-    help="Of the target, m: how near a safe landing is on target.",
+    help="Maximum distance from the target for a landing on target (m).",
 )  # fmt: skip
 @click.option(
     "--out", type=PATH, default=None, help="New folder for results.parquet and summary.json."
@@ -76,23 +80,28 @@ def evaluate(
     values: tuple[str, ...], perception: str | None, parts: tuple[str, ...],
     decided: tuple[str, ...], episodes: int, seed: int, jobs: int, within: float, out: Path | None,
 ) -> None:  # fmt: skip
-    """Fly agents over the same episodes of an environment ENV and compare them.
+    """Compare agents on identical episodes of an environment.
 
-    ENV is Retarget-v0, Guidance-v0, Control-v0, or one of your own: module:namespace/Name-v0. An
-    agent is
+    ENV is Retarget-v0, Guidance-v0, Control-v0, or a custom environment: module:namespace/Name-v0.
+    An agent is one of:
 
     \b
-      zero, random, hover, polynomial     what is built in
-      apollo, e-guidance, ...             `lunarsim parts guidance`; Guidance-v0
-      safest, nearest-safe, ...           `lunarsim parts policy`; Retarget-v0
-      FILE.npz                            a network, flown by NumPy alone
-      FILE.onnx                           an exported network, with the extra `onnx`
-      FILE.zip                            of Stable-Baselines3, with --trust-pickle
+      zero, random, hover, polynomial     built-in agents
+      apollo, e-guidance, ...             `lunarsim parts guidance`; for Guidance-v0
+      safest, nearest-safe, ...           `lunarsim parts policy`; for Retarget-v0
+      FILE.npz                            network, evaluated with NumPy only
+      FILE.onnx                           exported network; needs the extra `onnx`
+      FILE.zip                            Stable-Baselines3 model; needs --trust-pickle
       module:Name                         any callable: observation, info -> action
 
-    Episode i of every agent has the same world, start and noise. A score is the return minus
-    shaping rewards. The table gives shares with 95 % Wilson intervals, means with bootstrap
-    intervals, and differences on the same episodes, tested and corrected for their number.
+    Episode i has the same world, start state and noise for every agent. The score is the return
+    without shaping rewards. The first table gives fractions with 95 % Wilson intervals and means
+    with bootstrap intervals. The second gives paired differences, with p-values corrected for
+    multiple comparisons.
+
+    \b
+    Example:
+      lunarsim evaluate Guidance-v0 --agent apollo --agent polynomial --episodes 50
     """  # noqa: D301
     from lunarsim_envs.evaluation.request import study
     from lunarsim_envs.evaluation.results import differences, figures, with_target, write
@@ -100,18 +109,18 @@ def evaluate(
     from lunarsim_envs.evaluation.told import agents_table, differences_table
 
     if within == float("inf"):
-        raise InputError("--within", within, "a finite number of metres")
+        raise InputError("--within", within, "must be a finite distance in m")
     if out is not None:
         check_folder(out)
     given: dict[str, Any] = {} if perception is None else {"perception": perception}
     given |= {"observation": list(parts)} if parts else {}
     given |= {"action": list(decided)} if decided else {}
-    allow_typed(*values)
+    allow_named_modules(*values)
     asked = replace(study(env, scenario, values, seed, **given), trust_pickle=trust_pickle)
     check_agents(asked, agents)
     console = wide_console(170)
     with (
-        kept_if_interrupted("nothing was written"),
+        add_to_interrupt_message("no file was written"),
         progress_bar(asked.env, episodes * len(agents)) as advance,
     ):
         try:
@@ -129,4 +138,4 @@ def evaluate(
     if between:
         console.print(differences_table(between))
     if out is not None:
-        console.print(f"results in {out}", soft_wrap=True)
+        console.print(f"results are in {out}", soft_wrap=True)

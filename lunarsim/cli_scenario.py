@@ -1,4 +1,4 @@
-"""The commands that show what scenarios hold: `lunarsim scenario ...`, `lunarsim parts`."""
+"""Define the commands `lunarsim scenario ...` and `lunarsim parts`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from lunarsim.errors import check_output
 @click.command()
 @click.argument("contract", required=False)
 def parts(contract: str | None) -> None:
-    """List the parts that scenarios choose from, or those of one CONTRACT."""
+    """List the parts a scenario can use.
+
+    CONTRACT selects one group, for example guidance or policy.
+    """
     from lunarsim.scenario.reference import parts_list
 
     for line in parts_list(contract):
@@ -22,13 +25,13 @@ def parts(contract: str | None) -> None:
 
 @click.group(cls=Group)
 def scenario() -> None:
-    """Scenario files: what they may hold, and whether one is right."""
+    """List, copy, check and document scenario files."""
 
 
 @scenario.command()
-@click.option("--markdown", is_flag=True, help="As Markdown tables; else as text.")
+@click.option("--markdown", is_flag=True, help="Print Markdown tables instead of plain text.")
 def reference(markdown: bool) -> None:
-    """Print every key of a scenario file with unit, default, bounds and meaning."""
+    """Print all scenario keys: defaults, units, bounds, meaning."""
     from lunarsim.scenario.reference import reference_text
 
     click.echo(reference_text(markdown=markdown))
@@ -37,16 +40,17 @@ def reference(markdown: bool) -> None:
 @scenario.command()
 @scenario_options
 def check(scenario: Path, changes: tuple[str, ...]) -> None:
-    """Check SCENARIO (a file or a name of `scenario list`) and print it whole.
+    """Check SCENARIO and print it with all defaults.
 
-    Defaults are included, and files that it names are read. Warnings, and the memory and time
-    that a flight takes, go to stderr.
+    SCENARIO is a TOML file or a name from `lunarsim scenario list`. The command also reads the
+    terrain files that the scenario names. It prints warnings, and an estimate of memory and time,
+    on stderr.
     """
     from lunarsim.scenario.estimate import estimate
 
     loaded = load_scenario(scenario, changes)
     loaded.check_files()
-    # As a flight does before it begins.
+    # A flight makes the same check before it starts.
     loaded.vehicle.make().check_hover(loaded.gravity_m_s2)
     click.echo(f"estimate: {estimate(loaded)}", err=True)
     click.echo(loaded.to_toml(), nl=False)
@@ -64,7 +68,7 @@ def list_command() -> None:
 @scenario.command()
 @click.argument("name")
 def show(name: str) -> None:
-    """Print the file of the scenario NAME that comes with the package."""
+    """Print the file of the packaged scenario NAME."""
     from lunarsim.scenario import shipped
 
     click.echo(shipped.path_of(name).read_text(encoding="utf-8"), nl=False)
@@ -73,11 +77,11 @@ def show(name: str) -> None:
 @scenario.command()
 @click.argument("name")
 @click.option(
-    "--out", type=PATH, default=None, show_default="NAME.toml here",
-    help="TOML file to write; data goes beside it.",
+    "--out", type=PATH, default=None, show_default="NAME.toml in the working folder",
+    help="TOML file to write. Data files are copied to the same folder.",
 )  # fmt: skip
 def new(name: str, out: Path | None) -> None:
-    """Write a copy of the scenario NAME, with the data that it needs, to start from."""
+    """Copy the packaged scenario NAME and its data files."""
     from lunarsim.scenario import shipped
 
     source = shipped.path_of(name)

@@ -1,7 +1,8 @@
-"""How the `lunarsim` command is run: Ctrl-C ends it with one line and code 130, at any time.
+"""Run the `lunarsim` command so that Ctrl-C always ends it with one line and code 130.
 
-Libraries swallow interrupts: what is raised within the C code of a compiler, or while an object is
-freed, is lost or comes out as another error. Here an interrupt is raised again until it is heard.
+Libraries swallow interrupts: a KeyboardInterrupt raised in the C code of a compiler, or while an
+object is freed, is lost or becomes another error. This module raises an interrupt again every
+0.25 s until a handler acknowledges it.
 """
 
 from __future__ import annotations
@@ -17,104 +18,106 @@ from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
-# Until an interrupt that nobody has heard is raised again, s.
-_AGAIN = 0.25
+# Time until an unacknowledged interrupt is raised again, s.
+_RERAISE_INTERVAL_S = 0.25
 
-_taken: list[int] = []
-_ended: list[int] = []
+_pending_interrupts: list[int] = []
+_exit_codes: list[int] = []
 
 
-def heard() -> None:
-    """Let the interrupt be: whoever calls this ends what it was meant to end."""
-    if _taken:
+def acknowledge_interrupt() -> None:
+    """Acknowledge the interrupt, so that it is not raised again."""
+    if _pending_interrupts:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        _taken.clear()
+        _pending_interrupts.clear()
 
 
 def run(command: Callable[[], Any]) -> None:
-    """Run a command to its end or to the first interrupt."""
+    """Run a command until it ends or is interrupted."""
     _check_process()
-    # Workers start as `python -c`, which would import modules from the working folder: it may hold
-    # a multiprocessing.py from somebody else. They take over the search path of this process.
+    # Workers start as `python -c`, which would import modules from the working folder, for example
+    # an unrelated multiprocessing.py. They use the search path of this process instead.
     os.environ["PYTHONSAFEPATH"] = "1"
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _take)
-        sys.unraisablehook = _quiet
+        signal.signal(signal.SIGINT, _raise_interrupt)
+        sys.unraisablehook = _ignore_lost_interrupt
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _take)  # a polite kill is an interrupt, as in a campaign
-    # What is registered first is called last: temporary folders are gone by then.
-    atexit.register(_leave)
+        signal.signal(
+            signal.SIGTERM, _raise_interrupt
+        )  # handle SIGTERM like Ctrl-C, as campaigns do
+    # The first registered function runs last, after temporary folders have been removed.
+    atexit.register(_exit_interrupted)
     try:
         command()
     except KeyboardInterrupt as error:
-        heard()
-        _ended.append(INTERRUPTED)
-        print(end_of(error), file=sys.stderr)
+        acknowledge_interrupt()
+        _exit_codes.append(INTERRUPTED)
+        print(interrupt_message(error), file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BaseException as error:
-        if not _taken:
+        if not _pending_interrupts:
             if isinstance(error, SystemExit) and error.code == INTERRUPTED:
-                _ended.append(INTERRUPTED)
+                _exit_codes.append(INTERRUPTED)
             if isinstance(error, OSError):  # raised outside of a command, for instance by --help
                 sys.exit(f"error: output: {error.strerror or error}")
             raise
-        heard()
-        _ended.append(INTERRUPTED)
-        if not isinstance(error, SystemExit):  # what an interrupt in the wrong place becomes
+        acknowledge_interrupt()
+        _exit_codes.append(INTERRUPTED)
+        if not isinstance(error, SystemExit):  # an interrupt that a library has turned into this
             print("interrupted", file=sys.stderr)
         elif not error.code:
-            print("interrupted: at the end, all was done", file=sys.stderr)
+            print("interrupted: the command had already finished", file=sys.stderr)
         sys.exit(INTERRUPTED)
     finally:
-        heard()
-        if signal.getsignal(signal.SIGINT) is _take:
-            # What is left is to leave: another one would make a done command a killed one.
+        acknowledge_interrupt()
+        if signal.getsignal(signal.SIGINT) is _raise_interrupt:
+            # Only the exit is left: another interrupt would report a finished command as killed.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if signal.getsignal(signal.SIGTERM) is _take:
+        if signal.getsignal(signal.SIGTERM) is _raise_interrupt:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _check_process() -> None:
     """Exit with one line if stdout is closed or the working folder is deleted."""
     if sys.stderr is None:
-        # A data file must not get the number of stderr: C libraries write messages there.
+        # A data file must not get the descriptor of stderr: C libraries write messages there.
         sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
     if sys.stdout is None:
-        sys.exit("error: output: stdout is closed. Redirect it to a file or to /dev/null.")
+        sys.exit("error: output: stdout is closed. Redirect it to a file or /dev/null.")
     try:
         Path.cwd()
     except OSError as error:
         sys.exit(f"error: working folder: {error.strerror}. Change to an existing folder.")
 
 
-def end_of(error: KeyboardInterrupt) -> str:
-    """Return the line that tells of an interrupt, and of what is there if its raiser said so."""
+def interrupt_message(error: KeyboardInterrupt) -> str:
+    """Return the message of an interrupt, with the text that its raiser added."""
     return f"interrupted: {error}" if error.args else "interrupted"
 
 
-def _leave() -> None:
-    """End the process of an interrupted command with its code.
+def _exit_interrupted() -> None:
+    """End the process of an interrupted command with its exit code.
 
-    An interrupt within a text that Python evaluates, as it does to make dataclasses, would end it
-    by a signal although it was heard; and what compilers hold takes seconds to free.
+    Without this, an interrupt inside `exec` (which creates dataclasses) would end the process by a
+    signal although it was acknowledged, and freeing the compiler's memory would take seconds.
     """
-    if _ended:
+    if _exit_codes:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(_ended[0])
+        os._exit(_exit_codes[0])
 
 
-def _take(number: int, frame: FrameType | None) -> None:
-    """Raise the interrupt, now and later."""
-    _taken.append(number)
+def _raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise the interrupt now, and again until it is acknowledged."""
+    _pending_interrupts.append(number)
     signal.signal(signal.SIGALRM, _raise_again)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
+    signal.setitimer(signal.ITIMER_REAL, _RERAISE_INTERVAL_S, _RERAISE_INTERVAL_S)
     raise KeyboardInterrupt
 
 
 def _raise_again(number: int, frame: FrameType | None) -> None:
-    """Raise the interrupt if it is lost, not where it is just making its way out."""
+    """Raise the interrupt again, unless it is still propagating."""
     error = sys.exception()
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
@@ -122,7 +125,7 @@ def _raise_again(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def _quiet(unraisable: Any) -> None:
-    """Say nothing of an interrupt that was lost: it is raised again."""
+def _ignore_lost_interrupt(unraisable: Any) -> None:
+    """Ignore lost interrupts, which are raised again; report other exceptions."""
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)

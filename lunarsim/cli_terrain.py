@@ -1,4 +1,4 @@
-"""The commands that show ground: `lunarsim terrain ...`."""
+"""Define the commands `lunarsim terrain ...`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,19 @@ if TYPE_CHECKING:
 
 @click.group(cls=Group)
 def terrain() -> None:
-    """Look at measured and procedural ground."""
+    """Inspect measured and procedural terrain."""
 
 
 @terrain.command()
 @click.argument("file", type=PATH)
 @click.option(
     "--window", type=int, nargs=4, metavar="TOP BOTTOM LEFT RIGHT",
-    help="First and last row, first and last column.",
+    help="Part of the raster: first and last row, first and last column.",
 )  # fmt: skip
-@click.option("--unit", help="Unit of the heights: m, km, ft, us-ft.")
-@click.option("--nodata", type=float, multiple=True, help="Number of posts without a height.")
+@click.option("--unit", help="Unit of the heights: m, km, ft or us-ft.")
+@click.option(
+    "--nodata", type=float, multiple=True, help="Value that marks posts without data. Repeatable."
+)
 def info(
     file: Path, window: tuple[int, int, int, int] | None, unit: str | None,
     nodata: tuple[float, ...],
@@ -67,10 +69,10 @@ def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
         yield "map scale", scale
     heights = found.height_scale
     length = "" if heights.metres == 1.0 else f" ({heights.metres:.10g} m)"
-    yield "unit of heights", heights.unit + length
-    yield "scale, offset", f"number x {heights.scale:g} + {heights.offset:.10g}"
+    yield "height unit", heights.unit + length
+    yield "scale, offset", f"stored value x {heights.scale:g} + {heights.offset:.10g}"
     if found.statistics is None:
-        yield "elevation", f"not read: {found.rows * found.cols} posts; give --window"
+        yield "elevation", f"not read: {found.rows * found.cols} posts; use --window"
     else:
         low, high = found.z_range
         yield "elevation", f"{low:.2f} to {high:.2f} m"
@@ -83,7 +85,7 @@ def _description(found: DtmInfo) -> Iterator[tuple[str, str]]:
 @FLIGHT
 @click.option("--out", type=PATH, required=True, help="PNG file to write.")
 def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, out: Path) -> None:
-    """Draw the ground of SCENARIO: shaded relief, slopes, rocks."""
+    """Plot SCENARIO's terrain: hillshade, slopes, rocks."""
     from lunarsim.rng import Streams, flight_seed
     from lunarsim.simulation.worlds import build_world
     from lunarsim.viz.terrain import draw_terrain
@@ -99,17 +101,22 @@ def preview(scenario: Path, changes: tuple[str, ...], seed: int, flight: int, ou
 @scenario_options
 @SEED
 @FLIGHT
-@click.option("--posting", type=float, default=0.2, show_default=True, help="Of the maps, m.")
+@click.option(
+    "--posting", type=float, default=0.2, show_default=True, help="Cell size of the maps (m)."
+)
 @click.option(
     "--size", type=float, default=60.0, show_default=True,
-    help="Side of the square around the target, m.",
+    help="Side of the mapped square around the target (m).",
 )  # fmt: skip
-@click.option("--out", type=PATH, required=True, help="NetCDF file (.nc).")
+@click.option("--out", type=PATH, required=True, help="NetCDF file (.nc) to write.")
 def truth(
     scenario: Path, changes: tuple[str, ...], seed: int, flight: int, posting: float, size: float,
     out: Path,
 ) -> None:  # fmt: skip
-    """Write true maps of SCENARIO's ground: elevation, slope, rocks, exact safety, shadow."""
+    """Write true maps of SCENARIO's terrain to NetCDF.
+
+    The maps are elevation, slope, rocks, true safety and shadow.
+    """
     from lunarsim.rng import Streams, flight_seed
     from lunarsim.simulation.worlds import build_world
     from lunarsim.world.truth_products import TruthProducts, survey_grid
@@ -121,6 +128,6 @@ def truth(
     maps = TruthProducts.of(world, loaded.vehicle.make(), grid)
     maps.save(out)
     click.echo(
-        f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % exactly safe, "
-        f"{100 * (maps.rock >= 0).mean():.1f} % under rocks, {100 * maps.shadow.mean():.1f} % dark"
+        f"{out}: {grid.rows} x {grid.cols} cells, {100 * maps.safe.mean():.1f} % truly safe, "
+        f"{100 * (maps.rock >= 0).mean():.1f} % rock, {100 * maps.shadow.mean():.1f} % in shadow"
     )

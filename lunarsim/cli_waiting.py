@@ -1,4 +1,4 @@
-"""What a first flight waits for: kernels are compiled once on a machine, and that is told."""
+"""Report the progress of kernel compilation, which happens once per machine."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from typing import Any
 
 import click
 
-# Between two lines, s.
-_INTERVAL = 5.0
+# Time between two progress lines, s.
+_REPORT_INTERVAL_S = 5.0
 
 
 class _Helper:
-    """Another process that compiles what is needed late while this one compiles what is first.
+    """A second process that compiles kernels which the flight needs later.
 
     Parameters
     ----------
     command
-        A module, to be run as ``python -m``, and its arguments; ``--parent`` and the number of this
-        process are added, so that it can end with it.
+        Module for ``python -m``, and its arguments. ``--parent`` and the ID of this process are
+        appended, so that the helper ends together with its parent.
     """
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -32,7 +32,7 @@ class _Helper:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it, if there is a processor for it; what it prints is nobody's concern."""
+        """Start the process without output, if there is a second processor."""
         if self._command and len(os.sched_getaffinity(0)) > 1:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *self._command, "--parent", str(os.getpid())],
@@ -40,57 +40,57 @@ class _Helper:
             )  # fmt: skip
 
     def stop(self) -> None:
-        """End it: what it has finished is kept."""
+        """End the process; kernels that it has finished stay in the cache."""
         if self._process is not None:
             self._process.terminate()
             self._process.wait()
 
 
 @contextmanager
-def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
-    """Tell on stderr how many kernels have been compiled, while there are any to compile.
+def report_compilation(beside: Sequence[str] = ()) -> Iterator[None]:
+    """Print the number of compiled kernels on stderr while a block compiles any.
 
     Parameters
     ----------
     beside
-        A module, and its arguments, that compiles some of them in another process meanwhile.
+        Module and its arguments that compile some kernels in a second process at the same time.
     """
     from numba.core import event
 
     helper = _Helper(beside)
 
-    class Told(event.Listener):  # type: ignore[misc]
-        """Counts compilations; those within another count once."""
+    class CompileListener(event.Listener):  # type: ignore[misc]
+        """Count compilations; nested ones count as part of the outer one for the time."""
 
         def __init__(self) -> None:
             self.count = self.depth = 0
             self.seconds = self.begun = self.last = 0.0
 
         def on_start(self, event: Any) -> None:
-            """Tell that there is something to wait for."""
+            """Announce the first compilation and start the helper."""
             self.depth += 1
             if self.depth > 1:
                 return
             self.begun = time.perf_counter()
             if not self.count:
                 self.last = self.begun
-                click.echo("compiling kernels, once on this machine; counted here", err=True)
+                click.echo("compiling kernels (needed once per machine) ...", err=True)
                 helper.start()
 
         def on_end(self, event: Any) -> None:
-            """Tell how far it is."""
+            """Print the progress if enough time has passed."""
             self.depth -= 1
             self.count += 1
             if self.depth:
                 return
             now = time.perf_counter()
             self.seconds += now - self.begun
-            if now > self.last + _INTERVAL:
+            if now > self.last + _REPORT_INTERVAL_S:
                 self.last = now
                 click.echo(f"  {self.count} kernels in {self.seconds:.0f} s", err=True)
 
-    told = Told()
-    # The compiler makes millions of objects that stay: looking for rubbish takes a sixteenth of it.
+    told = CompileListener()
+    # The compiler creates millions of permanent objects: garbage collection would cost 6 % of time.
     before = gc.get_threshold()
     gc.set_threshold(100_000, 50, 1_000)
     try:
@@ -101,6 +101,6 @@ def compilation_told(beside: Sequence[str] = ()) -> Iterator[None]:
         helper.stop()
     if told.count:
         click.echo(
-            f"compiled {told.count} kernels in {told.seconds:.0f} s; they are kept for next time",
+            f"compiled {told.count} kernels in {told.seconds:.0f} s; the cache keeps them",
             err=True,
         )

@@ -38,7 +38,7 @@ class InputError(ValueError):
         self.value = value
         self.problem = problem
         self.remedy = remedy
-        message = f"{field}: {problem}, got {_shown(value)}."
+        message = f"{field}: {problem}, got {_format_value(value)}."
         super().__init__(f"{message} {remedy}" if remedy else message)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
@@ -50,20 +50,20 @@ class InputError(ValueError):
 
 
 def check_types(where: str, settings: object) -> None:
-    """Refuse settings whose numbers, flags or pairs of numbers are none.
+    """Check that numeric and boolean fields of a dataclass have the declared type.
 
     Parameters
     ----------
     where
-        What the names of the fields follow in the message.
+        Prefix of the field names in the error message.
     settings
-        Of a dataclass; fields annotated as `float`, `int`, `bool` or tuples of numbers are looked
-        at, optional ones unless they are None.
+        Dataclass instance. The check covers fields annotated as `float`, `int`, `bool` or tuples of
+        floats; optional fields may be None.
 
     Raises
     ------
     InputError
-        Naming the first that is wrong.
+        Naming the first field with another type.
     """
     for one in fields(settings):  # type: ignore[arg-type]
         value, kind = getattr(settings, one.name), str(one.type)
@@ -75,7 +75,7 @@ def check_types(where: str, settings: object) -> None:
 
 
 def _is_flag(value: object) -> bool:
-    # NumPy's, which is no bool, without loading it.
+    # Recognise NumPy's boolean, which is not a `bool`, without importing NumPy.
     return type(value).__name__ in ("bool", "bool_")
 
 
@@ -83,7 +83,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not _is_flag(value)
 
 
-def _is_whole(value: object) -> bool:
+def _is_integer(value: object) -> bool:
     return isinstance(value, Integral) and not _is_flag(value)
 
 
@@ -93,14 +93,14 @@ def _are_numbers(value: object) -> bool:
 
 _KINDS = (
     ("float", _is_number, "must be a number"),
-    ("int", _is_whole, "must be an integer"),
+    ("int", _is_integer, "must be an integer"),
     ("bool", _is_flag, "must be true or false"),
     ("tuple[float", _are_numbers, "must be a sequence of numbers"),
 )
 
 
-def _shown(value: object) -> str:
-    """Return a value as it is written; in short if it is nested too deep or has too many digits."""
+def _format_value(value: object) -> str:
+    """Return the repr of a value, shortened if it is nested too deep or has too many digits."""
     try:
         return repr(value)
     except RecursionError:
@@ -110,20 +110,20 @@ def _shown(value: object) -> str:
 
 
 class RenderingError(RuntimeError):
-    """The machine cannot render; the message says what to install."""
+    """Report that the machine cannot render; the message names what to install."""
 
 
 def check_folder(out: Path, *, hidden: bool = True) -> None:
-    """Refuse a folder for results that is a file, holds something, or cannot be written to.
+    """Check that a folder for results is new or empty, and writable.
 
-    It is tried where it will be made, and left as it was.
+    The check does not create the folder.
 
     Parameters
     ----------
     out
-        The folder.
+        Folder for results.
     hidden
-        Whether files whose names begin with a dot count.
+        Whether files whose names begin with a dot make the folder non-empty.
 
     Raises
     ------
@@ -131,14 +131,14 @@ def check_folder(out: Path, *, hidden: bool = True) -> None:
         Naming ``--out``.
     """
     if out.exists() and not out.is_dir():
-        raise InputError("--out", str(out), "a folder, not a file")
+        raise InputError("--out", str(out), "must be a folder, not a file")
     if out.exists() and any(hidden or not p.name.startswith(".") for p in out.iterdir()):
-        raise InputError("--out", str(out), "an empty or new folder: this one holds other files")
+        raise InputError("--out", str(out), "must be a new or empty folder")
     check_writable(out)
 
 
 def check_writable(out: Path) -> None:
-    """Refuse a folder for results where none can be made or written to; leave it as it was.
+    """Check that a folder for results can be created or written to, without creating it.
 
     Raises
     ------
@@ -152,12 +152,12 @@ def check_writable(out: Path) -> None:
         raise InputError(
             "--out",
             str(out),
-            f"a folder where one can be made: {there} cannot be written to ({error.strerror})",
+            f"must be writable, but {there} is not ({error.strerror})",
         ) from None
 
 
 def check_output(field: str, path: Path, suffix: str) -> None:
-    """Refuse a file to write that has another suffix, is a folder, or lies where none can be.
+    """Check the suffix of an output file, and that its folder exists and is writable.
 
     Raises
     ------
@@ -165,29 +165,29 @@ def check_output(field: str, path: Path, suffix: str) -> None:
         Naming `field`.
     """
     if path.suffix.lower() != suffix:
-        raise InputError(field, str(path), f"a file name that ends in {suffix}")
+        raise InputError(field, str(path), f"must be a file name that ends in {suffix}")
     if not path.parent.is_dir():
-        raise InputError(field, str(path), "a file in an existing folder")
+        raise InputError(field, str(path), "must be in an existing folder")
     if path.is_dir():
-        raise InputError(field, str(path), "a file, not a folder")
+        raise InputError(field, str(path), "must be a file, not a folder")
     try:
         tempfile.TemporaryFile(dir=path.parent).close()
     except OSError as error:
         raise InputError(
-            field, str(path), f"a file in a folder that can be written to ({error.strerror})"
+            field, str(path), f"must be in a writable folder ({error.strerror})"
         ) from None
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Return a sentence naming the known names closest to `name`.
+    """Return a sentence with the known name closest to `name`, or with all known names.
 
     Examples
     --------
     >>> suggestion("hemisphare", ["cube", "hemisphere"])
-    "did you mean 'hemisphere'?"
+    "Did you mean 'hemisphere'?"
     """
     known = sorted(known)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if close:
-        return f"did you mean {close[0]!r}?"
-    return "known: " + ", ".join(known) if known else "there are none"
+        return f"Did you mean {close[0]!r}?"
+    return f"Known names: {', '.join(known)}." if known else "There are no known names."

@@ -1,24 +1,24 @@
-"""Frames and quaternions: every convention, stated once.
+"""Reference frames and quaternions: conventions and conversions.
 
 ENU
-    Local Cartesian frame fixed to the ground: x east, y north, z up, metres. Its origin is the
+    Local Cartesian frame fixed to the terrain: x east, y north, z up, metres. Its origin is the
     centre of the terrain at the terrain's mean elevation. Gravity is ``(0, 0, -g)``.
 Local and site
-    Two such frames. `local` is where the onboard computer keeps maps, sites and its own estimate:
-    what is mapped in it stays. `site` is the frame of the target and of prior maps. Navigation
-    estimates where it lies in the local one (`Shift`); an error of that is shared by lander and
-    map.
+    Two ENU frames. The onboard computer keeps its maps, sites and state estimate in the `local`
+    frame; maps in it do not move. The target and prior maps use the `site` frame. Navigation
+    estimates the site frame relative to the local frame (`Shift`). An error of this estimate
+    affects lander and map equally.
 Body
     Fixed to the lander, origin at the centre of mass, z along the thrust (up through the
     vehicle when it stands), x forward, y left.
 Sensor
     z along the boresight, x right, y down, as image coordinates run.
 Quaternion
-    Scalar last ``(x, y, z, w)``, rotates body vectors into ENU, as `scipy.spatial.transform`.
-    ``q`` and ``-q`` are the same attitude; functions return either.
+    Scalar last ``(x, y, z, w)``, rotates body vectors into ENU, as in `scipy.spatial.transform`.
+    ``q`` and ``-q`` are the same attitude; functions may return either.
 Angles
-    Radians in code. Degrees only in scenario fields and printed figures whose names end in
-    ``_deg``. Azimuth is clockwise from north, elevation up from the horizon.
+    Radians in code. Degrees only in scenario keys and printed values whose names end in ``_deg``.
+    Azimuth is clockwise from north, elevation is upward from the horizon.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim._frame_kernels import along_thrust
+from lunarsim._frame_kernels import thrust_attitude
 
 Array = NDArray[np.float64]
 
 
 def turned_about_up(angle: float) -> Array:
-    """Return the rotation (3, 3) by an angle about up, rad.
+    """Return the rotation matrix (3, 3) for an angle about the up axis, rad.
 
     Examples
     --------
@@ -47,15 +47,15 @@ def turned_about_up(angle: float) -> Array:
 
 @dataclass(frozen=True)
 class Shift:
-    """From the site frame to the local frame; both have the same up.
+    """Transform between the site frame and the local frame, which share the up axis.
 
     Attributes
     ----------
     offset
-        Local coordinates of the site frame's origin (3,), m.
+        Origin of the site frame in local coordinates (3,), m.
     turn
-        Angle about up by which what points east in the site frame points north of east in the
-        local one, rad.
+        Rotation of the site frame about up, rad. A positive angle turns the site's east axis
+        towards the local north axis.
 
     Examples
     --------
@@ -70,14 +70,14 @@ class Shift:
     turn: float = 0.0
 
     def to_local(self, points: ArrayLike) -> Array:
-        """Return local coordinates of points (..., 3) of the site frame."""
+        """Transform points (..., 3) from the site frame to the local frame, m."""
         given = np.asarray(points, dtype=np.float64)
         if self.turn:
             given = given @ turned_about_up(self.turn).T
         return np.asarray(given + self.offset)
 
     def to_site(self, points: ArrayLike) -> Array:
-        """Return site coordinates of points (..., 3) of the local frame."""
+        """Transform points (..., 3) from the local frame to the site frame, m."""
         out = np.asarray(points, dtype=np.float64) - self.offset
         return np.asarray(out @ turned_about_up(self.turn)) if self.turn else out
 
@@ -98,12 +98,12 @@ def normalised(v: ArrayLike) -> Array:
     v = np.asarray(v, dtype=np.float64)
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     if np.any(length == 0.0):
-        raise ValueError("cannot normalise a vector of zero length")
+        raise ValueError("a vector of zero length cannot be normalised")
     return np.asarray(v / length)
 
 
 def is_rotation(q: ArrayLike) -> bool:
-    """Tell whether numbers are a rotation: a quaternion (4,), as long as 1 to a thousandth.
+    """Return whether `q` is a quaternion (4,) with a norm of 1, to within 0.001.
 
     Examples
     --------
@@ -115,7 +115,7 @@ def is_rotation(q: ArrayLike) -> bool:
 
 
 def is_place(position: ArrayLike) -> bool:
-    """Tell whether something is three finite numbers.
+    """Return whether `position` is three finite numbers.
 
     Examples
     --------
@@ -126,7 +126,7 @@ def is_place(position: ArrayLike) -> bool:
 
 
 def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
-    """Return values (count,) if they are finite numbers, else None."""
+    """Return values as an array (count,) if they are finite numbers, otherwise None."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -135,7 +135,7 @@ def _numbers(values: ArrayLike, count: int) -> NDArray[np.float64] | None:
 
 
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
-    """Return the product ``p q`` (rotate by q, then by p), each (..., 4) scalar last.
+    """Return the product ``p q`` (rotation by q, then by p) of quaternions (..., 4).
 
     Examples
     --------
@@ -145,7 +145,7 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """
     p = np.asarray(p, dtype=np.float64)
     q = np.asarray(q, dtype=np.float64)
-    # One attitude at a time is what onboard software asks for, thousands of times a second.
+    # Fast path: onboard software multiplies single quaternions thousands of times per second.
     one = p.shape == q.shape == (4,)
     px, py, pz, pw = p.tolist() if one else np.moveaxis(p, -1, 0)
     qx, qy, qz, qw = q.tolist() if one else np.moveaxis(q, -1, 0)
@@ -198,7 +198,7 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> Array:
 
 
 def quat_from_rotation_vector(phi: ArrayLike) -> Array:
-    """Return the unit quaternion of a rotation vector (..., 3), rad.
+    """Return the unit quaternions (..., 4) of rotation vectors (..., 3), rad.
 
     Examples
     --------
@@ -207,13 +207,13 @@ def quat_from_rotation_vector(phi: ArrayLike) -> Array:
     """
     phi = np.asarray(phi, dtype=np.float64)
     angle = np.linalg.norm(phi, axis=-1, keepdims=True)
-    # sinc keeps the small-angle limit exact.
+    # `sinc` gives the exact limit at small angles.
     vector = 0.5 * phi * np.sinc(angle / (2.0 * np.pi))
     return np.concatenate((vector, np.cos(0.5 * angle)), axis=-1)
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> Array:
-    """Return the shortest rotation vector (..., 3), rad, of unit quaternions.
+    """Return the shortest rotation vectors (..., 3), rad, of unit quaternions (..., 4).
 
     Examples
     --------
@@ -229,7 +229,7 @@ def quat_to_rotation_vector(q: ArrayLike) -> Array:
 
 
 def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
-    """Return the angle (rad) of the rotation between attitudes `p` and `q` (..., 4).
+    """Return the angle (rad) between attitudes `p` and `q` (..., 4).
 
     Examples
     --------
@@ -242,12 +242,12 @@ def quat_angle(p: ArrayLike, q: ArrayLike) -> Array:
 
 
 def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
-    """Return the quaternion (4,) whose body z is along `direction` and body x near `heading`.
+    """Return the quaternion (4,) with body z along `direction` and body x near `heading`.
 
     Parameters
     ----------
     direction
-        Thrust direction in ENU (3,), any length but zero.
+        Thrust direction in ENU (3,), any non-zero length.
     heading
         Azimuth of body x, clockwise from north (rad).
 
@@ -264,8 +264,8 @@ def attitude_from_thrust(direction: ArrayLike, heading: float) -> Array:
     """
     vector = np.ascontiguousarray(direction, dtype=np.float64)
     if not vector.any():
-        raise ValueError("a direction of zero length has no attitude")
-    return np.asarray(along_thrust(vector, heading))
+        raise ValueError("the thrust direction must not have zero length")
+    return np.asarray(thrust_attitude(vector, heading))
 
 
 def matrix_to_quat(m: ArrayLike) -> Array:
@@ -287,7 +287,7 @@ def matrix_to_quat(m: ArrayLike) -> Array:
 
 
 def heading_of(q: ArrayLike) -> float:
-    """Return the azimuth (rad, clockwise from north) of body x projected on the ground.
+    """Return the azimuth (rad, clockwise from north) of the horizontal part of body x.
 
     Examples
     --------
@@ -299,7 +299,7 @@ def heading_of(q: ArrayLike) -> float:
 
 
 def direction_from_angles(azimuth: float, elevation: float) -> Array:
-    """Return the ENU unit vector (3,) at an azimuth from north and elevation (rad).
+    """Return the ENU unit vector (3,) at an azimuth and an elevation (rad).
 
     Examples
     --------
@@ -311,13 +311,13 @@ def direction_from_angles(azimuth: float, elevation: float) -> Array:
 
 
 def sensor_axes(boresight: ArrayLike) -> Array:
-    """Return the rotation (3, 3), sensor to ENU, of a sensor that looks along `boresight`.
+    """Return the rotation matrix (3, 3), sensor to ENU, for a boresight direction (3,).
 
-    Image x stays level; for a boresight straight down image x is east and image y south.
+    The image x axis is horizontal. For a boresight straight down, x points east and y south.
 
     Examples
     --------
-    >>> float(sensor_axes([0.0, 0.0, -1.0])[2] @ [0.0, 0.0, -1.0])  # the third axis looks out
+    >>> float(sensor_axes([0.0, 0.0, -1.0])[2] @ [0.0, 0.0, -1.0])  # z along the boresight
     1.0
     """
     z = normalised(boresight)

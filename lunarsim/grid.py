@@ -1,4 +1,4 @@
-"""The one way that rasters are placed on the ground."""
+"""Define the raster grid in ENU that all maps use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _UNITS = ("B", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB")
 
 
 def bytes_in_words(count: float) -> str:
-    """Return a number of bytes in words, such as 4.61 TiB.
+    """Format a number of bytes with a binary unit, such as 4.61 TiB.
 
     Examples
     --------
@@ -27,30 +27,30 @@ def bytes_in_words(count: float) -> str:
 
 
 def check_side(field: str, size: float, posting: float, most: int, what: str = "cells") -> None:
-    """Refuse a square raster of too many cells along a side, before memory is asked for it.
+    """Check that a square raster has not too many cells, before memory is allocated.
 
     Parameters
     ----------
     field
-        Where the side was given.
+        Name of the field that set the size, for errors.
     size, posting
-        Side and distance of the cells, m.
+        Side of the raster and side of a cell, m.
     most
-        Cells along a side.
+        Maximum number of cells along a side.
     what
-        What the cells are called.
+        Name of the cells in the message.
 
     Raises
     ------
     InputError
-        With what the raster would take, 4 bytes a cell.
+        With the memory that the raster needs, at 4 bytes per cell.
     """
     count = size / posting
     if not count <= most:
         raise InputError(
             field, size,
-            f"at most {most} {what} of {posting:g} m a side: {count:.4g} squared of 4 bytes are "
-            + bytes_in_words(4.0 * count * count),
+            f"must be at most {most} {what} of {posting:g} m, but is {count:.4g} per side "
+            f"({bytes_in_words(4.0 * count * count)})",
         )  # fmt: skip
 
 
@@ -58,8 +58,8 @@ def check_side(field: str, size: float, posting: float, most: int, what: str = "
 class Grid:
     """A raster of square cells in ENU.
 
-    Values belong to cell centres. Row 0 is the southernmost, column 0 the westernmost, so a
-    raster is drawn with ``origin="lower"``.
+    Values belong to cell centres. Row 0 is the southernmost row and column 0 the westernmost
+    column, so plots of rasters need ``origin="lower"``.
 
     Attributes
     ----------
@@ -79,15 +79,17 @@ class Grid:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.posting) and self.posting > 0.0):
-            raise InputError("grid.posting", self.posting, "a positive length in metres")
+            raise InputError("grid.posting", self.posting, "must be a positive length in m")
         if self.rows < 1 or self.cols < 1:
-            raise InputError("grid.shape", self.shape, "at least one row and one column")
+            raise InputError("grid.shape", self.shape, "must have at least one row and one column")
 
     @classmethod
     def centred(
         cls, centre: ArrayLike, width: float, posting: float, height: float | None = None
     ) -> Grid:
-        """Return a grid whose outer edges are `width` (east) by `height` (north) metres.
+        """Return a grid of `width` (east) by `height` (north) metres about a centre.
+
+        Width and height are measured between outer edges; without `height` the grid is square.
 
         Examples
         --------
@@ -109,29 +111,29 @@ class Grid:
         )
 
     def about(self, centre: ArrayLike) -> Grid:
-        """Return the same grid about another centre (2,) or (3,)."""
+        """Return a grid of the same size about another centre (2,) or (3,), m."""
         width, height = self.cols * self.posting, self.rows * self.posting
         return Grid.centred(centre, width, self.posting, height)
 
     def moved(self, by: ArrayLike) -> Grid:
-        """Return the same grid moved by (2,) or (3,), m."""
+        """Return the grid translated by a vector (2,) or (3,), m."""
         dx, dy = np.asarray(by, dtype=np.float64)[:2]
         return Grid(float(self.x0 + dx), float(self.y0 + dy), self.posting, self.rows, self.cols)
 
     @property
     def centre(self) -> tuple[float, float]:
-        """East and north of the middle, m."""
+        """East and north coordinate of the centre, m."""
         west, east, south, north = self.extent
         return 0.5 * (west + east), 0.5 * (south + north)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and columns."""
         return (self.rows, self.cols)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """West, east, south and north outer edges, m (what `imshow` wants)."""
+        """West, east, south and north outer edge, m (the order of `imshow`)."""
         h = 0.5 * self.posting
         return (
             self.x0 - h,
@@ -155,7 +157,9 @@ class Grid:
         return np.stack(np.meshgrid(self.x, self.y), axis=-1)
 
     def cell(self, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of the cells that hold points (..., 2); may lie outside.
+        """Return row and column of the cells that contain points (..., 2).
+
+        Indices of points outside the grid are out of range.
 
         Examples
         --------
@@ -169,7 +173,7 @@ class Grid:
         return row, col
 
     def contains(self, xy: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which points (..., 2) lie in a cell of the grid.
+        """Return a mask of the points (..., 2) that lie inside the grid.
 
         Examples
         --------

@@ -1,4 +1,4 @@
-"""Folders of results from elsewhere: files that are safe to open, and to write beside."""
+"""Check folders of results from other people before files in them are opened or written."""
 
 from __future__ import annotations
 
@@ -8,41 +8,44 @@ from pathlib import Path
 
 from lunarsim.errors import InputError
 
-# Bytes of a file that is read at once: a part of a campaign has 1 MB.
+# Maximum size of a file that is read at once, bytes. A part of a campaign has 1 MB.
 MAX_FILE_BYTES = 2**28
 
 
 def check_contents(folder: Path) -> None:
-    """Refuse a folder that holds links, pipes or devices.
+    """Check that a folder contains no links, pipes or devices.
 
-    A link leads readers and writers to another folder, and a pipe keeps them waiting for ever.
+    A link redirects readers and writers to another folder, and a pipe blocks them for ever.
 
     Raises
     ------
     InputError
-        Naming the first of them.
+        Naming the first link, pipe or device.
     """
     for root, folders, files in os.walk(folder):
         for path in (Path(root, name) for name in (*folders, *files)):
             try:
                 mode = path.lstat().st_mode
-            except FileNotFoundError:  # of a campaign that is flying
+            except FileNotFoundError:  # a running campaign has removed it
                 continue
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 name = path.relative_to(folder)
                 raise InputError(
-                    "folder", str(folder), f"{name} is a link, pipe or device. Replace it by a file"
+                    "folder",
+                    str(folder),
+                    f"contains a link, pipe or device ({name})",
+                    "Replace it by a regular file.",
                 )
 
 
 def bounded_bytes(path: Path) -> bytes:
-    """Return the bytes of a file.
+    """Return the bytes of a file, or refuse a file that is too large.
 
     Raises
     ------
     InputError
-        If there are too many.
+        If the file has more than `MAX_FILE_BYTES` bytes.
     """
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise InputError("folder", str(path), f"a file of at most {MAX_FILE_BYTES} bytes")
+        raise InputError("folder", str(path), f"must have at most {MAX_FILE_BYTES} bytes")
     return path.read_bytes()

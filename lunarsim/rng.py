@@ -1,7 +1,7 @@
-"""Seeds: one root, one sequence a flight, one stream a component, by name.
+"""Derive random seeds: a sequence per flight, and a named stream per component.
 
-The stream of a component depends on the root seed, the flight's index and the component's name
-alone, so a new component or another order of calls changes no other stream.
+The stream of a component depends only on the root seed, the flight index and the component's name.
+New components or another order of calls therefore do not change other streams.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 
 def flight_seed(root: int, flight: int) -> np.random.SeedSequence:
-    """Return the seed sequence of flight number `flight` of the campaign seeded by `root`.
+    """Return the seed sequence of flight `flight` of a campaign with root seed `root`.
 
     Examples
     --------
@@ -23,25 +23,26 @@ def flight_seed(root: int, flight: int) -> np.random.SeedSequence:
 
 
 def calibration_seed(root: int, flight: int) -> np.random.SeedSequence:
-    """Return the seed sequence of flight `flight` of a calibration; no campaign flies it.
+    """Return the seed sequence of a calibration flight; no campaign uses it.
 
-    A calibration is so never judged on what it was fitted to, whatever the root seeds of both.
+    Calibrations are therefore never evaluated on flights that they were fitted to, whatever the
+    root seeds.
     """
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"calibration"), flight))
 
 
 def design_seed(root: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a campaign's design of experiments; no flight has it."""
+    """Return the seed sequence of a campaign's design of experiments; no flight uses it."""
     return np.random.SeedSequence(root, spawn_key=(zlib.crc32(b"design"), 0))
 
 
 class Streams:
-    """Random generators of one flight, one a component.
+    """Independent random generators of one flight, one per component.
 
     Parameters
     ----------
     seed
-        The flight's seed sequence, or an integer.
+        Seed sequence of the flight, or an integer.
     """
 
     def __init__(self, seed: np.random.SeedSequence | int) -> None:

@@ -1,4 +1,4 @@
-"""Folders for data that can be computed again: the user's cache, or a temporary substitute."""
+"""Locate the cache folder for recomputable data: the user's cache, or a temporary substitute."""
 
 from __future__ import annotations
 

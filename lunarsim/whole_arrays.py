@@ -1,6 +1,6 @@
-"""Files of arrays that are there whole or not at all.
+"""Write files of arrays atomically.
 
-Apart from `whole_files`, which the command line's `--help` loads: that waits for no NumPy.
+This module is separate from `whole_files`, because `--help` imports that and must not load NumPy.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lunarsim.whole_files import write_whole
 
 
 def write_arrays_whole(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write a compressed ``.npz`` of arrays by name whole."""
+    """Write named arrays as a compressed ``.npz`` file, atomically."""
 
     def write(part: Path) -> None:
         with part.open("wb") as file:

@@ -1,4 +1,4 @@
-"""Files and folders that are complete or absent."""
+"""Write files and folders atomically: they are complete or absent."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lunarsim.json_files import read_json
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file beside `path`, flush it to the disk, and rename it to `path`.
+    """Write a file atomically: to a temporary file that is then renamed to `path`.
 
     Parameters
     ----------
     path
-        Readers find the old file or the new one, never a part of it.
+        File to write. Readers find the old or the new file, never an incomplete one.
     write
-        Writes to the path that it is given, which has another suffix.
+        Function that writes to the path it receives. That path has another suffix than `path`.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text_whole(path: Path, text: str) -> None:
-    """Write a text file whole."""
+    """Write a text file atomically, in UTF-8."""
 
     def write(part: Path) -> None:
         part.write_text(text, encoding="utf-8")
@@ -51,37 +51,40 @@ def write_text_whole(path: Path, text: str) -> None:
 
 
 def read_tagged(path: Path, field: str, tag: str, hint: str = "") -> dict[str, Any]:
-    """Return what a JSON file holds whose key `format` tells what it is.
+    """Read a JSON file and check its key `format`.
 
     Parameters
     ----------
     path
-        Of the file.
+        File to read.
     field
-        That an error names.
+        Field name for errors.
     tag
-        What `format` must say.
+        Required value of `format`.
     hint
-        Added to errors, such as how the file is made.
+        Clause added to errors, such as how to create the file.
 
     Raises
     ------
     InputError
-        If the file is missing, is no JSON, or is another one.
+        If the file is missing, is not JSON, or has another format.
     """
     if not path.is_file():
-        raise InputError(field, str(path), f"an existing file{hint}")
+        raise InputError(field, str(path), f"must be an existing file{hint}")
     try:
         data = read_json(path)
     except ValueError as error:
-        raise InputError(field, str(path), f"JSON ({error}){hint}") from None
+        raise InputError(field, str(path), f"must be a JSON file ({error}){hint}") from None
     if not isinstance(data, dict) or data.get("format") != tag:
-        raise InputError(field, str(path), f"a file with format = {tag!r}{hint}")
+        raise InputError(field, str(path), f"must be a file with format = {tag!r}{hint}")
     return data
 
 
 def remover_of_new(folder: Path) -> Callable[[], None]:
-    """Return a function that removes what is created in a folder from now on, and empty parents."""
+    """Return a function that removes all files created in a folder after this call.
+
+    It also removes parent folders that were created after this call and are empty.
+    """
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists()).absolute()
     before = set(folder.iterdir()) if folder.is_dir() else set()
 
@@ -98,7 +101,7 @@ def remover_of_new(folder: Path) -> Callable[[], None]:
 
 @contextmanager
 def filled_whole(folder: Path) -> Iterator[None]:
-    """Remove new contents of a folder if an exception ends the block that fills it."""
+    """Remove new contents of a folder if the block that fills it raises an exception."""
     remove = remover_of_new(folder)
     try:
         yield

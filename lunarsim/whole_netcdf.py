@@ -1,4 +1,4 @@
-"""NetCDF files that are complete or absent.
+"""Write NetCDF files atomically.
 
 HDF5 ends the process with a segmentation fault if it cannot close a file on a full disk. The file
 is therefore created in memory and written by Python.
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 def write_netcdf_whole(
     path: Path, dataset: xr.Dataset, encoding: Mapping[Hashable, Mapping[str, Any]] | None = None
 ) -> None:
-    """Write a dataset as NetCDF, atomically.
+    """Write a dataset as a NetCDF file, atomically.
 
     Parameters
     ----------
     path
-        Of the file.
+        File to write.
     dataset
-        What is written.
+        Contents of the file.
     encoding
-        Compression by variable, as `xarray.Dataset.to_netcdf` takes it.
+        Compression of each variable, in the format of `xarray.Dataset.to_netcdf`.
     """
     data = dataset.to_netcdf(engine="h5netcdf", encoding=dict(encoding or {}))
     write_whole(path, lambda part: part.write_bytes(data))

@@ -66,7 +66,7 @@ def test_fly_prints_the_verdict_and_writes_the_record(small, tmp_path):
         "tilt at contact": f"{degrees(touchdown.tilt):.1f} deg",
         "slope under the legs": f"{degrees(touchdown.slope):.1f} deg",
         "roughness under the belly": f"{touchdown.roughness:.2f} m",
-        "margin against tipping over": f"{touchdown.tip_margin:.2f}",
+        "tip-over margin": f"{touchdown.tip_margin:.2f}",
     }
     assert {p.name for p in out.iterdir()} >= {"flight.json", "descent.png", "maps.png"}
     again = Scenario.load(out / "scenario.toml")
@@ -83,11 +83,11 @@ def test_compare_prints_a_row_a_policy(tmp_path):
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     assert "mare [/low sun]" in result.stderr
-    assert f"results, records and figures in {out}" in result.stdout
+    assert f"results, flight records and figures are in {out}" in result.stdout
     # As of `campaign run`: its engine, its cache, kernels first.
     assert json.loads((out / "manifest.json").read_text())["engine"] == "local"
-    assert list((tmp_path / "cache").rglob("*.npz")) and "Kernels are ready" in result.output
-    assert "exactly safe share" in result.output
+    assert list((tmp_path / "cache").rglob("*.npz")) and "kernels are ready" in result.output
+    assert "truly safe fraction" in result.output
     rows = {row["policy"]: row for row in pq.read_table(out / "results.parquet").to_pylist()}
     for policy in ("no-divert", "safest"):
         (told,) = [line for line in result.output.splitlines() if line.startswith(f"│ {policy}")]
@@ -102,7 +102,7 @@ def test_compare_prints_a_row_a_policy(tmp_path):
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        ("[terrain]\nposting_km = 1", ["terrain.posting_km", "did you mean"]),
+        ("[terrain]\nposting_km = 1", ["terrain.posting_km", "Did you mean"]),
         ('[vehicle]\ndry_mass_kg = "1 t"', ["vehicle.dry_mass_kg", "1 t", "plain number in kg"]),
         ("[vehicle]\nthrust_max_n = 1000", ["vehicle.thrust_max_n", "cannot hover"]),
         ("[lidar]\nrows = 64", ["lidar", "[sensors.NAME]", "flash-lidar"]),
@@ -129,7 +129,7 @@ def test_mistakes_end_with_code_2_and_write_nothing(tmp_path, edit, words):
 def test_a_folder_with_other_files_is_refused(small, tmp_path):
     result = run("fly", str(small), "--out", str(tmp_path))
     assert result.exit_code == 2
-    assert "holds other files" in result.output
+    assert "new or empty folder" in result.output
 
 
 def test_unwritable_output_is_a_clean_error(small, tmp_path):
@@ -209,7 +209,7 @@ def test_parts_lists_what_scenarios_choose_from():
     assert "shadow" in mappers and "safest" not in mappers
     wrong = run("parts", "maper")
     assert wrong.exit_code == 2
-    assert "did you mean 'mapper'?" in wrong.output
+    assert "Did you mean 'mapper'?" in wrong.output
 
 
 @pytest.mark.parametrize("form", [[], ["--markdown"]], ids=["text", "markdown"])
@@ -221,10 +221,10 @@ def test_reference_tells_every_key_of_every_kind(form):
             assert f'kind = "{kind}"' in done.output
             for key in settings_of(resolve(contract, kind)).model_fields:
                 assert key in done.output
-    for table in ("[start]", "[target]", "[prior_map] (may be left out)", "[simulation]"):
+    for table in ("[start]", "[target]", "[prior_map] (optional)", "[simulation]"):
         assert table in done.output
     row = next(line for line in done.output.splitlines() if "heading_deg" in line)
-    assert "90" in row and "deg" in row and "azimuth of body x" in row
+    assert "90" in row and "deg" in row and "Azimuth of body x" in row
 
 
 def test_check_prints_the_scenario_whole_or_what_is_wrong(tmp_path):
@@ -238,7 +238,7 @@ def test_check_prints_the_scenario_whole_or_what_is_wrong(tmp_path):
     path.write_text("[sun]\nelevation = 12.0")
     done = run("scenario", "check", str(path))
     assert done.exit_code == 2
-    assert "did you mean 'elevation_deg'?" in done.output
+    assert "Did you mean 'elevation_deg'?" in done.output
 
 
 def test_a_class_of_ones_own_is_flown(small, tmp_path):

@@ -123,7 +123,7 @@ def _ended(command, before=""):
         (SWALLOWED, "", "interrupted\n"),
         (TURNED, "", "interrupted\n"),
         (TURNED_INTO_AN_END, "", ""),
-        (LOST_AT_THE_END, "", "interrupted: at the end, all was done\n"),
+        (LOST_AT_THE_END, "", "interrupted: the command had already finished\n"),
         (EVALUATED, "", "interrupted\n"),
         (ANSWERED, "", ""),
         (CLEANED, "cleaned\n", "interrupted\n"),
@@ -245,7 +245,7 @@ def test_a_record_is_there_whole_or_not_at_all(small, monkeypatch):
     assert done.exit_code == 130
     assert set(state(small)) == {small / "small.toml"}
     with monkeypatch.context() as patch:
-        patch.setattr("lunarsim.cli._tell", pressed)
+        patch.setattr("lunarsim.cli._print_outcome", pressed)
         done = _fly()
     assert done.stderr.splitlines()[-1].startswith("interrupted: scenario and record are in ")
     shutil.rmtree(small / "above")

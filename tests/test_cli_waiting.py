@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import pytest
 
-from lunarsim.cli_waiting import compilation_told
+from lunarsim.cli_waiting import report_compilation
 from lunarsim.safety import _exact_kernels, _kernels, _plane_kernels
 from lunarsim.safety.warming import warm
 
@@ -50,7 +50,7 @@ def _compile_two():
 
 def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     before = gc.get_threshold()
-    with compilation_told(["a.module", "--word"]):
+    with report_compilation(["a.module", "--word"]):
         assert gc.get_threshold() != before
         _compile_two()
         assert processes.ended == 0
@@ -59,7 +59,7 @@ def test_what_is_compiled_is_told_and_another_process_helps(processes, capsys):
     assert processes.ended == 1
     assert gc.get_threshold() == before
     said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith("compiling kernels, once on this machine")
+    assert said[0].startswith("compiling kernels (needed once per machine)")
     assert said[-1].startswith("compiled 2 kernels in ")
 
 
@@ -68,16 +68,16 @@ def test_progress_is_told_between_the_first_line_and_the_last(processes, capsys,
     clock = iter(range(0, 1000, 4))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
     kernels = [numba.njit(lambda x, n=number: x + n) for number in range(3)]
-    with compilation_told():
+    with report_compilation():
         for kernel in kernels:
             kernel(1)
     said = capsys.readouterr().err.splitlines()
-    assert said[0] == "compiling kernels, once on this machine; counted here"
+    assert said[0] == "compiling kernels (needed once per machine) ..."
     # A compilation begins, ends (4 s on), the next begins (8 s), ends (12 s on), ...
     assert said[1:] == [
         "  2 kernels in 8 s",
         "  3 kernels in 12 s",
-        "compiled 3 kernels in 12 s; they are kept for next time",
+        "compiled 3 kernels in 12 s; the cache keeps them",
     ]
 
 
@@ -86,13 +86,13 @@ def test_kernels_within_kernels_count_and_their_time_counts_once(processes, caps
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
     inner = numba.njit(lambda x: x + 1)
     outer = numba.njit(lambda x: inner(x) + 1)
-    with compilation_told():
+    with report_compilation():
         outer(1)
     assert capsys.readouterr().err.splitlines()[-1].startswith("compiled 2 kernels in 1 s;")
 
 
 def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
-    with compilation_told(["a.module"]):
+    with report_compilation(["a.module"]):
         pass
     assert not processes.started
     assert not capsys.readouterr().err
@@ -100,14 +100,14 @@ def test_nothing_is_told_where_nothing_is_compiled(processes, capsys):
 
 def test_one_processor_gets_no_help(processes, monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
-    with compilation_told(["a.module"]):
+    with report_compilation(["a.module"]):
         _compile_two()
     assert not processes.started
 
 
 def test_the_helper_is_ended_with_a_flight_that_fails(processes):
     before = gc.get_threshold()
-    with pytest.raises(ValueError, match="flight"), compilation_told(["a.module"]):
+    with pytest.raises(ValueError, match="flight"), report_compilation(["a.module"]):
         _compile_two()
         raise ValueError("flight")
     assert processes.ended == 1

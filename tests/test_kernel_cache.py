@@ -75,7 +75,7 @@ def test_a_kernel_folder_that_cannot_be_written_to_is_replaced(own):
     out, warnings = _run(own, code, NUMBA_CACHE_DIR="/proc/none")
     assert out == ["42"]
     assert len(warnings) == 1
-    assert "NUMBA_CACHE_DIR = /proc/none" in warnings[0]
+    assert "NUMBA_CACHE_DIR: cannot write to /proc/none" in warnings[0]
     assert list((own / "own" / "__pycache__").glob("*.nbi"))
 
 

@@ -22,7 +22,7 @@ def test_every_part_is_listed_with_what_it_is():
     assert done.output.splitlines() == parts_list("policy")
     wrong = CliRunner().invoke(main, ["parts", "polcy"])
     assert wrong.exit_code == 2
-    assert "did you mean 'policy'?" in wrong.output
+    assert "Did you mean 'policy'?" in wrong.output
 
 
 def test_every_key_has_a_meaning():

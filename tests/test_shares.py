@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lunarsim._jit import kernel
-from lunarsim._shares import Shared
+from lunarsim._shares import PartitionedKernel
 
 
 @kernel(shared=True)
@@ -62,7 +62,7 @@ def test_shares_are_handed_out_as_many_as_there_are_threads(threads):
             raise ValueError("a share failed")
 
     threads(most := numba.config.NUMBA_NUM_THREADS)
-    shared = Shared(spy)
+    shared = PartitionedKernel(spy)
     shared(-1)
     assert seen == [(0, 1)]  # the first call compiles, alone
     seen.clear()

@@ -1,7 +1,7 @@
-"""Gymnasium environments on lunarsim.
+"""Gymnasium environments for lunar landing, based on lunarsim.
 
-Importing this package registers them; ``gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")``
-imports it first.
+Importing this package registers the environments. The prefix in
+``gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0")`` imports it automatically.
 """
 
 import gymnasium

@@ -1,4 +1,4 @@
-"""Parts of an observation or an action chosen by name from a registry."""
+"""Select components of an observation or an action by name."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ Part = TypeVar("Part")
 
 
 def named_parts(field: str, names: Sequence[str], known: Mapping[str, Part]) -> list[Part]:
-    """Return the parts of some names, in their order.
+    """Return the components with the given names, in order.
 
     Raises
     ------
     InputError
-        If a name is unknown or comes twice, or there is none; `field` names what was given.
+        If a name is unknown or occurs twice, or there are no names. The error names `field`.
     """
     listed = isinstance(names, Sequence) and not isinstance(names, (str, bytes))
     if not listed or not len(names) or not all(isinstance(name, str) for name in names):
-        raise InputError(field, names, "a list of the names of at least one part")
+        raise InputError(field, names, "must be a non-empty list of names")
     for name in names:
         if name not in known:
-            raise InputError(field, name, suggestion(name, known))
+            raise InputError(field, name, "is not a known component", suggestion(name, known))
     if len(set(names)) < len(names):
-        raise InputError(field, list(names), "each part once")
+        raise InputError(field, list(names), "must not repeat a name")
     return [known[name] for name in names]
 
 
 def check_new(name: str, known: Mapping[str, Any]) -> None:
-    """Refuse a name that a registry of parts has already.
+    """Check that a name is not registered yet.
 
     Raises
     ------
     InputError
-        If it has.
+        If the name is already registered.
     """
     if name in known:
-        raise InputError("name", name, "a name of its own: there is such a part already")
+        raise InputError("name", name, "is already registered")
 
 
 def check_shape(field: str, value: Any, shape: tuple[int, ...]) -> None:
-    """Refuse what a part gives where it is not of its shape, all landers first.
+    """Check the shape of a component's values; the first axis is the lander.
 
     Raises
     ------
     InputError
-        Naming the part, as `field` does.
+        Naming `field`.
     """
     if np.shape(value) != shape:
-        raise InputError(field, np.shape(value), f"an array of shape {shape}")
+        raise InputError(field, np.shape(value), f"must be an array of shape {shape}")

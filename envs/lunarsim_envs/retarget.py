@@ -1,4 +1,4 @@
-"""``lunarsim/Retarget-v0``: where to land, decided once a second on the way down."""
+"""Environment ``lunarsim/Retarget-v0``: choose the landing site once per second of descent."""
 
 from __future__ import annotations
 
@@ -15,25 +15,31 @@ from lunarsim.errors import InputError, suggestion
 from lunarsim.onboard.policies import Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
-from lunarsim_envs.arguments import options_of, scenario_of, truth_of, weights_of, whole
-from lunarsim_envs.descent.picture import Picture
-from lunarsim_envs.rendering import Frames
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed
-from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.arguments import (
+    checked_bool,
+    checked_int,
+    checked_options,
+    checked_weights,
+    scenario_argument,
+)
+from lunarsim_envs.descent.picture import PlaneView
+from lunarsim_envs.rendering import FrameRenderer
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms
+from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
 from lunarsim_envs.sites.flights import KernelFlight
 from lunarsim_envs.sites.onboard import perceiving
-from lunarsim_envs.sites.parts import DEFAULT, ShownSites
-from lunarsim_envs.sites.perception import PERCEPTIONS, WHOLE, flight_of
-from lunarsim_envs.views import Views
+from lunarsim_envs.sites.parts import DEFAULT, SiteObservationLayout
+from lunarsim_envs.sites.perception import FULL_SIMULATION, PERCEPTIONS, create_flight
+from lunarsim_envs.views import ChaseViewRenderer
 
 FloatArray = NDArray[np.float32]
-# What a flight failed that ran out of time.
+# Failed limits of a flight that reached the time limit.
 LATE = ("time-limit",)
 
 
 def default_scenario() -> Scenario:
-    """Return gently rolling highland relief with 7 % rock cover."""
+    """Return the default scenario: gently rolling highland terrain with 7 % rock cover."""
     return Scenario.from_dict(
         {
             "name": "golombek",
@@ -46,138 +52,139 @@ def default_scenario() -> Scenario:
 def retarget_scenario(
     given: Scenario | str | Path | None, changes: Mapping[str, Any] | None
 ) -> Scenario:
-    """Return a scenario from itself, a path, a name or nothing, with other values of some keys.
+    """Return a scenario given as an object, a path, a name or None, with changed values.
 
     Raises
     ------
     InputError
-        If it has nothing to decide on.
+        If the scenario has no mapper.
     """
-    scenario = scenario_of(given, changes, default_scenario())
+    scenario = scenario_argument(given, changes, default_scenario())
     if not scenario.mappers:
-        raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
+        raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
     return scenario
 
 
 class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
     """Choose the landing site of a descending lander.
 
-    One step is one decision, and the flight goes on until the next one is due. With perception
-    ``"onboard"``, ``"shadows"``, ``"quadtree"`` or ``"fused"`` the environment steps the same
-    `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"`` or
-    ``"gaussian-dem"`` the same laws of guidance, attitude loop, vehicle and verdict fly in kernels,
-    over a pool of worlds, a hundred times as fast; navigation is then the truth and a drift (none
-    with ``"truth"``).
+    One step is one decision; the flight continues until the next decision is due. With the
+    perceptions ``"onboard"``, ``"shadows"``, ``"quadtree"`` and ``"fused"``, the environment runs
+    the same `lunarsim.simulation.Simulation` as the command line. With ``"truth"``, ``"surrogate"``
+    and ``"gaussian-dem"``, compiled kernels run the same guidance laws, attitude loop, vehicle and
+    touchdown evaluation over a pool of worlds, a hundred times faster. Navigation is then the
+    true state plus a drift (no drift with ``"truth"``).
 
     ## Action Space
 
-    ``Discrete(21)``: 0 keeps the present site, i flies to row i - 1 of ``sites``. Choosing a row
-    that is not available keeps the site and costs the ``invalid`` term;
-    ``info["action_mask"]`` (21,) tells which actions are available.
+    ``Discrete(21)``: 0 keeps the current site, i diverts to row i - 1 of ``sites``. If the row is
+    not available, the lander keeps its site and the reward gets the ``invalid`` term.
+    ``info["action_mask"]`` (21,) marks the available actions.
 
-    ``action=("site", "stretch")`` makes it ``MultiDiscrete([21, 5])``: where to, and by which path,
-    that is in which time. By 0 the second number leaves the time-to-go as it is (a new site gets
-    the cheapest); by 1 to 4 it becomes 1, 1.07, 1.15 or 1.3 times that of the cheapest admissible
-    path from here to the site, be it new or the present one
-    (`lunarsim_envs.sites.actions.STRETCHES`). What would break a limit of the approach gives way to
-    the cheapest; ``info["stretch_refused"]`` tells that the last step asked for a stretch that is
-    not flown. The cheapest path is mostly the fastest that keeps the limits, so none takes less
-    time. A stretch is refused, too, where the row is not available (all stays as it is then), where
-    the site is refused, and where the mission sets the time-to-go (``approach.time_to_go_s``,
-    ``jerk_m_s3``) or the law does (``optimal``, ``neural-optimal``, ``information-seeking``).
+    With ``action=("site", "stretch")`` the space is ``MultiDiscrete([21, 5])``. The second value
+    sets the time-to-go: 0 keeps it (a new site gets the minimum-propellant path); 1 to 4 multiply
+    that of the minimum-propellant path to the site by 1, 1.07, 1.15 or 1.3
+    (`lunarsim_envs.sites.actions.STRETCHES`). Factors below 1 are not offered, because the
+    minimum-propellant path is usually the fastest one within the limits. If a factor would violate
+    a limit of the approach, the lander flies the minimum-propellant path, and
+    ``info["stretch_refused"]`` is true. A factor is also refused if the row is not available (then
+    nothing changes), if the site is refused, and if the time-to-go is set by the mission
+    (``approach.time_to_go_s``, ``jerk_m_s3``) or by the law (``optimal``, ``neural-optimal``,
+    ``information-seeking``).
 
-    ``info["action_mask"]`` and `action_masks` are (26,) then, the choices of one part after those
-    of the other, as MaskablePPO takes them; ``MultiDiscrete.sample(mask=...)`` takes
+    ``info["action_mask"]`` and `action_masks` then have shape (26,): the masks of both components
+    in sequence, as MaskablePPO needs them. ``MultiDiscrete.sample(mask=...)`` needs
     ``tuple(numpy.split(info["action_mask"], [21]))``. `lunarsim_envs.sites.actions.register` adds
-    parts. Agents that choose sites alone fly there too, and leave the time-to-go as it is.
+    custom components. Agents that choose only sites also work and keep the time-to-go.
 
     ## Observation Space
 
-    A ``Dict`` of float32 arrays, named parts (``observation=[...]`` chooses others):
+    A ``Dict`` of float32 arrays with these components (``observation=[...]`` selects others):
 
-    - ``estimate`` (10,): position relative to the present site (m), velocity (m/s), attitude
-      quaternion (scalar last), as navigation estimates them.
-    - ``hazard_map`` (2, 48, 48): mean probability of safety and share observed in equal blocks of
-      the hazard map; row 0 south, column 0 west.
-    - ``sites`` (20, 6): offset from the present site east, north, up (m), probability of safety,
-      propellant to reach it (kg), 1 if available. Rows without a site are zero.
-    - ``to_go`` (3,): time-to-go (s), propellant left (kg), altitude above the site (m).
+    - ``estimate`` (10,): estimated position relative to the current site (m), velocity (m/s) and
+      attitude quaternion (scalar last), ENU.
+    - ``hazard_map`` (2, 48, 48): mean p_safe and observed fraction in equal blocks of the hazard
+      map; row 0 is south, column 0 is west.
+    - ``sites`` (20, 6): offset from the current site east, north, up (m), p_safe, propellant to
+      reach it (kg), 1 if available. Rows without a site are zero.
+    - ``to_go`` (3,): time-to-go (s), remaining propellant (kg), altitude above the site (m).
 
-    Also:
+    Also available:
 
-    - ``candidates`` (20, 6): the rows of the actions: offset east and north (m), probability of
-      safety, propellant over that of the present site (kg), distance (m), 1 if available.
-    - ``site`` (4,): of the present site: probability of safety, 1 if it has been seen, propellant
-      to reach it (kg), expected miss (m).
-    - ``hazard_crop`` (2, 33, 33): probability of safety and 1 where seen, a metre apart about the
-      present site.
+    - ``candidates`` (20, 6): one row per divert action: offset east and north (m), p_safe,
+      propellant minus that of the current site (kg), distance (m), 1 if available.
+    - ``site`` (4,): current site: p_safe, 1 if observed, propellant to reach it (kg), expected miss
+      (m).
+    - ``hazard_crop`` (2, 33, 33): p_safe and observed mask around the current site, 1 m spacing.
 
-    `lunarsim_envs.sites.parts.register` adds more.
+    `lunarsim_envs.sites.parts.register` adds custom components.
 
     ## Rewards
 
-    The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 for a safe landing, -1
-    for any other end but that of the time), ``propellant`` (-1 for full tanks, in proportion),
-    ``invalid`` (-0.05, ten times a flight at most); unless they are given weights nothing:
-    ``speed``, ``tilt`` and ``hazard`` (of a safe touchdown by how near its speeds, its tilt, and
-    slope and roughness under the pads are to the limits), ``information`` (of what the decision
-    adds to what the map tells) and ``shaping`` (of a potential, the probability of safety of the
-    site flown to; its discounted sum is the same for all flights from one first decision). Every
-    crash returns less than any safe landing, shaping aside; weights with which it may not are
-    refused.
-    ``info["cost"]``, for constrained methods, is 1 where an episode terminates and is not safe, and
-    0 else.
+    The reward is the sum of the terms in ``info["reward_terms"]``:
+
+    - ``touchdown``: +1 for a safe landing, -1 for any other outcome except the time limit.
+    - ``propellant``: -1 for using all propellant, in proportion.
+    - ``invalid``: -0.05 for an unavailable row, at most ten times per flight.
+    - ``speed``, ``tilt``, ``hazard``: penalties for a safe touchdown close to the limits of speed,
+      tilt, and slope or roughness under the pads; zero weight by default.
+    - ``information``: reward for map information gained since the last decision; zero weight by
+      default.
+    - ``shaping``: difference of a potential, p_safe of the current site; zero weight by default.
+      Its discounted sum depends only on the first decision point.
+
+    Apart from shaping, every crash returns less than any safe landing. Weights that violate this
+    are refused. ``info["cost"]``, for constrained methods, is 1 if an episode terminates without a
+    safe landing, and 0 otherwise.
 
     ## Starting State
 
-    World, target, start, navigation errors and sensor noise are drawn from the seed; the flight
-    runs to the first decision (400 m above the site by default). Flown by kernels, it takes one of
-    the pool's worlds.
+    The seed fixes world, target, start, navigation errors and sensor noise. The flight runs to the
+    first decision (400 m above the site by default). Kernels use a world from the pool.
 
-    ``reset(options=...)``, for a curriculum, takes ``position_m``, ``velocity_m_s``,
+    For a curriculum, ``reset(options=...)`` accepts ``position_m``, ``velocity_m_s``,
     ``position_sigma_m`` and ``velocity_sigma_m_s`` of the table [start], ``target_m`` and
-    ``target_scatter_m`` of [target], and ``cover`` of [rocks]; they hold until the next reset, also
-    through automatic ones. Flown by kernels, targets must lie where those of the scenario may, and
-    covers be named by ``covers``. The whole computer also takes ``sun_azimuth_deg`` and
-    ``sun_elevation_deg`` of [sun].
+    ``target_scatter_m`` of [target], and ``cover`` of [rocks]. Options hold until the next call of
+    `reset`; automatic resets keep them. With kernels, targets must be within the target area of the
+    scenario, and the argument ``covers`` must contain the cover. The full simulation also accepts
+    ``sun_azimuth_deg`` and ``sun_elevation_deg`` of [sun].
 
     ## Episode End
 
-    Terminated when the flight ends: touchdown, or off the map. The last decision is taken at 50 m;
-    the step after it flies to the ground. Truncated by the scenario's time limit: the flight counts
-    as not safe then, but neither as a crash. A flight that ends before there is anything to decide
-    ends with the first step, whatever it is.
+    The episode terminates when the flight ends by touchdown or off the map. The last decision is at
+    50 m; the step after it flies to the touchdown. The episode is truncated at the time limit of
+    the scenario; the flight is then neither safe nor a crash. A flight that ends before the first
+    decision ends with the first step, whatever its action.
 
     ## Arguments
 
-    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a shipped
-      one.
-    - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.1}``.
-    - ``perception``: ``"onboard"``, the scenario's own mapper and navigation; ``"truth"``, the
-      exact safety of what the LiDAR has in view; ``"surrogate"``, a statistical model of the
-      mapper's errors in space; ``"gaussian-dem"``, that mapper on real scans; ``"shadows"``,
-      ``"quadtree"``, ``"fused"``, a mapper of that kind on board, whichever the scenario decides
-      on: what it lacks for it is added (`lunarsim_envs.sites.onboard.perceiving`).
-    - ``surrogate``: file of another surrogate, of ``scenarios/learning/fit_surrogate.py``.
-    - ``observation``, ``action``: names of their parts.
-    - ``worlds``, ``world_seed``: flown by kernels, how many worlds are drawn, once, and their root
-      seed; the truth about them is kept in the cache of campaigns.
-    - ``covers``: further covers of rocks, of each of which as many worlds are drawn, for
-      ``reset(options={"cover": ...})``.
-    - ``weights``: `lunarsim_envs.rewards.RewardWeights`; by default those of the table
-      [site_reward] of the scenario.
-    - ``render_mode``: ``"rgb_array"``, a frame at each decision; ``"rgb_array_list"``, a frame
-      every half second of the flight since the last call, down to the ground (not of flights by
-      kernels); ``"human"``, the same frames in a window; or None.
-      ``lunarsim_envs.video`` makes films of them.
-    - ``views``: whether frames show a chase view of the lander over the rendered ground, what its
-      camera sees, and gauges as well (needs OpenGL; not of flights by kernels).
-
+    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
+      packaged scenario.
+    - ``changes``: changed values by key, for example ``{"rocks.cover": 0.1}``.
+    - ``perception``: source of the hazard map. ``"onboard"``: mapper and navigation of the
+      scenario. ``"truth"``: true safety within the LiDAR's field of view. ``"surrogate"``:
+      statistical model of the mapper's spatial errors. ``"gaussian-dem"``: that mapper with
+      simulated scans. ``"shadows"``, ``"quadtree"``, ``"fused"``: an onboard mapper of that kind,
+      which is added to the scenario if needed (`lunarsim_envs.sites.onboard.perceiving`).
+    - ``surrogate``: file of a custom surrogate from ``scenarios/learning/fit_surrogate.py``.
+    - ``observation``, ``action``: names of the components.
+    - ``worlds``, ``world_seed``: with kernels, number of worlds in the pool and their root seed.
+      The cache of campaigns keeps the true maps.
+    - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
+      ``worlds`` worlds for each cover.
+    - ``weights``: `lunarsim_envs.rewards.RewardWeights`. Default: the table [site_reward] of the
+      scenario.
+    - ``render_mode``: ``"rgb_array"`` returns a frame per decision; ``"rgb_array_list"`` returns
+      frames every 0.5 s since the last call, down to touchdown (not with kernels); ``"human"``
+      shows these frames in a window; None disables rendering. ``lunarsim_envs.video`` writes
+      videos.
+    - ``views``: adds a chase view over the rendered terrain, the onboard camera view and gauges to
+      frames (needs OpenGL; not with kernels).
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
-      vectorization_mode="vector_entry_point")``: number of flights in kernels, with perception
-      ``"surrogate"`` unless another of those that kernels fly is asked for; "NextStep", "SameStep"
-      or "Disabled"; number of steps after which an episode is truncated. Lane i with seed s flies
-      what one environment with seed s + i does.
+      vectorization_mode="vector_entry_point")``: number of flights in kernels, by default with
+      perception ``"surrogate"``; "NextStep", "SameStep" or "Disabled"; number of steps until
+      truncation. Environment i with seed s gives the same episodes as a single environment with
+      seed s + i.
 
     ## Version History
 
@@ -206,8 +213,10 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         views: bool = False,
     ) -> None:
         if not isinstance(perception, str) or perception not in PERCEPTIONS:
-            raise InputError("perception", perception, suggestion(str(perception), PERCEPTIONS))
-        if perception not in WHOLE:
+            raise InputError(
+                "perception", perception, "is unknown", suggestion(str(perception), PERCEPTIONS)
+            )
+        if perception not in FULL_SIMULATION:
             self.metadata = self.metadata | {
                 "render_modes": ["rgb_array", "human"],
                 "render_fps": 1,
@@ -215,50 +224,55 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
             named = ", ".join(map(repr, modes))
-            raise ValueError(f"render_mode = {render_mode!r}: must be {named} or None")
-        views = truth_of("views", views)
-        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
-        if views and (render_mode is None or perception not in WHOLE):
-            named = ", ".join(map(repr, WHOLE))
-            raise InputError("views", views, f"False without a render_mode or a perception {named}")
-        # Those of the class have "human" everywhere: else Gymnasium would not ask for it here.
-        self.metadata = self.metadata | {"render_modes": modes_here(modes)}
+            raise ValueError(f"render_mode: must be {named} or None, got {render_mode!r}.")
+        views = checked_bool("views", views)
+        worlds, world_seed = (
+            checked_int("worlds", worlds, 1),
+            checked_int("world_seed", world_seed, 0),
+        )
+        if views and (render_mode is None or perception not in FULL_SIMULATION):
+            named = ", ".join(map(repr, FULL_SIMULATION))
+            raise InputError("views", views, f"needs a render_mode and a perception from {named}")
+        # The class always lists "human", because Gymnasium checks the class before the instance.
+        self.metadata = self.metadata | {"render_modes": available_render_modes(modes)}
         self.scenario = retarget_scenario(scenario, changes)
-        if perception in WHOLE:
+        if perception in FULL_SIMULATION:
             self.scenario = perceiving(self.scenario, perception)
-        self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
+        self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, lander.propellant_mass, 1)
         self.render_mode = render_mode
         self.perception = perception
         self.actions = SiteActions(action)
-        self.flight = flight_of(perception, self.scenario, worlds, world_seed, surrogate, covers)
-        self.shown = ShownSites(observation)
+        self.flight = create_flight(
+            perception, self.scenario, worlds, world_seed, surrogate, covers
+        )
+        self.shown = SiteObservationLayout(observation)
         self.action_space = self.actions.space
         self.observation_space = self.shown.space
-        self.frames: Frames | None = None
-        self.views: Views | None = None
-        self._picture: Picture | None = None
+        self.frames: FrameRenderer | None = None
+        self.views: ChaseViewRenderer | None = None
+        self._picture: PlaneView | None = None
         if render_mode is not None and isinstance(self.flight, KernelFlight):
-            self._picture = Picture(self.flight.lanes)
+            self._picture = PlaneView(self.flight.lanes)
         self._with_views = views
         self._begun, self._over = False, False
         self._due = 0.0
         self._film: list[NDArray[np.uint8]] = []
-        # What frames say of the last step: row, reward, stretch.
+        # Values of the last step for frame titles: row, reward, time scale.
         self._last: tuple[int | None, float | None, float | None] = (None, None, None)
-        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
+        self._screen = FrameWindow(self.metadata["render_fps"]) if render_mode == "human" else None
 
     @property
     def simulation(self) -> Simulation | None:
-        """What flies with perception "onboard"; None else, and before the first reset."""
+        """Full simulation; None with kernels and before the first reset."""
         return self.flight.simulation
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Draw a new flight and run it to the first decision."""
-        self.flight.take(options_of(options))
+        """Start a new flight and run it to the first decision."""
+        self.flight.apply_options(checked_options(options))
         self._begin(seed)
         self.frames, self._last, self._film = None, (None, None, None), []
         self._begun, self._over = True, False
@@ -266,14 +280,14 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         if self._picture is not None:
             self._picture.begin()
         elif self.render_mode is not None and self.simulation is not None:
-            # Axes take longer than a frame may: they are made with the flight.
-            self.frames = Frames(self.simulation, self.flight.seen)
-            self.views = Views(self.simulation) if self._with_views else None
+            # Creating axes is slow, so it is done once per flight.
+            self.frames = FrameRenderer(self.simulation, self.flight.seen)
+            self.views = ChaseViewRenderer(self.simulation) if self._with_views else None
         self._take_frame()
         return self._encode(), self._info()
 
     def _begin(self, seed: int | None) -> None:
-        """Seed and begin a flight; one that is refused as it begins leaves the seed as it was."""
+        """Seed and start a flight; restore the generator if the start is refused."""
         before = self._np_random, self._np_random_seed
         super().reset(seed=seed)
         state = self.np_random.bit_generator.state
@@ -286,12 +300,12 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
             raise
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Carry out a decision and fly on to the next one."""
+        """Apply a decision and fly to the next one."""
         flight = self.flight
         if not self._begun:
-            raise gymnasium.error.ResetNeeded("call reset() before step()")
+            raise gymnasium.error.ResetNeeded("Call reset() before step().")
         if self._over:
-            raise gymnasium.error.ResetNeeded("the flight has ended: call reset()")
+            raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
         chosen = self.actions.chosen(action)
         orders = self.actions.orders(chosen, flight.sights)
         invalid = bool(orders.invalid[0])
@@ -300,12 +314,12 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         stretch = None if np.isnan(orders.stretch[0]) else float(orders.stretch[0])
         self._last = (row, None, stretch)
         self._due = flight.time + 1.0 / self.metadata["render_fps"]
-        # A flight may end before there is anything to decide: its first step tells so.
+        # A flight may end before its first decision; the first step then reports the end.
         if flight.verdict is None:
             flight.decide(site, self._each, stretch)
         verdict = flight.verdict
         self._over = verdict is not None
-        # Time has run out: the flight was cut off, and nobody knows how it would have ended.
+        # At the time limit, the outcome of the flight is unknown.
         late = verdict is not None and verdict[1] == LATE
         ended = self._over and not late
         terms = self._terms(invalid, None if late else verdict)
@@ -313,20 +327,20 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         info["cost"] = float(verdict is not None and ended and not verdict[0])
         if self.actions.stretches:
             info["stretch_refused"] = bool(orders.lost[0]) or flight.unstretched
-        reward = float(summed(terms))
+        reward = float(sum_terms(terms))
         self._last = (row, reward, stretch)
         self._take_frame()
         return self._encode(), reward, ended, late, info
 
     def standing(self) -> tuple[Any, ...]:
-        """Return mass, p_safe of the site and the map of the one flight; see `SiteRewards`."""
+        """Return mass (1,), p_safe of the current site (1,), and p_safe and observed map."""
         sights = self.flight.sights
         return np.array([self.flight.mass]), sights.here[:, 0], sights.p, sights.seen
 
     def _terms(
         self, invalid: bool, verdict: tuple[bool, tuple[str, ...]] | None
     ) -> dict[str, float]:
-        """Return the terms of the decision that has been carried out, by name."""
+        """Return the reward terms of the last decision by name."""
         over, safe = verdict is not None, verdict is not None and verdict[0]
         touch = self.flight.touch if over else np.full((1, 3), np.nan)
         one, wrong, ended, well = np.array([[True], [invalid], [over], [safe]])
@@ -334,17 +348,16 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         return {name: float(term[0]) for name, term in terms.items()}
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | None:  # type: ignore[override]
-        """Return the descent, its last 60 m and the map as an image (360, 800, 3).
+        """Return an image of the descent, its last 60 m and the map (360, 800, 3).
 
-        With `views` a chase view, the onboard camera and gauges stand above it (720, 800, 3).
-        In the mode ``"human"`` it returns nothing: a window shows every frame as the flight goes.
-        Axes stay as the first frame of a flight has them. In the mode of lists it returns the
-        images since the last call.
+        With `views`, a chase view, the onboard camera view and gauges are above it (720, 800, 3).
+        The mode ``"rgb_array_list"`` returns the images since the last call. The mode ``"human"``
+        returns None, because a window shows every frame during the flight.
         """
         if self.render_mode is None:
             return None
         if not self._begun:
-            raise gymnasium.error.ResetNeeded("call reset() before render()")
+            raise gymnasium.error.ResetNeeded("Call reset() before render().")
         if self.render_mode == "rgb_array_list":
             film, self._film = self._film, []
             return film
@@ -352,20 +365,20 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
 
     @property
     def seen(self) -> Observation | None:
-        """What the onboard computer shows a policy now; None before the first reset."""
+        """Current observation of onboard policies; None before the first reset."""
         return self.flight.seen if self._begun else None
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return which choices can be had (21,), as sb3-contrib's MaskablePPO asks for it.
+        """Return the available options (21,), as sb3-contrib's MaskablePPO needs them.
 
-        Of several parts those of one after those of the other.
+        The masks of several components are concatenated.
         """
         if not self._begun:
-            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
+            raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return np.asarray(self.actions.masks(self.flight.sights)[0])
 
     def _frame(self) -> NDArray[np.uint8]:
-        """Return an image of the flight as it stands."""
+        """Return an image of the current state."""
         if self._picture is not None:
             return self._picture.draw()
         assert self.frames is not None
@@ -373,7 +386,7 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         return drawn if self.views is None else np.vstack((self.views.draw(), drawn))
 
     def close(self) -> None:
-        """Let go of the flight, its pictures, and what they hold on the graphics device."""
+        """Release the flight, its frames and their graphics memory."""
         self.frames, self.views, self._film = None, None, []
         self._begun = False
         if self._screen is not None:
@@ -381,14 +394,14 @@ class RetargetEnv(gymnasium.Env[dict[str, Any], Any]):
         self.flight.close()
 
     def _take_frame(self) -> None:
-        """Keep an image for the mode of lists, or show it."""
+        """Store an image for ``"rgb_array_list"``, or show it for ``"human"``."""
         if self.render_mode == "rgb_array_list":
             self._film.append(self._frame())
         elif self._screen is not None:
             self._screen.show(self._frame())
 
     def _each(self) -> None:
-        """Note where the lander is, and keep an image where one is due."""
+        """Extend the path, and take a frame if one is due."""
         if self._picture is not None:
             self._picture.note()
         elif self.frames is not None and self.flight.time > self._due - 1e-6:

@@ -1,4 +1,4 @@
-"""Many descents that choose their sites at once, in kernels."""
+"""Vector environment of ``lunarsim/Retarget-v0``, flown by compiled kernels."""
 
 from __future__ import annotations
 
@@ -12,17 +12,22 @@ from gymnasium.utils import seeding
 from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import no_pictures, options_of, weights_of, whole
+from lunarsim_envs.arguments import (
+    check_no_render_mode,
+    checked_int,
+    checked_options,
+    checked_weights,
+)
 from lunarsim_envs.descent.lanes import FLYING, LATE
-from lunarsim_envs.descent.options import take
-from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
+from lunarsim_envs.descent.options import apply_options
+from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
 from lunarsim_envs.retarget import retarget_scenario
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, summed, touch_shares
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, sum_terms, touchdown_limit_ratios
 from lunarsim_envs.sites.actions import DEFAULT_ACTION, SiteActions
-from lunarsim_envs.sites.flights import sights_of
-from lunarsim_envs.sites.parts import DEFAULT, Shown, ShownSites
+from lunarsim_envs.sites.flights import site_inputs
+from lunarsim_envs.sites.parts import DEFAULT, Shown, SiteObservationLayout
 from lunarsim_envs.sites.perception import lanes_of
-from lunarsim_envs.sites.sights import MAP_CELLS, Sights, shrunk
+from lunarsim_envs.sites.sights import MAP_CELLS, SiteInputs, downsample_maps
 from lunarsim_envs.step_limit import StepLimit
 
 Mask = NDArray[np.bool_]
@@ -30,10 +35,10 @@ _MODE = gymnasium.vector.AutoresetMode
 
 
 class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Many of `RetargetEnv` at once, flown by kernels; perception is the surrogate by default.
+    """Vector environment of `RetargetEnv`; the default perception is the surrogate.
 
-    Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
-    number of lanes and threads.
+    Environment i with seed s gives bitwise the same episodes as a single environment with seed
+    s + i, for any number of environments and threads.
     """
 
     def __init__(
@@ -54,18 +59,18 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         render_mode: None = None,
         max_episode_steps: int | None = None,
     ) -> None:
-        no_pictures(render_mode)
-        num_envs, worlds = whole("num_envs", num_envs, 1), whole("worlds", worlds, 1)
-        world_seed = whole("world_seed", world_seed, 0)
+        check_no_render_mode(render_mode)
+        num_envs, worlds = checked_int("num_envs", num_envs, 1), checked_int("worlds", worlds, 1)
+        world_seed = checked_int("world_seed", world_seed, 0)
         self.scenario = retarget_scenario(scenario, changes)
         self.actions = SiteActions(action)
         self.lanes = lanes_of(
             num_envs, perception, self.scenario, worlds, world_seed, surrogate, covers
         )
-        self.weights = weights_of(weights, RewardWeights) or RewardWeights.of(self.scenario)
+        self.weights = checked_weights(weights, RewardWeights) or RewardWeights.of(self.scenario)
         self._lander = self.scenario.vehicle.make()
         self.rewards = SiteRewards(self.weights, self._lander.propellant_mass, num_envs)
-        self.shown = ShownSites(observation)
+        self.shown = SiteObservationLayout(observation)
         self.num_envs = num_envs
         self.autoreset_mode = _MODE(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
@@ -79,7 +84,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._due = np.zeros(num_envs, np.bool_)
         self._limit = StepLimit(max_episode_steps, num_envs)
-        # Whose flights have begun and not been told to have ended: they may end before a decision.
+        # Lanes with an episode whose end has not been reported; flights may end before a decision.
         self._open = np.zeros(num_envs, np.bool_)
 
     def reset(
@@ -88,12 +93,12 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
-        left = options_of(options)
+        """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
+        left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        check_begun(np.array([rng is not None for rng in self._rngs]), mask)
+        check_all_reset(np.array([rng is not None for rng in self._rngs]), mask)
         seeds = lane_seeds(seed, mask)
-        take(left, self.lanes, mask)
+        apply_options(left, self.lanes, mask)
         for lane, one in zip(np.flatnonzero(mask), seeds, strict=True):
             if one is not None or self._rngs[lane] is None:
                 self._rngs[lane] = seeding.np_random(one)[0]
@@ -115,28 +120,28 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         self.rewards.begin(mask, *self.standing())
 
     def standing(self) -> tuple[Any, ...]:
-        """Return masses, p_safe of the sites and maps of all lanes; see `SiteRewards`."""
+        """Return mass (n,), p_safe of the current site (n,), and p_safe and observed maps."""
         lanes = self.lanes
         return lanes.y[:, 13], lanes.found.here[:, 0], lanes.maps.p, lanes.maps.seen
 
     def _shrink(self, mask: Mask) -> None:
-        """Take the maps of the lanes of `mask` together, if they are shown."""
+        """Downsample the maps of the lanes of `mask`, if the observation contains them."""
         if mask.any() and any(part.name == "hazard_map" for part in self.shown.parts):
             maps = self.lanes.maps
-            self._small[mask] = shrunk(maps.p[mask], maps.seen[mask])
+            self._small[mask] = downsample_maps(maps.p[mask], maps.seen[mask])
 
     @property
-    def sights(self) -> Sights:
-        """What all landers are shown, as arrays."""
-        return sights_of(self.lanes, self._small)
+    def sights(self) -> SiteInputs:
+        """Inputs of observations and actions for all landers."""
+        return site_inputs(self.lanes, self._small)
 
     def _observe(self) -> Shown:
         return self.shown.of(self.sights)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return which choices can be had (n, 21), of several parts one after the other."""
+        """Return the available options (n, 21); masks of several components are concatenated."""
         if any(rng is None for rng in self._rngs):
-            raise gymnasium.error.ResetNeeded("call reset() before action_masks()")
+            raise gymnasium.error.ResetNeeded("Call reset() before action_masks().")
         return self.actions.masks(self.sights)
 
     def _info(self) -> dict[str, Any]:
@@ -147,13 +152,13 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Shown, NDArray[np.float64], Mask, Mask, dict[str, Any]]:
-        """Carry out decisions in all lanes, and fly on to the next ones."""
+        """Apply decisions in all environments and fly to the next decisions."""
         lanes = self.lanes
         chosen = self.actions.all_chosen(actions, self.num_envs)
         moved = self._open.copy()
         if (~moved & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
-                "a lane's flight is not in the air: call reset(), with its reset_mask"
+                "An episode has ended. Call reset() with options['reset_mask']."
             )
         orders = self.actions.orders(chosen, self.sights)
         lanes.decide(orders.site, moved, orders.stretch)
@@ -162,7 +167,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         late = over & (lanes.ended == LATE)
         terminated = over & ~late
         terms = self._terms(moved, terminated, orders.invalid)
-        rewards = summed(terms)
+        rewards = sum_terms(terms)
         info = self._told(terms, moved, over, late)
         truncated = late | self._limit.reached(moved)
         over = terminated | truncated
@@ -184,7 +189,7 @@ class RetargetVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _terms(self, moved: Mask, over: Mask, invalid: Mask) -> dict[str, Any]:
         lanes = self.lanes
-        touch = touch_shares(self._lander, lanes.told)
+        touch = touchdown_limit_ratios(self._lander, lanes.told)
         return self.rewards.terms(
             moved, invalid, over, lanes.safe, touch, lanes.mapped, *self.standing()
         )

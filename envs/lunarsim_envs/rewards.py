@@ -1,4 +1,4 @@
-"""Rewards of choosing sites: the sum of named terms."""
+"""Compute the rewards of ``Retarget-v0`` as a sum of named terms."""
 
 from __future__ import annotations
 
@@ -17,50 +17,58 @@ from lunarsim.scenario.rewards import SiteReward
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Choices of a flight that are not available cost no more than so many of them.
-MOST_INVALID = 10
+# Maximum number of invalid choices per flight that are penalised.
+MAX_PENALISED_CHOICES = 10
 
 
 @dataclass(frozen=True)
 class RewardWeights(SiteReward):
-    """Weights of the terms, as the table [site_reward] of a scenario has them."""
+    """Weights of the reward terms, with the keys of the table [site_reward]."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> RewardWeights:
-        """Return those of a scenario."""
+        """Return the weights of a scenario, or the defaults."""
         given = scenario.site_reward
         return cls() if given is None else cls(**vars(given.make()))
 
     def check(self) -> None:
-        """Refuse weights with which a crash may return more than a safe landing.
+        """Check that every safe landing returns more than any crash, apart from shaping.
 
-        That is one that took all propellant, made each bad choice and touched down at all limits,
-        of a map that told ever less, and a crash that burnt nothing, of one that told ever more.
+        The worst safe landing uses all propellant, makes the maximum number of invalid choices,
+        touches down at all limits and loses all map information. The best crash uses no propellant
+        and gains all map information.
 
         Raises
         ------
         InputError
-            Naming the weight.
+            Naming the weight ``safe``.
         """
-        costs = self.propellant + MOST_INVALID * self.invalid + self.speed + self.tilt + self.hazard
+        costs = (
+            self.propellant
+            + MAX_PENALISED_CHOICES * self.invalid
+            + self.speed
+            + self.tilt
+            + self.hazard
+        )
         least = self.unsafe + costs + 2.0 * self.information
         if not self.safe > least:
             raise InputError(
                 "weights.safe", self.safe,
-                f"more than {least:g}: else a crash may return more than a landing that is safe",
+                f"must be more than {least:g}, otherwise a crash may return more than a safe "
+                "landing",
             )  # fmt: skip
 
 
-def touch_shares(lander: Lander, told: ArrayLike) -> Array:
-    """Return how near touchdowns are to the limits (n, 3): in speed, in tilt, in the ground.
+def touchdown_limit_ratios(lander: Lander, told: ArrayLike) -> Array:
+    """Return touchdown values over their limits (n, 3): speed, tilt and terrain.
 
     Parameters
     ----------
     lander
-        Whose limits.
+        Vehicle with the limits.
     told
-        Vertical and horizontal speed, tilt, rate, slope and roughness of each (n, 6), SI; NaN where
-        there was no touchdown, of which the shares are NaN too.
+        Vertical and horizontal speed, tilt, rate, slope and roughness at touchdown (n, 6 or more),
+        SI. Rows of NaN (no touchdown) give NaN.
     """
     limits = np.array([
         lander.vertical_speed_limit, lander.horizontal_speed_limit, lander.tilt_limit,
@@ -71,19 +79,19 @@ def touch_shares(lander: Lander, told: ArrayLike) -> Array:
     return np.column_stack((np.maximum(share[:, 0], share[:, 1]), share[:, 2], ground))
 
 
-def information(p: NDArray[np.float32], seen: Mask) -> float:
-    """Return what a map (rows, cols) tells, from 0, nothing, to 1, every cell for certain.
+def map_information(p: NDArray[np.float32], seen: Mask) -> float:
+    """Return the information in a map (rows, cols), from 0 (none) to 1 (all cells certain).
 
-    The mean over its cells of 1 - 4 p (1 - p), 0 where nothing is seen.
+    It is the mean over all cells of 1 - 4 p (1 - p), with 0 for unobserved cells.
     """
     return float(np.where(seen, (2.0 * p.astype(np.float64) - 1.0) ** 2, 0.0).mean())
 
 
-def summed(terms: Mapping[str, Any]) -> Any:
-    """Return the sum of terms, each a number or of n flights (n,).
+def sum_terms(terms: Mapping[str, Any]) -> Any:
+    """Return the sum of terms, each a number or an array (n,).
 
-    One after another: NumPy's own sum adds eight terms of one flight in another order than those of
-    two, and Python's makes up for rounding, from 3.12 on.
+    Terms are added in a fixed order. The order of NumPy's sum depends on the number of flights, and
+    Python's `sum` compensates rounding since version 3.12.
     """
     total: Any = 0.0
     for term in terms.values():
@@ -92,21 +100,22 @@ def summed(terms: Mapping[str, Any]) -> Any:
 
 
 class SiteRewards:
-    """The terms of every decision, of n flights side by side.
+    """Compute the reward terms of every decision for n flights.
 
-    All but ``shaping`` are what counts. ``shaping`` is the discount times the potential after the
-    decision less that before it, and the potential is 0 once a flight has ended: over a flight its
-    discounted sum is minus the potential of the first decision, whatever is chosen (Ng, Harada and
-    Russell, "Policy invariance under reward transformations", ICML 1999).
+    All terms except ``shaping`` are the objective. ``shaping`` is the discount factor times the
+    potential after the decision minus the potential before it. The potential is 0 after a flight
+    has ended; the discounted sum is therefore minus the potential of the first decision, whatever
+    the agent chooses (Ng, Harada and Russell, "Policy invariance under reward transformations",
+    ICML 1999).
 
     Parameters
     ----------
     weights
-        Of the terms.
+        Weights of the terms.
     propellant
-        In full tanks, kg.
+        Propellant capacity, kg.
     count
-        Of flights n.
+        Number of flights n.
     """
 
     names = (
@@ -120,33 +129,33 @@ class SiteRewards:
         self._known, self._invalid = np.zeros(count), np.zeros(count, np.int64)
 
     def _sure(self, p: NDArray[np.float32], seen: Mask, of: Mask) -> Array:
-        """Return what maps tell (n,); those of lanes beside `of` (n,) are as they were."""
+        """Return the map information (n,), updated for the lanes of `of` (n,)."""
         known = self._known.copy()
         if self.weights.information > 0.0:
-            # Lane by lane: the same bits in any company.
+            # Computed per lane, so that results do not depend on the batch.
             for i in np.flatnonzero(of):
-                known[i] = information(p[i], seen[i])
+                known[i] = map_information(p[i], seen[i])
         return known
 
     def _hope(self, p_here: Array) -> Array:
-        """Return the potential of flights by the p_safe of their sites (n,); NaN: not seen."""
+        """Return the shaping potential (n,) from p_safe of the sites (n,); NaN is unobserved."""
         return np.asarray(self.weights.shaping * np.nan_to_num(p_here, nan=0.0))
 
     def begin(
         self, mask: Mask, mass: Array, p_here: Array, p: NDArray[np.float32], seen: Mask
     ) -> None:
-        """Note how the flights of `mask` (n,) stand at their first decision.
+        """Store the values at the first decision of the flights of `mask` (n,).
 
         Parameters
         ----------
         mask
-            Which.
+            Flights that start (n,).
         mass
-            True one (n,), kg.
+            True mass (n,), kg.
         p_here
-            p_safe of the site flown to (n,).
+            p_safe of the current site (n,).
         p, seen
-            Maps (n, rows, cols).
+            Maps of p_safe and of observed cells (n, rows, cols).
         """
         self._mass[mask] = mass[mask]
         self._potential[mask] = self._hope(p_here)[mask]
@@ -162,21 +171,21 @@ class SiteRewards:
         Parameters
         ----------
         moved, invalid
-            Which flights moved, and which of their choices were not available (n,).
+            Flights that moved, and flights with an unavailable choice (n,).
         over, safe
-            Which have ended, and how (n,).
+            Flights that have ended, and safe ones (n,).
         touch
-            See `touch_shares` (n, 3).
+            Touchdown values over their limits (n, 3), from `touchdown_limit_ratios`.
         drawn
-            Whose maps may be others than before (n,).
+            Flights whose maps may have changed (n,).
         mass, p_here, p, seen
-            See `begin`, as they stand now.
+            Current values of the arguments of `begin`.
         """
         w = self.weights
         ended, landed = moved & over, moved & over & safe
-        counts = moved & invalid & (self._invalid < MOST_INVALID)
+        counts = moved & invalid & (self._invalid < MAX_PENALISED_CHOICES)
         told = {name: np.zeros(len(moved)) for name in self.names}
-        # What is nought in all flights is not reckoned.
+        # Terms that are zero for all flights are skipped.
         spent = -w.propellant * (self._mass - mass) / self._tanks
         told["propellant"] = np.where(moved, spent, 0.0)
         if ended.any():

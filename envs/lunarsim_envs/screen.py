@@ -1,4 +1,4 @@
-"""A window that shows frames at their pace."""
+"""Show frames in a window at a fixed rate."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 
-# Any of them tells of a screen, beside those of Windows and macOS.
+# Environment variables that indicate a display on Linux.
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
-# Pixels a length by which figures are measured; any will do.
+# Resolution of the figure, pixels per inch; any value works.
 _DPI = 100
 
 
 def _windows() -> bool:
-    """Return whether Matplotlib opens windows here."""
-    # It looks for a toolkit when it is imported, which takes half a second.
+    """Return whether Matplotlib can open windows on this machine."""
+    # Imported here because Matplotlib searches for a GUI toolkit, which takes half a second.
     import matplotlib.pyplot as plt  # noqa: PLC0415
     from matplotlib.backends import BackendFilter, backend_registry  # noqa: PLC0415
 
     return plt.get_backend().lower() in backend_registry.list_builtin(BackendFilter.INTERACTIVE)
 
 
-def modes_here(modes: Sequence[str]) -> list[str]:
-    """Return modes of rendering without "human" where no window can be opened."""
+def available_render_modes(modes: Sequence[str]) -> list[str]:
+    """Return the render modes, without "human" if no window can be opened."""
     screen = sys.platform in ("win32", "darwin") or any(map(os.environ.get, _SCREENS))
     return [mode for mode in modes if mode != "human" or (screen and _windows())]
 
 
-class Screen:
-    """Shows frames (rows, cols, 3), all of one size; the window opens with the first.
+class FrameWindow:
+    """Show frames (rows, cols, 3) of one size; the first frame opens the window.
 
     Parameters
     ----------
     fps
-        Frames a second.
+        Frame rate, frames per second.
 
     Raises
     ------
@@ -52,8 +52,9 @@ class Screen:
         if not _windows():
             raise InputError(
                 "render_mode", "human",
-                "'rgb_array': there is no screen here, or no toolkit of windows that Matplotlib "
-                "knows (on Debian: apt install python3-tk)",
+                "needs a display and a GUI toolkit for Matplotlib (on Debian: apt install "
+                "python3-tk)",
+                "Otherwise use 'rgb_array'.",
             )  # fmt: skip
         self._seconds = 1.0 / fps
         self._figure: Any = None
@@ -61,7 +62,7 @@ class Screen:
         self._due = 0.0
 
     def show(self, frame: NDArray[np.uint8]) -> None:
-        """Show a frame, once the one before has been shown for its time."""
+        """Show a frame after the previous one has been visible for its time."""
         import matplotlib.pyplot as plt  # noqa: PLC0415
 
         if self._figure is None:
@@ -73,7 +74,7 @@ class Screen:
         self._due = time.monotonic() + self._seconds
         self._image.set_data(frame)
         self._figure.canvas.draw()
-        # Without it the system takes the window for one that hangs.
+        # Otherwise the system reports the window as not responding.
         self._figure.canvas.flush_events()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The limit on the steps of an episode, as Gymnasium's wrapper `TimeLimit` applies it."""
+"""Truncate episodes after a number of steps, as Gymnasium's wrapper `TimeLimit` does."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim_envs.arguments import whole
+from lunarsim_envs.arguments import checked_int
 
 Mask = NDArray[np.bool_]
 
 
 class StepLimit:
-    """Counts the steps of each lane's episode.
+    """Count the steps of each lane's episode.
 
     Parameters
     ----------
     max_episode_steps
-        Steps after which an episode is truncated; None or -1: no limit.
+        Number of steps after which an episode is truncated; None or -1 is no limit.
     count
         Number of lanes n.
     """
 
     def __init__(self, max_episode_steps: Any, count: int) -> None:
         given = None if max_episode_steps == -1 else max_episode_steps
-        self.most = None if given is None else whole("max_episode_steps", given, 1)
+        self.most = None if given is None else checked_int("max_episode_steps", given, 1)
         self._steps = np.zeros(count, np.int64)
 
     def begin(self, mask: Mask) -> None:
@@ -33,7 +33,7 @@ class StepLimit:
         self._steps[mask] = 0
 
     def reached(self, moved: Mask) -> Mask:
-        """Count a step of the lanes that moved (n,), and return which are at the limit (n,)."""
+        """Count a step of the lanes that moved (n,) and return the lanes at the limit (n,)."""
         self._steps[moved] += 1
         if self.most is None:
             return np.zeros_like(moved)

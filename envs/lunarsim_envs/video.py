@@ -1,7 +1,7 @@
-"""Frames of an environment as a film.
+"""Write frames of an environment as a video.
 
-Gymnasium's own RecordVideo needs MoviePy, which names an older Pillow than this package's;
-`RecordFilm` writes such films by OpenCV, with nothing else to install.
+Gymnasium's RecordVideo needs MoviePy, which requires an older Pillow than this package.
+`RecordFilm` writes the same videos with OpenCV and needs no other package.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from lunarsim.whole_files import write_whole
 
 
 class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Writes flights of an environment as films, ``PREFIX-episode-N.mp4``.
+    """Record episodes of an environment as videos, ``PREFIX-episode-N.mp4``.
 
-    A film holds what the environment renders from the reset on: a frame after every step, or in the
-    mode of lists all that it has kept. One that is not flown to its end is written at the next
-    reset or at `close`.
+    A video contains the frames from the reset on: one per step, or all frames of the render mode
+    ``"rgb_array_list"``. The video of an unfinished episode is written at the next reset or at
+    `close`.
 
     Parameters
     ----------
     env
-        With render mode ``"rgb_array"`` or ``"rgb_array_list"``.
+        Environment with render mode ``"rgb_array"`` or ``"rgb_array_list"``.
     folder
-        Where films are written; it is made.
+        Folder for the videos; it is created if needed.
     wanted
-        Says of a flight's number, from 0, whether it is filmed; left out, all are.
+        Function of the episode number, from 0, that selects episodes; default: all.
     prefix
-        Of the names of files.
+        Prefix of the file names.
     fps
-        Frames a second; left out, those of the environment, which show a flight at its pace.
+        Frame rate, frames per second. Default: that of the environment, which is real time.
 
     Raises
     ------
@@ -56,7 +56,9 @@ class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
     ) -> None:
         super().__init__(env)
         if env.render_mode not in ("rgb_array", "rgb_array_list"):
-            raise InputError("render_mode", env.render_mode, "'rgb_array' or 'rgb_array_list'")
+            raise InputError(
+                "render_mode", env.render_mode, "must be 'rgb_array' or 'rgb_array_list'"
+            )
         self.folder, self.prefix = Path(folder), prefix
         self._wanted = wanted if wanted is not None else lambda _: True
         self._fps = fps if fps is not None else float(env.metadata["render_fps"])
@@ -66,7 +68,7 @@ class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Write what has been filmed, and begin a new flight."""
+        """Write the last video and start a new episode."""
         self._write()
         shown = super().reset(seed=seed, options=options)
         self._flight += 1
@@ -75,7 +77,7 @@ class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
         return shown
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and write the film if that was the end."""
+        """Step, and write the video if the episode has ended."""
         told = super().step(action)
         self._take()
         if told[2] or told[3]:
@@ -95,37 +97,37 @@ class RecordFilm(gymnasium.Wrapper[Any, Any, Any, Any]):
             save_video(frames, path, self._fps)
 
     def close(self) -> None:
-        """Write what has been filmed, and close the environment."""
+        """Write the last video and close the environment."""
         self._write()
         super().close()
 
 
 def save_video(frames: Sequence[NDArray[np.uint8]], path: str | Path, fps: float = 2.0) -> None:
-    """Write frames as a film, whole or not at all.
+    """Write frames as a video file, atomically.
 
     Parameters
     ----------
     frames
-        Images (rows, cols, 3), red, green and blue, all of one size.
+        RGB images (rows, cols, 3), all of one size.
     path
-        ``.gif``, or ``.mp4``.
+        File to write, ``.gif`` or ``.mp4``.
     fps
-        Frames a second: an environment's ``metadata["render_fps"]`` shows a flight at its pace.
+        Frame rate, frames per second; ``metadata["render_fps"]`` of an environment is real time.
 
     Raises
     ------
     InputError
-        If there is no frame, one has another size, or the name ends in something else.
+        If there are no frames, sizes differ, or the suffix or the frame rate is invalid.
     """
     path = Path(path)
     shapes = {frame.shape for frame in frames}
     if len(shapes) != 1:
-        raise InputError("frames", sorted(shapes), "at least one image, all of one size")
+        raise InputError("frames", sorted(shapes), "must be one or more images of one size")
     if not 0.1 <= fps <= 100.0:
-        raise InputError("fps", fps, "from 0.1 to 100 frames a second")
+        raise InputError("fps", fps, "must be from 0.1 to 100 frames per second")
     writers = {".gif": _gif, ".mp4": _mp4}
     if path.suffix.lower() not in writers:
-        raise InputError("path", str(path), "a file name that ends in .gif or .mp4")
+        raise InputError("path", str(path), "must be a file name that ends in .gif or .mp4")
     write = writers[path.suffix.lower()]
     write_whole(path, lambda part: write(frames, part, fps))
 
@@ -139,11 +141,11 @@ def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:
 
 def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> None:
     rows, cols, _ = frames[0].shape
-    named = path.with_name(f"{path.name}.mp4")  # the coder goes by the name
+    named = path.with_name(f"{path.name}.mp4")  # OpenCV selects the container by the suffix
     try:
         film = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*"mp4v"), fps, (cols, rows))
         if not film.isOpened():
-            raise InputError("path", str(path), "a .gif: this OpenCV writes no MP4")
+            raise InputError("path", str(path), "this OpenCV cannot write MP4", "Use .gif.")
         for frame in frames:
             film.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
         film.release()

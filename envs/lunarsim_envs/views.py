@@ -1,7 +1,7 @@
-"""Pictures of a flight from outside and from on board: a chase view, the camera, and gauges.
+"""Render a chase view, the onboard camera view and gauges of a flight.
 
-The ground, its rocks and their shadows are rendered as the lander's camera sees them; the lander in
-the chase view is drawn over it, lit by the same Sun, and throws no shadow.
+Terrain, rocks and shadows are rendered as for the onboard camera. The lander in the chase view is
+drawn over the image with the same Sun direction, and casts no shadow.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from lunarsim.simulation.picture import camera_of
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# Pixels: the chase view, and the square of the camera with gauges under it.
+# Size of the chase view, and width of the camera view and the gauges, pixels.
 HEIGHT, WIDTH, ASIDE = 360, 560, 240
-# From the lander to the eye behind it, leg radii; focal length, pixels.
+# Distance of the chase camera behind the lander, leg radii; focal length, pixels.
 _BEHIND, _FOCAL = 7.0, 520.0
-# Least and greatest angle at which it looks down, rad: the latter from so many metres up.
+# Minimum and maximum depression angle of the chase camera, rad; height of the maximum, m.
 _FLAT, _STEEP, _LOW = 0.35, 0.96, 60.0
 _HEADROOM = 1.5
-_LEAST_OVER = 1.5  # of the eye over the ground, m
+_LEAST_OVER = 1.5  # minimum height of the chase camera above the terrain, m
 _SKY, _WORDS, _DIM = (6, 6, 10), (235, 235, 235), (70, 74, 84)
 _BODY, _LEG, _FLAME, _AIM = (214, 200, 168), (150, 150, 156), (255, 178, 84), (0, 200, 130)
 _BAR = (86, 180, 233)
-# Underside and top of the body over the plane of the pads, and its half breadth, in leg radii.
+# Underside and top of the body above the pad plane, and its half width, leg radii; its sides.
 _UNDER, _TOP, _HALF, _SIDES = 0.25, 1.1, 0.55, 8
 
 
-class Views:
-    """Draws the views of one flight.
+class ChaseViewRenderer:
+    """Draw the views of one flight.
 
     Parameters
     ----------
     simulation
-        The flight, at its first decision.
+        Simulation at the first decision.
 
     Raises
     ------
     RenderingError
-        Where OpenGL is missing.
+        If OpenGL is missing.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -62,11 +62,11 @@ class Views:
             way = simulation.site[:2] - simulation.state.position[:2]
         size = float(np.linalg.norm(way))
         self._along = np.array([*way, 0.0]) / size if size > 0.1 else np.array([0.0, 1.0, 0.0])
-        # One exposure for the whole flight: what is bright stays so.
+        # One exposure for the complete flight, so that brightness is comparable.
         self._bright = self._exposure()
 
     def chase(self) -> View:
-        """Return the eye behind the lander, looking past it at the site as far as it may."""
+        """Return the chase camera: behind the lander, towards the site within angle limits."""
         s = self.simulation
         at = s.state.position
         away = at - s.true_to_local.to_site(s.site)
@@ -82,7 +82,7 @@ class Views:
         return View(eye, sensor_axes(at - eye), _FOCAL, _FOCAL, *middle, WIDTH, HEIGHT)
 
     def _exposure(self) -> float:
-        """Return the radiance that is shown white: what is lit well from here, and a half more."""
+        """Return the radiance shown as white: 1.5 times the 90th percentile of lit pixels."""
         light = self.simulation.world.light
         views = (self.chase(), self._onboard())
         seen = np.concatenate([self._renderer.render(v, light).radiance.ravel() for v in views])
@@ -90,7 +90,7 @@ class Views:
         return _HEADROOM * float(np.percentile(lit, 90.0)) if lit.size else 1.0
 
     def _onboard(self) -> View:
-        """Return the lander's camera, with so many fewer pixels."""
+        """Return the view of the onboard camera with reduced resolution."""
         whole, share = self._camera.view(self.simulation.state), self._shrunk
         width, height = round(share * whole.width), round(share * whole.height)
         return View(
@@ -99,14 +99,14 @@ class Views:
         )  # fmt: skip
 
     def seen_by(self, view: View) -> Image:
-        """Return the ground as it is seen, (height, width, 3)."""
+        """Render the terrain in a view (height, width, 3)."""
         radiance = self._renderer.render(view, self.simulation.world.light).radiance
         tone = 235.0 * np.clip(radiance / self._bright, 0.0, 1.0) ** (1.0 / 2.2)
         image = np.repeat(tone[..., None], 3, axis=2).astype(np.uint8)
         return np.maximum(image, np.array(_SKY, np.uint8))
 
     def draw(self) -> Image:
-        """Return the flight as it stands (360, 800, 3)."""
+        """Return an image of the current state (360, 800, 3)."""
         view = self.chase()
         chase = self.seen_by(view)
         self._mark(chase, view)
@@ -118,14 +118,14 @@ class Views:
             seen = self.seen_by(below)
             self._mark(seen, below)
             eye[: seen.shape[0], : seen.shape[1]] = seen
-        except InputError:  # the camera has come to lie under the ground
-            _say(eye, "under the ground", (8, 40))
+        except InputError:  # the camera is below the terrain
+            _say(eye, "below the terrain", (8, 40))
         _say(eye, "onboard camera", (8, ASIDE - 10))
         aside = np.vstack((eye, self.gauges()))
         return np.hstack((chase, aside))
 
     def _mark(self, image: Image, view: View) -> None:
-        """Draw the footprint about the site that is flown to, where it is in sight."""
+        """Draw the footprint circle around the current site, if it is in view."""
         s = self.simulation
         site = s.true_to_local.to_site(s.site)
         turn = np.linspace(0.0, 2.0 * np.pi, 37)
@@ -135,7 +135,7 @@ class Views:
             cv2.polylines(image, [points], True, _AIM, 1, cv2.LINE_AA)
 
     def _lander(self, image: Image, view: View) -> None:
-        """Draw flame, legs and body, the farthest first."""
+        """Draw flame, legs and body; body faces from far to near."""
         s = self.simulation
         size, foot = s.lander.leg_radius, -s.lander.com_height
         low, high = foot + _UNDER * size, foot + _TOP * size
@@ -170,7 +170,7 @@ class Views:
             _fill(image, view, face, tuple(round(light * c) for c in _BODY))
 
     def gauges(self) -> Image:
-        """Return what instruments would show (120, 240, 3), of the true state."""
+        """Return an image of the gauges with the true state (120, 240, 3)."""
         s = self.simulation
         y, vehicle = s.state, s.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y.attitude, [0.0, 0.0, 1.0])[2], -1, 1)))
@@ -178,8 +178,8 @@ class Views:
         away = y.position - s.true_to_local.to_site(s.site)
         told = [
             ("height", f"{away[2] - vehicle.com_height:.1f} m", None),
-            ("to the site", f"{np.hypot(away[0], away[1]):.1f} m", None),
-            ("down, along", f"{-y.velocity[2]:.1f}, {np.hypot(*y.velocity[:2]):.1f} m/s", None),
+            ("to site", f"{np.hypot(away[0], away[1]):.1f} m", None),
+            ("down, lateral", f"{-y.velocity[2]:.1f}, {np.hypot(*y.velocity[:2]):.1f} m/s", None),
             ("tilt", f"{tilt:.1f} deg", tilt / 90.0),
             ("thrust", f"{y.thrust:.0f} N", y.thrust / vehicle.thrust_max),
             ("propellant", f"{left:.0f} kg", left / vehicle.propellant_mass),
@@ -202,7 +202,7 @@ def _say(image: Image, words: str, at: tuple[int, int]) -> None:
 
 
 def project(view: View, points: Array) -> NDArray[np.int32] | None:
-    """Return points as pixels (n, 2), or None where one is not before the eye."""
+    """Project points to pixels (n, 2); None if a point is behind the camera."""
     seen = (np.asarray(points) - view.position) @ view.axes
     if (seen[:, 2] < 0.1).any():
         return None

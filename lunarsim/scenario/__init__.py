@@ -1,4 +1,4 @@
-"""Scenarios: one TOML file that fixes a study, checked part by part and as a whole."""
+"""Read, check and change scenarios: one TOML file that defines a study."""
 
 from lunarsim.scenario.scenario import Scenario
 

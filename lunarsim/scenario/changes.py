@@ -1,8 +1,8 @@
-"""Keys of a scenario as people write them, and values laid over a scenario by such keys.
+"""Change values of a scenario by dotted keys, as `--set` does.
 
-A key is the path of tables down to a value, with dots between: ``rocks.cover``,
-``start.position_m.0``, ``policy``; a number at its end is an element of a list. The name of a table
-with a `kind` alone stands for its `kind`.
+A key is the path of tables to a value, separated by dots: ``rocks.cover``, ``start.position_m.0``,
+``policy``. A number at the end selects an element of a list. The name of a table with a `kind`
+stands for that `kind`.
 """
 
 from __future__ import annotations
@@ -19,28 +19,29 @@ _OPTION = "--set"
 
 
 def path_of(key: str, value: Any = "") -> tuple[str, ...]:
-    """Return the steps of a key; the name of a part's table with a text as value means its kind."""
+    """Split a key into its steps; a part's name with a string value means its kind."""
     if key in layout.CHOSEN and isinstance(value, str):
         return key, "kind"
     return tuple(key.split("."))
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
-    """Return a scenario with other values.
+    """Return a scenario with some values changed.
 
     Parameters
     ----------
     scenario
-        The study.
+        Scenario to change.
     values
-        Value by key; a table of another `kind` starts from that kind's defaults.
+        Values by key. If a value changes the `kind` of a table, that table starts from the
+        defaults of the new kind.
     where
-        Put before the field of an error.
+        Prefix of the field names in errors.
 
     Raises
     ------
     InputError
-        If a key is not one of the scenario's, or a value will not do.
+        If a key does not exist or a value is invalid.
     """
     if not values:
         return scenario
@@ -50,11 +51,11 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
         field = f"{where}.{key}"
         steps, new = path_of(key, value), value
         if not all(steps):
-            raise InputError(field, value, "a key of the scenario such as rocks.cover")
+            raise InputError(field, value, "must be a scenario key such as rocks.cover")
         if len(steps) > 1 and steps[-1].isdigit():
             steps, index = steps[:-1], int(steps[-1])
             new = _replaced(at(change, steps) or at(data, steps), index, value, field)
-        _lay(change, steps, new, field)
+        _set_nested(change, steps, new, field)
     try:
         return scenario.changed(**change)
     except InputError as error:
@@ -62,20 +63,20 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
 
 
 def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
-    """Return a scenario with changes as the command line gives them.
+    """Return a scenario with changes given as ``KEY=VALUE``.
 
     Parameters
     ----------
     scenario
-        The study.
+        Scenario to change.
     texts
-        ``KEY=VALUE`` each, the value as TOML has it; a word needs no quotes. Paths are relative to
-        the working directory.
+        Changes ``KEY=VALUE`` with TOML values. Strings need no quotes. Paths are relative to the
+        working directory.
 
     Raises
     ------
     InputError
-        Naming the key, if a text is no change or a value will not do.
+        Naming the key, if a text is not a change or a value is invalid.
 
     Examples
     --------
@@ -93,39 +94,39 @@ def with_changes(scenario: Scenario, texts: Sequence[str]) -> Scenario:
 
 
 def typed_values(texts: Sequence[str]) -> dict[str, Any]:
-    """Return the value by key of texts ``KEY=VALUE``.
+    """Parse texts ``KEY=VALUE`` into values by key.
 
     Raises
     ------
     InputError
-        If a text is no change, or a key is given twice.
+        If a text is not ``KEY=VALUE``, or a key occurs twice.
     """
     values: dict[str, Any] = {}
     for text in texts:
         key, sign, value = (part.strip() for part in text.partition("="))
         if not sign or not key or not value:
-            raise InputError(_OPTION, text, "KEY=VALUE such as rocks.cover=0.08")
+            raise InputError(_OPTION, text, "must be KEY=VALUE, for example rocks.cover=0.08")
         if key in values:
-            raise InputError(_OPTION, text, "each key once")
+            raise InputError(_OPTION, text, "must set each key only once")
         values[key] = _parsed(text, value)
     return values
 
 
 def _parsed(text: str, value: str) -> Any:
-    """Return a value as TOML has it; what is none is a word."""
+    """Parse a TOML value; text that is not TOML becomes a string."""
     try:
         found = tomllib.loads(f"value = {value}")
     except (ValueError, RecursionError):
         if value[0] in "[{\"'":
-            raise InputError(_OPTION, text, "a value as TOML has it, or a word") from None
+            raise InputError(_OPTION, text, "must have a TOML value or a word") from None
         return value
     if list(found) != ["value"]:
-        raise InputError(_OPTION, text, "one key and one value")
+        raise InputError(_OPTION, text, "must be one key and one value")
     return found["value"]
 
 
 def at(data: Any, steps: tuple[str, ...]) -> Any:
-    """Return the value of plain tables at the steps of a key, None where there is none."""
+    """Return the value of nested tables at the steps of a key, or None if it is missing."""
     for step in steps:
         if isinstance(data, Mapping):
             data = data.get(step)
@@ -139,21 +140,21 @@ def at(data: Any, steps: tuple[str, ...]) -> Any:
 def _replaced(current: Any, index: int, value: Any, field: str) -> list[Any]:
     """Return a list with one element replaced."""
     if not isinstance(current, list | tuple):
-        raise InputError(field, value, "an element of a list that the scenario has")
+        raise InputError(field, value, "must be an element of a list in the scenario")
     if index >= len(current):
-        raise InputError(field, value, f"an element from 0 to {len(current) - 1}")
+        raise InputError(field, value, f"must have an index from 0 to {len(current) - 1}")
     new = list(current)
     new[index] = value
     return new
 
 
-def _lay(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
-    """Lay one value into a nested change."""
+def _set_nested(change: dict[str, Any], steps: tuple[str, ...], value: Any, field: str) -> None:
+    """Set one value in a nested change."""
     for step in steps[:-1]:
         inner = change.setdefault(step, {})
         if not isinstance(inner, dict):
-            raise InputError(field, value, f"no key below {step!r}, which is set as a whole")
+            raise InputError(field, value, f"conflicts with the value that {step!r} is set to")
         change = inner
     if isinstance(change.get(steps[-1]), dict):
-        raise InputError(field, value, "a table as a whole or keys in it, not both")
+        raise InputError(field, value, "must not be set both as a table and by its keys")
     change[steps[-1]] = value

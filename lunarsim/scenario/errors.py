@@ -1,4 +1,4 @@
-"""From what pydantic finds wrong to an error that names field, value and remedy."""
+"""Convert pydantic errors to input errors with field, value and remedy."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from lunarsim.scenario import layout
 def input_error(
     path: str, model: type[PartSettings], error: ValidationError, contract: str | None, kind: str
 ) -> InputError:
-    """Return the first error of a table as one that a user can act on."""
+    """Convert the first pydantic error of a table to an `InputError`."""
     first = error.errors(include_url=False)[0]
     location = [str(step) for step in first["loc"]]
     field = ".".join([path, *location])
     count = len(_elements(model, location[0])) if location else 0
     if count and first["type"] in ("tuple_type", "too_long", "missing"):
         unit = unit_of(model, location[0])
-        wanted = f"a list of {count} values" + (f" in {unit}" if unit else "")
+        wanted = f"must be a list of {count} values" + (f" in {unit}" if unit else "")
         return InputError(f"{path}.{location[0]}", first["input"], wanted)
     if first["type"] == "extra_forbidden":
         key = location[-1]
@@ -31,20 +31,20 @@ def input_error(
         if elsewhere:
             whose = " or ".join(repr(name) for name in elsewhere)
             return InputError(
-                field, first["input"], f"no key of kind {kind!r}; it belongs to kind {whose}"
+                field, first["input"], f"is not a key of kind {kind!r}", f"Kind {whose} has it."
             )
         hint = layout.MOVED_KEYS.get(path) or suggestion(key, keys)
-        return InputError(field, first["input"], "unknown key; " + hint)
-    message = str(first["msg"]).removeprefix("Value error, ")
-    expected = message[0].lower() + message[1:]
+        return InputError(field, first["input"], "is an unknown key", hint)
+    message = str(first["msg"]).removeprefix("Value error, ").replace("Input should", "must")
+    problem = "is required" if message == "Field required" else message[0].lower() + message[1:]
     unit = unit_of(model, location[0]) if location else ""
-    if unit and first["type"].endswith(("_type", "_parsing")):
-        expected += f", a plain number in {unit}"
-    return InputError(field, first["input"], expected)
+    wants_number = unit and first["type"].endswith(("_type", "_parsing"))
+    remedy = f"Give a plain number in {unit}." if wants_number else ""
+    return InputError(field, first["input"], problem, remedy)
 
 
 def _elements(model: type[PartSettings], key: str) -> tuple[Any, ...]:
-    """Return the types of the elements of a list whose length is fixed; of others nothing."""
+    """Return the element types of a list with fixed length; empty for other keys."""
     found = model.model_fields.get(key)
     for kind in () if found is None else (found.annotation, *get_args(found.annotation)):
         if get_origin(kind) is tuple and Ellipsis not in get_args(kind):

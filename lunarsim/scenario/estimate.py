@@ -1,4 +1,4 @@
-"""Memory and time that a flight of a scenario takes, before anything large is made."""
+"""Estimate memory and time of a flight, and refuse scenarios that need too much memory."""
 
 from __future__ import annotations
 
@@ -11,56 +11,56 @@ from lunarsim.errors import InputError
 from lunarsim.grid import bytes_in_words
 from lunarsim.rocks.laws import golombek_number
 
-# Memory of one process at the peak. A scenario that needs more is refused.
+# Maximum peak memory of one process, bytes. Scenarios that need more are refused.
 MAX_MEMORY_BYTES = 16 * 2**30
-# The process with its libraries and kernels, measured on a flight over 60 m of terrain.
+# Memory of the process, libraries and kernels, bytes; measured on a flight over 60 m of terrain.
 _PROCESS_BYTES = 4e8
-# Peak memory and time to make fractal relief with craters, measured with 2000 and 4000 posts along
-# a side on one core.
+# Peak memory and time per post to generate fractal terrain with craters, measured with 2000 and
+# 4000 posts along a side on one core.
 _BYTES_PER_POST, _SECONDS_PER_POST = 144.0, 4.7e-7
-# Peak memory of a spline through a raster without that.
+# Peak memory per post of a spline through a raster without added detail.
 _BYTES_PER_SPLINE_POST = 48.0
-# Memory and time to read a post of a file, measured with 2000 posts along a side in degrees.
+# Memory and time to read a post of a file, measured with 2000 posts per side, posting in degrees.
 _BYTES_PER_POST_READ, _SECONDS_PER_POST_READ = 32.0, 2e-7
-# Heights of the surroundings.
+# Memory per height of the far terrain.
 _BYTES_PER_POST_KEPT = 8.0
 # Memory and time to place a rock, measured with 200,000 rocks on 60 m of terrain.
 _BYTES_PER_ROCK, _SECONDS_PER_ROCK = 400.0, 5e-6
-# Layers of a map with what its mapper keeps; an image with its intermediate results.
+# Memory of a map cell (all layers and mapper state), and of an image pixel (all processing steps).
 _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
 
 _REMEDIES = {
-    "size_m": "Use a smaller value, or a larger posting_m or detail_m",
-    "posting_m": "Use a larger value, or a part of the raster: terrain.dtm_window",
-    "path": "Use a part of the raster (terrain.dtm_window) or a smaller file",
-    "min_diameter_m": "Use a larger value, or a smaller cover",
-    "sizes_m": "Use smaller values or fewer levels",
-    "width": "Use a smaller value, or a smaller height",
+    "size_m": "Use a smaller value, or a larger posting_m or detail_m.",
+    "posting_m": "Use a larger value, or a part of the raster (terrain.dtm_window).",
+    "path": "Use a part of the raster (terrain.dtm_window).",
+    "min_diameter_m": "Use a larger value, or a smaller cover.",
+    "sizes_m": "Use smaller values or fewer levels.",
+    "width": "Use a smaller value, or a smaller height.",
 }
 
 
 class Estimate(NamedTuple):
-    """Memory at the peak by the key that sets it (bytes), and time to make the terrain (s)."""
+    """Peak memory by scenario key (bytes), and time to generate the terrain (s)."""
 
     memory: dict[str, float]
     terrain_time: float
 
     @property
     def total(self) -> float:
-        """Memory of a process at the peak, bytes."""
+        """Peak memory of one process, bytes."""
         return _PROCESS_BYTES + sum(self.memory.values())
 
     def __str__(self) -> str:
         return (
-            f"about {self.total / 2**30:.1f} GiB of memory for each process, and "
-            f"{self.terrain_time:.1f} s to make the terrain"
+            f"about {self.total / 2**30:.1f} GiB of memory per process, "
+            f"{self.terrain_time:.1f} s to generate the terrain"
         )
 
 
 def estimate(scenario: Any) -> Estimate:
-    """Return what a flight of a scenario takes; of a raster, its header is read.
+    """Estimate memory and time of a flight; only headers of rasters are read.
 
-    A raster that cannot be opened is not counted: it is refused where it is loaded.
+    Rasters that cannot be opened are not counted. Loading the terrain reports them.
     """
     ground = scenario.terrain.make()
     posts, read, area = 0.0, 0.0, 0.0
@@ -85,7 +85,7 @@ def estimate(scenario: Any) -> Estimate:
     if scenario.surroundings is not None:
         around = scenario.surroundings.make()
         levels = [(s / p) ** 2 for s, p in zip(around.sizes, around.postings, strict=True)]
-        # One level at a time is drawn; all are kept.
+        # Levels are generated one at a time; all are kept.
         drawn = _BYTES_PER_POST * max(levels, default=0.0)
         memory["surroundings.sizes_m"] = drawn + _BYTES_PER_POST_KEPT * sum(levels)
         with contextlib.suppress(InputError):
@@ -105,12 +105,12 @@ def estimate(scenario: Any) -> Estimate:
 
 
 def check_memory(scenario: Any) -> None:
-    """Refuse a scenario that needs more memory than `MAX_MEMORY_BYTES`.
+    """Check that a scenario needs at most `MAX_MEMORY_BYTES` of memory.
 
     Raises
     ------
     InputError
-        Naming the key that takes the most.
+        Naming the key that needs the most memory.
     """
     found = estimate(scenario)
     if found.total > MAX_MEMORY_BYTES:
@@ -119,8 +119,9 @@ def check_memory(scenario: Any) -> None:
         value = getattr(_table(scenario, table), last)
         raise InputError(
             key, value,
-            f"too large: a flight takes {bytes_in_words(found.total)} of memory, and "
-            f"{bytes_in_words(MAX_MEMORY_BYTES)} is the limit. {_REMEDIES[last]}",
+            f"is too large, a flight would use {bytes_in_words(found.total)} of memory "
+            f"(limit {bytes_in_words(MAX_MEMORY_BYTES)})",
+            _REMEDIES[last],
         )  # fmt: skip
 
 

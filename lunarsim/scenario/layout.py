@@ -1,6 +1,6 @@
-"""The tables of a scenario file: which there are, what each sets, and what there is if left out.
+"""Define the tables of a scenario file: names, classes or contracts, and defaults.
 
-Nothing of a table is written here but its name: keys, bounds and defaults stand in the part.
+The parts themselves define keys, bounds and default values.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.policies.decisions import Decisions
 from lunarsim.onboard.policies.window import Window
 from lunarsim.rocks.population import RockExpectation, RockPopulation
-from lunarsim.scenario.mission import Clock, MissionTarget, Start, StartKnowledge
+from lunarsim.scenario.mission import MissionTarget, SimulationClock, Start, StartKnowledge
 from lunarsim.scenario.rewards import DescentReward, SiteReward
 from lunarsim.vehicle.faults import Faults
 from lunarsim.vehicle.legs import Legs
@@ -23,7 +23,7 @@ from lunarsim.world.light import Light
 from lunarsim.world.surroundings import Surroundings
 from lunarsim.world.survey import PriorSurvey
 
-# One table each, of one class.
+# Tables that always exist, each with one class.
 FIXED: dict[str, type] = {
     "rocks": RockPopulation,
     "sun": Light,
@@ -32,9 +32,9 @@ FIXED: dict[str, type] = {
     "expected_rocks": RockExpectation,
     "approach": Approach,
     "decisions": Decisions,
-    "simulation": Clock,
+    "simulation": SimulationClock,
 }
-# Likewise, but only where they are given.
+# Optional tables, each with one class.
 OPTIONAL: dict[str, type] = {
     "moon": RoundMoon,
     "surroundings": Surroundings,
@@ -48,9 +48,9 @@ OPTIONAL: dict[str, type] = {
     "site_reward": SiteReward,
     "descent_reward": DescentReward,
 }
-# One table each, of a part chosen by `kind`, but only where they are given: contract.
-OPTIONAL_CHOSEN: dict[str, str] = {"descent": "descent"}
-# One table each, of a part chosen by `kind`: contract and kind if left out.
+# Optional tables of a part selected by `kind`: contract.
+OPTIONAL_SELECTED: dict[str, str] = {"descent": "descent"}
+# Tables of a part selected by `kind`: contract and default kind.
 CHOSEN: dict[str, tuple[str, str]] = {
     "terrain": ("terrain", "fractal"),
     "vehicle": ("vehicle", "lander"),
@@ -59,7 +59,7 @@ CHOSEN: dict[str, tuple[str, str]] = {
     "guidance": ("guidance", "apollo"),
     "control": ("control", "pd"),
 }
-# Any number of tables, each with a name and a `kind`: contract, and what there is if left out.
+# Groups of named tables, each with a `kind`: contract and default tables.
 NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "sensors": (
         "sensor",
@@ -74,13 +74,13 @@ NAMED: dict[str, tuple[str, dict[str, dict[str, Any]]]] = {
     "tasking": ("tasking", {"flash": {"kind": "at-altitudes"}}),
     "mappers": ("mapper", {"dem": {"kind": "gaussian-dem"}}),
 }
-# Keys of the world and of the vehicle in it.
-WORLD = (
+# Keys that define the world and the vehicle.
+WORLD_KEYS = (
     "name", "description", "gravity_m_s2", "moon", "surroundings", "terrain", "rocks", "sun",
     "vehicle", "legs", "target",
 )  # fmt: skip
-# Tables of earlier versions, and where their keys are now.
-MOVED: dict[str, str] = {
+# Tables of earlier versions, and the tables that replace them.
+MOVED_TABLES: dict[str, str] = {
     "lander": "[vehicle]",
     "lidar": "[sensors.NAME] with kind = 'flash-lidar' and [tasking.NAME]",
     "camera": "[sensors.NAME] with kind = 'camera' and [tasking.NAME]",
@@ -89,19 +89,19 @@ MOVED: dict[str, str] = {
     "prior": "[prior_map]",
     "sites": "[mappers.NAME.sites] with kind = 'quadtree'",
 }
-# Keys of earlier versions whose table still exists, by table.
+# Tables whose keys have moved since earlier versions: hint for unknown keys.
 MOVED_KEYS: dict[str, str] = {
-    "guidance": "paths and where they end are in [approach], the attitude in [control]",
-    "navigation": "error budgets are in [sensors.NAME] with kind = 'navigation-fix', and in "
-    "[start_knowledge]",
+    "guidance": "Paths and their end states are in [approach], the attitude is in [control].",
+    "navigation": "Error budgets are in [sensors.NAME] with kind = 'navigation-fix', and in "
+    "[start_knowledge].",
 }
 
 
 def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
-    """Return the kind of a part of `CHOSEN` that a scenario does not name.
+    """Return the default kind of a part in `CHOSEN`.
 
-    Navigation goes by what else is given: a map of shadows maps with the filter that tracks rocks,
-    a lander with fixes of another system takes those.
+    The default of navigation depends on other tables: "rocks" with a shadow mapper, which uses the
+    filter that tracks rocks; "fixes" with a navigation-fix sensor; otherwise "inertial".
     """
     if table == "navigation":
         if "shadow" in _kinds(data, "mappers"):
@@ -112,7 +112,7 @@ def kind_left_out(table: str, data: Mapping[str, Any]) -> str:
 
 
 def _kinds(data: Mapping[str, Any], table: str) -> set[Any]:
-    """Return the kinds of named parts that are given; what is no table is told of elsewhere."""
+    """Return the kinds of named parts; values that are not tables are reported elsewhere."""
     parts = data.get(table, {})
     named = parts.values() if isinstance(parts, Mapping) else ()
     kinds = [part.get("kind") for part in named if isinstance(part, Mapping)]

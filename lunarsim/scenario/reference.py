@@ -1,4 +1,4 @@
-"""What a scenario file may hold, in words: made from the parts themselves."""
+"""Generate the scenario reference from the parts: keys, defaults, units, bounds and meaning."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def _first_line(cls: type) -> str:
 
 
 def parts_list(contract: str | None = None) -> list[str]:
-    """Return a line for each part: contract, kind, what it is.
+    """Return a line for each part: contract, kind and description.
 
     Raises
     ------
     InputError
-        If there is no such contract.
+        If the contract does not exist.
     """
     if contract is not None and contract not in CONTRACTS:
-        raise InputError("contract", contract, suggestion(contract, CONTRACTS))
+        raise InputError("contract", contract, "is unknown", suggestion(contract, CONTRACTS))
     lines = []
     for name in CONTRACTS if contract is None else [contract]:
         for kind in kinds(name):
@@ -42,9 +42,9 @@ def parts_list(contract: str | None = None) -> list[str]:
 def _rows(
     model: type[PartSettings], prefix: str = "", defaults: PartSettings | None = None
 ) -> Iterator[tuple[str, ...]]:
-    """Yield key, default, unit, bounds and meaning of a table; nested tables one by one.
+    """Yield key, default, unit, bounds and meaning of each key, also in nested tables.
 
-    A nested table that is omitted has the values of `defaults`, not those of its own fields.
+    Keys of a nested table have their defaults in `defaults`, if the parent table sets them.
     """
     for key, field in model.model_fields.items():
         nested = field.annotation
@@ -84,19 +84,19 @@ def _word(value: Any) -> str:
 
 
 def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
-    """Yield heading, what it is, and the table of keys of everything in a scenario."""
+    """Yield heading, description and settings class of each table of a scenario."""
     for name, of in layout.FIXED.items():
         yield f"[{name}]", _first_line(of), settings_of(of)
     for name, of in layout.OPTIONAL.items():
-        yield f"[{name}] (may be left out)", _first_line(of), settings_of(of)
+        yield f"[{name}] (optional)", _first_line(of), settings_of(of)
     chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
-    chosen |= layout.OPTIONAL_CHOSEN
+    chosen |= layout.OPTIONAL_SELECTED
     named = {f"{name}.NAME": contract for name, (contract, _) in layout.NAMED.items()}
     for name, contract in (chosen | named).items():
         for kind in kinds(contract):
             default = layout.CHOSEN.get(name, ("", ""))[1] == kind
             heading = f"[{name}] kind = {_word(kind)}" + (" (default)" if default else "")
-            heading += " (may be left out)" * (name in layout.OPTIONAL_CHOSEN)
+            heading += " (optional)" * (name in layout.OPTIONAL_SELECTED)
             try:
                 of = resolve(contract, kind)
                 table = settings_of(of)
@@ -109,15 +109,15 @@ def _tables() -> Iterator[tuple[str, str, type[PartSettings] | None]]:
 
 _COLUMNS = ("key", "default", "unit", "bounds or choices", "meaning")
 _TOP = (
-    ("name", '"unnamed"', "", "", "of the study"),
-    ("description", '""', "", "", "a sentence"),
-    ("gravity_m_s2", "1.622", "m/s^2", "> 0, < 1000", "downward acceleration"),
+    ("name", '"unnamed"', "", "", "Name of the study"),
+    ("description", '""', "", "", "One sentence about the study"),
+    ("gravity_m_s2", "1.622", "m/s^2", "> 0, < 1000", "Gravitational acceleration, downward"),
 )
 
 
 def reference_text(*, markdown: bool = False) -> str:
-    """Return every key of a scenario file with default, unit, bounds and meaning."""
-    out = _table("Top level", "Before any table.", list(_TOP), markdown)
+    """Return the scenario reference: all keys with default, unit, bounds and meaning."""
+    out = _table("Top level", "Keys before the first table.", list(_TOP), markdown)
     for heading, what, model in _tables():
         rows = list(_rows(model)) if model is not None else []
         out += _table(heading, what, rows, markdown)

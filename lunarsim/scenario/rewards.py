@@ -1,4 +1,4 @@
-"""What environments reward, as a scenario says it; no flight is changed by it."""
+"""Define reward weights of the environments; they do not affect flights."""
 
 from __future__ import annotations
 
@@ -14,33 +14,41 @@ class SiteReward:
     Attributes
     ----------
     safe, unsafe
-        At the end of a flight, for a safe and for any other end.
+        Reward for a safe landing, and for any other outcome.
     propellant
-        Cost of full tanks; what is burnt costs its share of them.
+        Penalty for using all propellant; smaller amounts are penalised in proportion.
     invalid
-        Cost of choosing a site that is not available, up to ten times a flight.
+        Penalty for selecting an unavailable site, up to ten times per flight.
     speed, tilt, hazard
-        Cost of a safe touchdown at the limits: of the larger of its speeds, of its tilt, of the
-        larger of slope and roughness under the pads; below them in proportion.
+        Penalty for a safe touchdown at a landing limit, in proportion below it: the larger of the
+        two speeds, the tilt, and the larger of slope and roughness under the pads.
     information
-        Of a map that is sure of every cell over one that knows nothing; what a decision adds to it
-        is rewarded.
+        Reward for the complete reduction of the map's uncertainty; each decision earns the part
+        that it adds.
     shaping
-        Of the potential, the probability of safety of the site flown to; 0 leaves it out.
+        Weight of the shaping potential, which is p_safe of the current site; 0 disables it.
     discount
-        The learner's: with another one shaping may change which policy is best.
+        Discount factor of the learner. With another value, shaping may change the best policy.
     """
 
-    safe: float = quantity(1.0, help="of a safe landing")
-    unsafe: float = quantity(-1.0, help="of any other end")
-    propellant: float = quantity(1.0, ge=0, help="cost of full tanks, in proportion")
-    invalid: float = quantity(0.05, ge=0, help="cost of a choice that is not available")
-    speed: float = quantity(0.0, ge=0, help="cost of a safe touchdown as fast as allowed")
-    tilt: float = quantity(0.0, ge=0, help="cost of a safe touchdown as tilted as allowed")
-    hazard: float = quantity(0.0, ge=0, help="cost of ground under the pads as bad as allowed")
-    information: float = quantity(0.0, ge=0, help="of all that a map can tell")
-    shaping: float = quantity(0.0, ge=0, help="of the present site's probability of safety")
-    discount: float = quantity(0.99, gt=0, le=1, help="of the learner, for shaping")
+    safe: float = quantity(1.0, help="Reward for a safe landing")
+    unsafe: float = quantity(-1.0, help="Reward for any other outcome")
+    propellant: float = quantity(
+        1.0, ge=0, help="Penalty for using all propellant, in proportion to use"
+    )
+    invalid: float = quantity(0.05, ge=0, help="Penalty for selecting an unavailable site")
+    speed: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at a speed limit")
+    tilt: float = quantity(0.0, ge=0, help="Penalty for a safe touchdown at the tilt limit")
+    hazard: float = quantity(
+        0.0, ge=0, help="Penalty for a safe touchdown at the slope or roughness limit"
+    )
+    information: float = quantity(0.0, ge=0, help="Reward for reducing all uncertainty of the map")
+    shaping: float = quantity(
+        0.0, ge=0, help="Weight of the shaping potential, p_safe of the current site"
+    )
+    discount: float = quantity(
+        0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "weights")
@@ -53,31 +61,40 @@ class DescentReward:
     Attributes
     ----------
     safe, crash
-        For a touchdown within all limits, and for any other end but the time limit.
+        Reward for a touchdown within all limits, and for any other outcome except the time limit.
     propellant
-        Cost of a kilogram.
+        Penalty per kilogram of propellant.
     miss
-        Cost of a metre between a safe touchdown and the target, up to 50 m.
+        Penalty per metre between a safe touchdown and the target, up to 50 m.
     severity
-        Cost of a crash at the distance and the speed of the planned start, half of it for each;
-        nearer and slower ones cost less, none more.
+        Maximum penalty for a crash, half of it for distance and half for speed. The maximum applies
+        at the distance and speed of the planned start and beyond; closer and slower crashes cost
+        less.
     excess
-        Cost of a touchdown that exceeds a limit e-fold, summed over speeds, tilt and rate; a crash
-        that is no touchdown counts as the worst.
+        Penalty for exceeding a limit by a factor of e, summed over speeds, tilt and rate. A crash
+        without touchdown costs the maximum.
     shaping
-        Of the potential; 0 leaves it out.
+        Weight of the shaping potential; 0 disables it.
     discount
-        The learner's: with another one shaping may change which policy is best.
+        Discount factor of the learner. With another value, shaping may change the best policy.
     """
 
-    safe: float = quantity(1.0, help="of a touchdown within all limits")
-    crash: float = quantity(-1.0, help="of any other end but the time limit")
-    propellant: float = quantity(0.001, ge=0, help="cost of a kilogram")
-    miss: float = quantity(0.01, ge=0, help="cost of a metre off the target, up to 50 m")
-    severity: float = quantity(0.0, ge=0, help="cost of a crash as far off and fast as the start")
-    excess: float = quantity(0.0, ge=0, help="cost of exceeding a limit e-fold")
-    shaping: float = quantity(1.0, ge=0, help="of the potential")
-    discount: float = quantity(0.99, gt=0, le=1, help="of the learner, for shaping")
+    safe: float = quantity(1.0, help="Reward for a touchdown within all limits")
+    crash: float = quantity(-1.0, help="Reward for any other outcome except the time limit")
+    propellant: float = quantity(0.001, ge=0, help="Penalty per kilogram of propellant")
+    miss: float = quantity(
+        0.01, ge=0, help="Penalty per metre of a safe touchdown from the target, up to 50 m"
+    )
+    severity: float = quantity(
+        0.0, ge=0, help="Penalty for a crash at the distance and speed of the planned start"
+    )
+    excess: float = quantity(
+        0.0, ge=0, help="Penalty for exceeding a touchdown limit by a factor of e"
+    )
+    shaping: float = quantity(1.0, ge=0, help="Weight of the shaping potential")
+    discount: float = quantity(
+        0.99, gt=0, le=1, help="Discount factor of the learner, used for shaping"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "weights")

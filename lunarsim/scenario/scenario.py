@@ -1,7 +1,7 @@
-"""The scenario: everything that a study fixes, as tables of one TOML file.
+"""Define `Scenario`: the complete definition of a study, read from one TOML file.
 
-Keys carry their unit at the end: ``_m``, ``_s``, ``_kg``, ``_n``, ``_deg``, ``_m_s``. Unknown keys,
-wrong types and impossible values are refused with the field, the value and what is right.
+Keys end in their unit: ``_m``, ``_s``, ``_kg``, ``_n``, ``_deg``, ``_m_s``. Unknown keys, wrong
+types and values out of bounds raise an `InputError` with field, value and problem.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from lunarsim.whole_files import write_text_whole
 
 
 @dataclass(frozen=True)
-class ChosenPart:
-    """A table with a `kind`: attributes are its keys, `make` gives the part.
+class SelectedPart:
+    """A table with a `kind`; its attributes are the keys, and `make` creates the part.
 
     Attributes
     ----------
     kind
         Registered name or "module:Class".
     table
-        The rest of the table.
+        The other keys of the table.
     """
 
     kind: str
@@ -47,16 +47,16 @@ class ChosenPart:
         return getattr(self.table, name)
 
     def make(self) -> Any:
-        """Return the part, in SI units and radians."""
+        """Create the part, in SI units and radians."""
         return self.table.make()
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One study: world, vehicle, sensors, onboard parts, clock.
+    """Complete definition of a study: world, vehicle, sensors, onboard software and clock.
 
-    Attributes are the tables of the file; `lunarsim scenario reference` lists all keys. Build one
-    with `load`, `from_dict` or `changed`: they check it.
+    Attributes are the tables of the file; `lunarsim scenario reference` lists all keys. Create
+    scenarios with `load`, `from_dict` or `changed`, which check all values.
     """
 
     name: str
@@ -64,10 +64,10 @@ class Scenario:
     gravity_m_s2: float
     moon: Any | None
     surroundings: Any | None
-    terrain: ChosenPart
+    terrain: SelectedPart
     rocks: Any
     sun: Any
-    vehicle: ChosenPart
+    vehicle: SelectedPart
     faults: Any | None
     legs: Any | None
     variation: Any | None
@@ -76,18 +76,18 @@ class Scenario:
     target: Any
     prior_map: Any | None
     expected_rocks: Any
-    sensors: Mapping[str, ChosenPart]
-    tasking: Mapping[str, ChosenPart]
-    navigation: ChosenPart
-    mappers: Mapping[str, ChosenPart]
-    policy: ChosenPart
+    sensors: Mapping[str, SelectedPart]
+    tasking: Mapping[str, SelectedPart]
+    navigation: SelectedPart
+    mappers: Mapping[str, SelectedPart]
+    policy: SelectedPart
     decisions: Any
     approach: Any
-    guidance: ChosenPart
+    guidance: SelectedPart
     braking: Any | None
     window: Any | None
-    descent: ChosenPart | None
-    control: ChosenPart
+    descent: SelectedPart | None
+    control: SelectedPart
     simulation: Any
     site_reward: Any | None
     descent_reward: Any | None
@@ -97,15 +97,21 @@ class Scenario:
         cls, data: Mapping[str, Any], folder: Path | None = None, *,
         allow_modules: Collection[str] = (),
     ) -> Scenario:  # fmt: skip
-        """Build a scenario from plain tables; relative paths start from `folder`.
+        """Create a scenario from nested dictionaries.
 
-        Without a folder they start from the working directory. `allow_modules` names the modules
-        that a `kind` may name as "module:Class", from then on in this process.
+        Parameters
+        ----------
+        data
+            Tables and keys as in the TOML file.
+        folder
+            Folder of relative paths; None is the working directory.
+        allow_modules
+            Modules that a `kind` may name as "module:Class", from now on in this process.
 
         Raises
         ------
         InputError
-            Naming the first field that is wrong.
+            Naming the first invalid field.
 
         Examples
         --------
@@ -120,48 +126,53 @@ class Scenario:
 
     @classmethod
     def _unchecked(cls, data: Mapping[str, Any], folder: Path | None) -> Scenario:
-        """Build a scenario whose tables are checked one by one, not against each other."""
+        """Create a scenario and check each table, but not whether tables fit together."""
         known = [f.name for f in fields(cls)]
         for key, value in data.items():
             if key not in known:
-                moved = layout.MOVED.get(key)
-                hint = f"it is now {moved}" if moved else suggestion(key, known)
-                raise InputError(key, value, "unknown key; " + hint)
+                moved = layout.MOVED_TABLES.get(key)
+                hint = f"It is now {moved}." if moved else suggestion(key, known)
+                raise InputError(key, value, "is an unknown key", hint)
         values: dict[str, Any] = {
             "name": _text(data, "name", "unnamed"),
             "description": _text(data, "description", ""),
             "gravity_m_s2": _number(data, "gravity_m_s2", 1.622),
         }
         if not values["name"]:
-            raise InputError("name", "", "at least one character")
+            raise InputError("name", "", "must not be empty")
         for key, of in layout.FIXED.items():
             values[key] = _table(key, of, data.get(key, {}), folder)
         for key, of in layout.OPTIONAL.items():
             values[key] = _table(key, of, data[key], folder) if key in data else None
-        for key, contract in layout.OPTIONAL_CHOSEN.items():
+        for key, contract in layout.OPTIONAL_SELECTED.items():
             given = key in data
-            values[key] = _chosen(key, contract, data[key], None, folder) if given else None
+            values[key] = _selected_part(key, contract, data[key], None, folder) if given else None
         for key, (contract, _) in layout.CHOSEN.items():
             kind = layout.kind_left_out(key, data)
-            values[key] = _chosen(key, contract, data.get(key, {}), kind, folder)
+            values[key] = _selected_part(key, contract, data.get(key, {}), kind, folder)
         for key, (contract, default) in layout.NAMED.items():
             tables = _mapping(key, data.get(key, default))
             values[key] = {
-                name: _chosen(f"{key}.{name}", contract, table, None, folder)
+                name: _selected_part(f"{key}.{name}", contract, table, None, folder)
                 for name, table in tables.items()
             }
         return cls(**values)
 
     @classmethod
     def load(cls, path: str | Path, *, allow_modules: Collection[str] = ()) -> Scenario:
-        """Read a TOML file; relative paths in it start from its folder.
+        """Read a scenario from a TOML file.
 
-        `allow_modules` has the meaning that it has in `from_dict`.
+        Parameters
+        ----------
+        path
+            TOML file. Relative paths in it start from its folder.
+        allow_modules
+            Modules that a `kind` may name as "module:Class", from now on in this process.
 
         Raises
         ------
         InputError
-            If the file is missing, is no TOML, or a field is wrong.
+            If the file is missing or not TOML, or a field is invalid.
         """
         path = Path(path)
         tables = read_toml(path, "scenario")
@@ -169,49 +180,56 @@ class Scenario:
 
     @classmethod
     def from_toml(cls, text: str, *, allow_modules: Collection[str] = ()) -> Scenario:
-        """Build a scenario from the text of a TOML file whose paths are absolute.
+        """Create a scenario from TOML text with absolute paths.
 
-        `allow_modules` has the meaning that it has in `from_dict`.
+        Parameters
+        ----------
+        text
+            Contents of a TOML file.
+        allow_modules
+            Modules that a `kind` may name as "module:Class", from now on in this process.
 
         Raises
         ------
         InputError
-            If the text is no TOML, or naming the first field that is wrong.
+            If the text is not TOML, or a field is invalid.
         """
         return cls.from_dict(parsed_toml(text), allow_modules=allow_modules)
 
     @classmethod
     def world_of(cls, text: str, folder: Path | None = None) -> Scenario:
-        """Build a scenario that has world and vehicle of a TOML text, and defaults otherwise.
+        """Create a scenario with world and vehicle of a TOML text, and defaults otherwise.
 
-        Records and reports are read with it: they need no other part, least of all one from
-        elsewhere, whose module may not be allowed here.
+        Readers of records and reports use it, because other parts may come from modules that are
+        not allowed in this process.
 
         Raises
         ------
         InputError
-            Naming the first field that is wrong.
+            Naming the first invalid field.
         """
         data = parsed_toml(text)
-        scenario = cls._unchecked({key: data[key] for key in layout.WORLD if key in data}, folder)
+        scenario = cls._unchecked(
+            {key: data[key] for key in layout.WORLD_KEYS if key in data}, folder
+        )
         check_memory(scenario)
         return scenario
 
     def changed(self, /, **tables: Any) -> Scenario:
-        """Return the scenario with other values, checked.
+        """Return a checked copy of the scenario with some values changed.
 
         Parameters
         ----------
         tables
-            By table: ``changed(sun={"elevation_deg": 5.0})``; what is not named stays. A part of
-            another `kind` starts from its own defaults; None takes a named part or an optional
-            table away. Navigation that is what it would be if left out goes by what the lander
-            carries then.
+            Changes by table, for example ``changed(sun={"elevation_deg": 5.0})``. A part of another
+            `kind` starts from its own defaults. None removes a named part or an optional table.
+            If navigation has its default value, the default is determined again for the changed
+            sensors and mappers.
 
         Raises
         ------
         InputError
-            Naming the first field that is wrong.
+            Naming the first invalid field.
 
         Examples
         --------
@@ -221,7 +239,7 @@ class Scenario:
         """
         data = self.to_dict()
         left_out = {"kind": layout.kind_left_out("navigation", data)}
-        if "navigation" not in tables and self.navigation == _chosen(
+        if "navigation" not in tables and self.navigation == _selected_part(
             "navigation", "navigation", left_out, None, None
         ):
             del data["navigation"]
@@ -232,11 +250,11 @@ class Scenario:
         return self.from_dict(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process as plain tables, and be checked there again."""
+        """Pickle the scenario as nested dictionaries, which are checked again on loading."""
         return _from_process, (self.to_dict(), allowed.allowed_modules())
 
     def software(self) -> Software:
-        """Return the parts that run on the onboard computer."""
+        """Create the parts that run on the onboard computer."""
         return Software(
             navigation=self.navigation.make(),
             guidance=self.guidance.make(),
@@ -251,7 +269,7 @@ class Scenario:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain tables, defaults included."""
+        """Return the scenario as nested dictionaries, including defaults."""
         out: dict[str, Any] = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -264,33 +282,33 @@ class Scenario:
         return out
 
     def to_toml(self) -> str:
-        """Return the scenario as TOML, defaults included."""
+        """Return the scenario as TOML text, including defaults."""
         return tomli_w.dumps(self.to_dict())
 
     def check_files(self) -> None:
-        """Read the files that the ground is made of; other parts read theirs when they are made.
+        """Read the terrain files to check them; other parts read their files on creation.
 
         Raises
         ------
         InputError
-            If one cannot be read, or does not fit what it is used for.
+            If a file cannot be read or does not fit its use.
         """
         check = getattr(self.terrain.make(), "check_files", None)
         if check is not None:
             check()
 
     def save(self, path: str | Path) -> None:
-        """Write the scenario as TOML, defaults included."""
+        """Write the scenario to a TOML file, including defaults."""
         write_text_whole(Path(path), self.to_toml())
 
 
 def _from_process(tables: dict[str, Any], modules: tuple[str, ...]) -> Scenario:
-    """Return the scenario of another process, which allowed these modules."""
+    """Unpickle a scenario and allow the modules of the process that pickled it."""
     return Scenario.from_dict(tables, allow_modules=modules)
 
 
 def _dump(value: Any) -> Any:
-    if isinstance(value, ChosenPart):
+    if isinstance(value, SelectedPart):
         return {"kind": value.kind, **_dump(value.table)}
     if isinstance(value, PartSettings):
         return value.model_dump(mode="json", exclude_none=True)
@@ -298,7 +316,7 @@ def _dump(value: Any) -> Any:
 
 
 def _merged(old: Any, change: Any) -> Any:
-    """Return a table with a change laid over it."""
+    """Return a table with a change merged into it."""
     if not (isinstance(old, dict) and isinstance(change, Mapping)):
         return change
     if "kind" in change and change["kind"] != old.get("kind", change["kind"]):
@@ -314,44 +332,46 @@ def _merged(old: Any, change: Any) -> Any:
 def _text(data: Mapping[str, Any], key: str, default: str) -> str:
     value = data.get(key, default)
     if not isinstance(value, str):
-        raise InputError(key, value, "a text in quotes")
+        raise InputError(key, value, "must be a string in quotes")
     if any(unicodedata.category(c) == "Cc" and c not in "\n\t" for c in value):
-        raise InputError(key, value, "a text without control characters, which terminals obey")
+        raise InputError(key, value, "must not contain control characters")
     return value
 
 
 def _number(data: Mapping[str, Any], key: str, default: float) -> float:
     value = data.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e3:
-        raise InputError(key, value, "a positive number in m/s^2, below 1000")
+        raise InputError(key, value, "must be a positive number in m/s^2 below 1000")
     return float(value)
 
 
 def _mapping(path: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(path, value, f"a table [{path}] with keys of its own")
+        raise InputError(path, value, f"must be a table [{path}]")
     return value
 
 
-def _chosen(
+def _selected_part(
     path: str, contract: str, value: Any, default: str | None, folder: Path | None
-) -> ChosenPart:
+) -> SelectedPart:
     if isinstance(value, str):
-        raise InputError(path, value, f'a table [{path}] with kind = "{value}"')
+        raise InputError(path, value, f'must be a table [{path}] with kind = "{value}"')
     data = dict(_mapping(path, value))
     kind = data.pop("kind", default)
     if not isinstance(kind, str):
-        raise InputError(f"{path}.kind", kind, f"the name of a {contract}: `lunarsim parts`")
+        raise InputError(
+            f"{path}.kind", kind, f"must be a kind of {contract}", "See `lunarsim parts`."
+        )
     of = resolve(contract, kind, f"{path}.kind")
-    return ChosenPart(kind, _table(path, of, data, folder, contract, kind))
+    return SelectedPart(kind, _table(path, of, data, folder, contract, kind))
 
 
-def _whole(field: str, path: Path, folder: Path | None) -> Path:
-    """Return a path that means the same from everywhere."""
+def _absolute_path(field: str, path: Path, folder: Path | None) -> Path:
+    """Return an absolute path."""
     try:
         return ((Path.cwd() if folder is None else folder) / path).resolve()
     except (ValueError, OSError) as error:
-        raise InputError(field, str(path), f"the path of a file ({error})") from None
+        raise InputError(field, str(path), f"must be a valid path ({error})") from None
 
 
 def _table(
@@ -362,20 +382,22 @@ def _table(
     contract: str | None = None,
     kind: str = "",
 ) -> PartSettings:
-    """Return a checked table; the part is made once, so that it can refuse what it is given."""
+    """Return a checked table; the part is created once so that it can check its values."""
     try:
         model = settings_of(of)
-    except Exception as error:  # whatever pydantic makes of somebody else's annotations
+    except Exception as error:  # pydantic raises many types for custom annotations
         said = str(error).split("\n")[0]
         raise InputError(
-            f"{path}.kind", kind or of.__name__, f"fields of types that a file can hold ({said})"
+            f"{path}.kind",
+            kind or of.__name__,
+            f"must have fields with types that TOML supports ({said})",
         ) from error
     try:
         table = model.model_validate(dict(_mapping(path, value)))
     except ValidationError as error:
         raise input_error(path, model, error, contract, kind) from None
     paths = {
-        key: _whole(f"{path}.{key}", given, folder)
+        key: _absolute_path(f"{path}.{key}", given, folder)
         for key in model.model_fields
         if isinstance(given := getattr(table, key), Path)
     }

@@ -1,4 +1,4 @@
-"""The scenarios that come with the package: by name, and copied to start from."""
+"""Find, list and copy the scenarios that come with the package."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ _PACKAGE = Path(__file__).parent.parent
 
 
 def folder() -> Path:
-    """Return where they lie: in the package once it is installed, else in the repository."""
+    """Return the folder of packaged scenarios: in the installed package or the repository."""
     installed = _PACKAGE / "shipped"
     return installed if installed.is_dir() else _PACKAGE.parent / "scenarios"
 
 
 def names() -> dict[str, Path]:
-    """Return the file of each by name."""
+    """Return the files of all packaged scenarios by name."""
     return {path.stem: path for path in sorted(folder().glob("*.toml"))}
 
 
 def path_of(name: str) -> Path:
-    """Return the file of one.
+    """Return the file of a packaged scenario.
 
     Raises
     ------
     InputError
-        If none has that name.
+        If no packaged scenario has that name.
     """
     known = names()
     if name not in known:
-        raise InputError("NAME", name, suggestion(name, known))
+        raise InputError("NAME", name, "is not a packaged scenario", suggestion(name, known))
     return known[name]
 
 
 def found(given: Path, beside: Path | None = None) -> Path:
-    """Return a file as it is; where there is none, the scenario that is shipped by that name.
+    """Return the path of a scenario given by path or by packaged name; paths come first.
 
     Parameters
     ----------
     given
-        Path or name.
+        Path of a file, or name of a packaged scenario.
     beside
-        Folder that a path is relative to; None: the current one.
+        Folder of a relative path; None is the working folder.
 
     Raises
     ------
     InputError
-        If it is neither: with the name or the file beside it that is most like it.
+        If there is no such file or name. The error suggests the closest one.
     """
     path = given if beside is None else beside / given
     if path.exists():
@@ -64,32 +64,32 @@ def found(given: Path, beside: Path | None = None) -> Path:
         return known[str(given)]
     others = [str(given.parent / p.name) for p in path.parent.glob("*.toml") if p.is_file()]
     near = suggestion(str(given), [*known, *others])
-    if not near.startswith("did you mean"):
-        near = "or a name that `lunarsim scenario list` shows"
-    raise InputError("scenario", str(path), f"an existing TOML file; {near}")
+    if not near.startswith("Did you mean"):
+        near = "Names of packaged scenarios: `lunarsim scenario list`."
+    raise InputError("scenario", str(path), "must be an existing TOML file", near)
 
 
 def description_of(path: Path) -> str:
-    """Return what a file says of itself in its first key ``description``."""
+    """Return the value of the key ``description`` of a scenario file."""
     return str(tomllib.loads(path.read_text(encoding="utf-8")).get("description", ""))
 
 
 def copy_to(name: str, target: Path) -> list[Path]:
-    """Copy one, and the files that it names, to start from; return what was written.
+    """Copy a packaged scenario and its data files; return the written files.
 
     Parameters
     ----------
     name
-        Of the scenario.
+        Name of the scenario.
     target
-        TOML file to write; files that it names go to the same places relative to it.
+        TOML file to write. Data files keep their paths relative to it.
 
     Raises
     ------
     InputError
-        If there is no such scenario, or a file is there already and is another.
+        If there is no such scenario, the target exists, or a data file with other contents exists.
     OSError
-        If a file cannot be written; nothing is left then.
+        If a file cannot be written. All files written before are then removed.
     """
     source = path_of(name)
     tables = tomllib.loads(source.read_text(encoding="utf-8"))
@@ -97,7 +97,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
     pairs += [(source.parent / path, target.parent / path) for path in _named(tables)]
     for old, new in pairs:
         if new.exists() and (new == target or new.read_bytes() != old.read_bytes()):
-            raise InputError("--out", str(new), "a new file: this one is there already")
+            raise InputError("--out", str(new), "must be a new file, but it exists")
     with ExitStack() as undo:
         for old, new in pairs:
             if new.exists():
@@ -113,7 +113,7 @@ def copy_to(name: str, target: Path) -> list[Path]:
 
 
 def _named(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the relative paths that a scenario's tables name."""
+    """Yield the relative paths in the tables of a scenario."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _named(value)

@@ -17,7 +17,7 @@ from lunarsim.campaign.flying import plan_of
 from lunarsim.campaign.grounds import Grounds
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.campaign.warming import warm
-from lunarsim.cli_common import opened_cache
+from lunarsim.cli_common import open_cache
 from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
@@ -196,5 +196,5 @@ def interrupt(text: str) -> None:
 
 
 def test_the_size_of_a_cache_is_told_in_gib(tmp_path):
-    assert opened_cache(tmp_path, 0.5).limit == 2**29
-    assert opened_cache(tmp_path, 0.0) is None
+    assert open_cache(tmp_path, 0.5).limit == 2**29
+    assert open_cache(tmp_path, 0.0) is None

@@ -180,7 +180,7 @@ def test_an_interrupt_writes_nothing(done, tmp_path, monkeypatch):
     _, _, toml = done
     result = run(toml, "--out", tmp_path / "c.json")
     assert result.exit_code == 130
-    assert "nothing was written" in result.output
+    assert "no file was written" in result.output
     assert not list(tmp_path.iterdir())
 
 

@@ -77,7 +77,7 @@ def test_status_and_export(swept, tmp_path):
 def test_a_flight_is_flown_again_to_the_same_end(swept, tmp_path):
     done = run("replay", swept, "--flight", "1-2", "--out", tmp_path / "flight")
     assert done.exit_code == 0, done.output
-    assert "the same as recorded" in done.output
+    assert "identical to the recorded result" in done.output
     assert (tmp_path / "flight" / "flight.json").exists()
     for wrong in ("9-0", "1-4", "1", "a-b"):
         refused = run("replay", swept, "--flight", wrong)
@@ -100,7 +100,7 @@ def test_a_replay_that_ends_otherwise_says_so(swept, tmp_path):
 def test_the_gate_tells_worse_from_equal(swept, tmp_path):
     assert run("campaign", "diff", swept, swept).exit_code == 0
     short = run("campaign", "diff", swept, swept, "--require-equivalent", "--margin", "0.01")
-    assert short.exit_code == 1 and "not shown" in short.output
+    assert short.exit_code == 1 and "inconclusive" in short.output
     other = tmp_path / "other"
     fly(plan(), InlineEngine(), other)
     assert run("campaign", "diff", swept, other).exit_code == 2
@@ -145,7 +145,7 @@ def test_keys_without_effect_are_told_before_anything_is_flown(tmp_path):
     assert done.exit_code == 0
     told = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
     assert len(told) == 1
-    assert "arm '60'" in told[0] and "sun.elevation_deg = 60: without effect" in told[0]
+    assert "arm '60'" in told[0] and "sun.elevation_deg = 60: no effect" in told[0]
 
 
 def test_tables_of_the_report_in_markdown(swept, tmp_path):

@@ -168,7 +168,7 @@ def test_two_writers_at_once_are_refused(tmp_path):
 
 def test_a_folder_of_anything_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "precious.txt").write_text("keep")
-    with pytest.raises(InputError, match="holds other files"):
+    with pytest.raises(InputError, match="new or empty folder"):
         run(plan(), InlineEngine(), tmp_path)
     with pytest.raises(InputError, match="not a file"):
         run(plan(), InlineEngine(), tmp_path / "precious.txt")

@@ -9,10 +9,17 @@ import numpy as np
 
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, exact, stood_for
-from lunarsim_envs.sites.view import view_of
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.pool import SiteWorldPool
+from lunarsim_envs.sites.surrogate import (
+    LENGTHS,
+    MOST,
+    NODES,
+    Surrogate,
+    exact_errors,
+    surrogate_tables,
+)
+from lunarsim_envs.sites.view import fov_and_footprint
 
 SMALL = Scenario.from_dict({
     "name": "sites",
@@ -30,7 +37,7 @@ SMALL = Scenario.from_dict({
 
 @cache
 def pool():
-    return SitePool.of(SMALL, 2, 5)
+    return SiteWorldPool.of(SMALL, 2, 5)
 
 
 def made_up(scenario=SMALL, **changes):
@@ -45,18 +52,18 @@ def made_up(scenario=SMALL, **changes):
         "shares": np.array([0.2, 0.8]), "tables": tables, "common": np.full((2, 2), 0.3),
         "weights": weights, "stretch": np.full((2, 2), 1.2), "kept": 0.4,
         "drift": np.array([0.02, 0.05]), "claimed": 0.03, "altitudes": np.array([180.0, 110.0]),
-        "made_for": json.dumps(stood_for(scenario)),
+        "made_for": json.dumps(surrogate_tables(scenario)),
     }  # fmt: skip
     return Surrogate(**(held | changes))
 
 
-def lanes(count=1, keys=range(1000), perception="surrogate", kind=SiteLanes, scenario=SMALL):
+def lanes(count=1, keys=range(1000), perception="surrogate", kind=SiteDescentBatch, scenario=SMALL):
     """Return lanes at their first decision, each flight of its key."""
     model = made_up()
     truth = perception == "truth"
-    errors = exact() if truth else model.errors(pool().shares, 0.4)
+    errors = exact_errors() if truth else model.errors(pool().shares, 0.4)
     many = kind(
-        count, scenario, pool(), errors=errors, view=view_of(scenario),
+        count, scenario, pool(), errors=errors, view=fov_and_footprint(scenario),
         drift=np.zeros(2) if truth else model.drift, claimed=0.0 if truth else model.claimed,
         posting=0.4,
     )  # fmt: skip

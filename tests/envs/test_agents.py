@@ -56,7 +56,7 @@ def test_zero_and_hover_are_the_actions_of_their_names(env):
     thrust = control.descents.actions.physical(agent_of("hover", control).act(None, {}))[0]
     assert thrust == pytest.approx([1500.0 * 1.622, 0.0, 0.0, 0.0], abs=1e-3)
     assert agent_of("zero", RetargetEnv()).act(None, {}) == 0
-    with pytest.raises(InputError, match="hover flies Guidance-v0 and Control-v0"):
+    with pytest.raises(InputError, match="needs Guidance-v0 or Control-v0"):
         agent_of("hover", RetargetEnv())
 
 
@@ -132,7 +132,7 @@ def test_a_policy_decides_as_in_the_simulation(small_scenario):
 
 
 def test_policies_that_must_be_told_the_truth_are_refused():
-    with pytest.raises(InputError, match="has to be told the truth"):
+    with pytest.raises(InputError, match="true hazard map"):
         agent_of("truth-oracle", RetargetEnv())
 
 
@@ -179,9 +179,9 @@ def test_a_network_is_its_layers_and_comes_back_from_its_file(env, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"level": "Control-v0"}, "flies Control-v0"), ({"rate": 10.0}, "10 actions a second"),
-        ({"parts": ("position",)}, "observations of position"),
-        ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions of 4"),
+        ({"level": "Control-v0"}, "needs Control-v0"), ({"rate": 10.0}, "10 actions per second"),
+        ({"parts": ("position",)}, "observation components position"),
+        ({"weights": network().weights[:2], "biases": network().biases[:2]}, "actions with 4"),
         ({"far": np.ones(14, np.float32)}, "scales are missing"),
         ({"weights": tuple(w * np.nan for w in network().weights)}, "not finite"),
         ({"weights": network().weights[1:], "biases": network().biases[1:]}, "a layer of shape"),
@@ -255,11 +255,11 @@ def test_a_callable_of_ones_own_flies(env, tmp_path, monkeypatch):
         whole = named(name)
         whole.begin(np.random.default_rng(3))
         assert whole.act(None, {}) == np.random.default_rng(3).random()
-    with pytest.raises(InputError, match="a function, a class, or an object"):
+    with pytest.raises(InputError, match="a function, a class or a callable"):
         named("number")
-    with pytest.raises(InputError, match="built with the environment alone"):
+    with pytest.raises(InputError, match="the environment as its only argument"):
         named("Alone")
-    with pytest.raises(InputError, match="takes observation and info"):
+    with pytest.raises(InputError, match="must accept"):
         named("wants_more")
 
 
@@ -275,7 +275,7 @@ def test_a_stored_agent_of_other_spaces_is_refused(tmp_path, monkeypatch):
         algorithm = SimpleNamespace(load=lambda path, device: model, __name__="PPO")
         monkeypatch.setattr(stored, "_algorithm", lambda path: algorithm)
         env = SimpleNamespace(observation_space=own[0], action_space=own[1])
-        return stored.StoredAgent(env, tmp_path / "m.zip", trust_pickle=True)
+        return stored.Sb3Agent(env, tmp_path / "m.zip", trust_pickle=True)
 
     one, two = (gymnasium.spaces.Dict(a=box(2), **more) for more in ({}, {"b": box(1)}))
     many = gymnasium.spaces.MultiDiscrete
@@ -313,7 +313,7 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         ("sb3_contrib.common.maskable.policies", "sb3_contrib"),
     ):  # fmt: skip
         _saved(tmp_path / "m.zip", module)
-        with pytest.raises(InputError, match=f"{package}, which the extra `rl` installs"):
+        with pytest.raises(InputError, match=f"needs {package}.*extra `rl`"):
             agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
         assert asked[-1] == package
     _saved(tmp_path / "m.zip", "somebody.else")
@@ -321,5 +321,5 @@ def test_files_of_stable_baselines3_are_told_apart(tmp_path, monkeypatch):
         agent_of(str(tmp_path / "m.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)
     with zipfile.ZipFile(tmp_path / "n.zip", "w") as file:
         file.writestr("data", io.BytesIO(b"[]").getvalue())
-    with pytest.raises(InputError, match="Stable-Baselines3 has saved"):
+    with pytest.raises(InputError, match="from Stable-Baselines3"):
         registry.agent_of(str(tmp_path / "n.zip"), GuidanceEnv(changes=LOW), trust_pickle=True)

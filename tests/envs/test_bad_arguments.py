@@ -12,7 +12,7 @@ from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from tests.envs.site_scene import SMALL
 
 BOTH = [
-    ({"scenario": 3}, "scenario = 3"), ({"scenario": {"name": "x"}}, "a Scenario"),
+    ({"scenario": 3}, "scenario: must"), ({"scenario": {"name": "x"}}, "a Scenario"),
     ({"changes": [("rocks.cover", 0.1)]}, "changes"), ({"changes": "rocks.cover=1"}, "changes"),
     ({"changes": {3: 1}}, "changes"), ({"changes": {"rocks.cover": "much"}}, "rocks.cover"),
     ({"changes": {"rocks.cover": np.nan}}, "rocks.cover"), ({"weights": 3}, "weights"),
@@ -44,12 +44,12 @@ def test_arguments_that_are_none_are_refused(kind, more, arguments, says):
         (RetargetEnv, {"perception": ["truth"]}, "perception"),
         (RetargetEnv, {"perception": None}, "perception"),
         (RetargetVectorEnv, {"perception": ["truth"]}, "perception"),
-        (RetargetVectorEnv, {"perception": "onboard"}, "one at a time"),
+        (RetargetVectorEnv, {"perception": "onboard"}, "only single environments"),
         (RetargetEnv, {"perception": "surrogate", "surrogate": 3}, "surrogate"),
         (RetargetEnv, {"views": 1}, "views"),
         (GuidanceEnv, {"privileged": "no"}, "privileged"),
-        (RetargetVectorEnv, {"render_mode": "rgb_array"}, "a batch draws nothing"),
-        (GuidanceVectorEnv, {"render_mode": "human"}, "a batch draws nothing"),
+        (RetargetVectorEnv, {"render_mode": "rgb_array"}, "do not render"),
+        (GuidanceVectorEnv, {"render_mode": "human"}, "do not render"),
     ]
     + [(RetargetVectorEnv, {"num_envs": n}, "num_envs") for n in (0, -1, 1.5, "a", True)],
     ids=str,

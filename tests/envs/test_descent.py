@@ -14,10 +14,10 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.baseline import PolynomialAgent
+from lunarsim_envs.descent.baseline import PolynomialGuidance
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
-from lunarsim_envs.descent.observations import DEFAULT, PARTS, Part, register
-from lunarsim_envs.descent.rewards import MOST_MISS, DescentWeights, Rewards
+from lunarsim_envs.descent.observations import DEFAULT, PARTS, ObservationComponent, register
+from lunarsim_envs.descent.rewards import MAX_MISS_M, DescentWeights, Rewards
 from tests.low_descents import IDS, LOW, batch
 
 
@@ -124,7 +124,7 @@ def test_a_plain_law_lands_safe_from_the_default_start():
         "lunarsim_envs:lunarsim/Guidance-v0", num_envs=64, vectorization_mode="vector_entry_point"
     )
     descents = vector.unwrapped.descents
-    agent = PolynomialAgent(descents)
+    agent = PolynomialGuidance(descents)
     observation, _ = vector.reset(seed=1)
     safe, miss, waiting = np.zeros(64, bool), np.zeros(64), np.ones(64, bool)
     while waiting.any():
@@ -150,9 +150,9 @@ def test_a_plain_law_lands_safe_from_the_default_start():
 
 def test_an_agent_for_other_actions_or_observations_is_refused():
     with pytest.raises(InputError, match="Guidance-v0"):
-        PolynomialAgent(ControlEnv(changes=LOW).descents)
-    with pytest.raises(InputError, match="position and velocity first"):
-        PolynomialAgent(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
+        PolynomialGuidance(ControlEnv(changes=LOW).descents)
+    with pytest.raises(InputError, match="begin with position and velocity"):
+        PolynomialGuidance(GuidanceEnv(changes=LOW, observation=["rate", "position"]).descents)
 
 
 def test_shaping_tells_the_same_of_every_flight_from_one_start():
@@ -190,7 +190,7 @@ def test_every_crash_returns_less_than_any_safe_landing(seed):
         severity=rng.exponential(1.0), excess=rng.exponential(1.0),
         shaping=rng.exponential(1.0), discount=rng.uniform(0.5, 1.0),
     )  # fmt: skip
-    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MOST_MISS
+    worst = weights.safe - weights.propellant * 400.0 - weights.miss * MAX_MISS_M
     if worst > weights.crash:
         weights.check(400.0)
     else:
@@ -292,9 +292,9 @@ def test_running_out_of_time_is_no_crash():
 
 
 BAD_OPTIONS = [
-    ({"postion_m": [0, 0, 50]}, "did you mean 'position_m'"), ({"position_m": [0, 0]}, "3 finite"),
+    ({"postion_m": [0, 0, 50]}, "Did you mean 'position_m'"), ({"position_m": [0, 0]}, "3 finite"),
     ({"position_m": [0, 0, np.nan]}, "3 finite"), ({"position_m": "up"}, "3 finite"),
-    ({"position_sigma_m": -1.0}, "0 or more"), ({"position_m": [0, 0, 1.0]}, "in the ground"),
+    ({"position_sigma_m": -1.0}, "0 or more"), ({"position_m": [0, 0, 1.0]}, "above the terrain"),
 ]  # fmt: skip
 
 
@@ -315,16 +315,16 @@ def test_a_mask_that_is_none_is_refused(mask):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({"observation": []}, "at least one part"), ({"observation": "position"}, "a list"),
-        ({"observation": ["postion"]}, "did you mean 'position'"),
-        ({"observation": ["rate", "rate"]}, "each part once"), ({"rate_hz": 3.0}, "whole number"),
+        ({"observation": []}, "non-empty list"), ({"observation": "position"}, "list of names"),
+        ({"observation": ["postion"]}, "Did you mean 'position'"),
+        ({"observation": ["rate", "rate"]}, "not repeat"), ({"rate_hz": 3.0}, "multiple of"),
         ({"worlds": 0}, "at least 1"), ({"worlds": 2.0}, "worlds"),
         ({"world_seed": -1}, "at least 0"),
-        ({"rate_hz": 0}, "above 0"), ({"rate_hz": "5"}, "above 0"),
+        ({"rate_hz": 0}, "positive"), ({"rate_hz": "5"}, "positive"),
         ({"weights": {}}, "DescentWeights"),
-        ({"scenario": "hirisee"}, "did you mean 'hirise'"),
+        ({"scenario": "hirisee"}, "Did you mean 'hirise'"),
         ({"changes": {"rocks.covr": 0.1}}, "cover"),
-        ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "in the ground"),
+        ({"changes": {"start.position_m": [0.0, 0.0, 1.0]}}, "above the terrain"),
     ],
     ids=str,
 )  # fmt: skip
@@ -340,8 +340,9 @@ def test_a_number_of_lanes_that_is_none_is_refused(count):
 
 
 def test_parts_of_an_observation_are_chosen_and_added():
-    own = Part("height", 1, "m", -100.0, 5000.0, "of the centre of mass over the target",
-               lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
+    own = ObservationComponent(
+        "height", 1, "m", -100.0, 5000.0, "height of the centre of mass over the target",
+        lambda lanes: lanes.y[:, 2:3] - lanes.target[:, 2:3])  # fmt: skip
     register(own)
     try:
         with pytest.raises(InputError, match="there is such a part"):

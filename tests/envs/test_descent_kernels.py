@@ -16,8 +16,8 @@ from lunarsim.vehicle.touchdown import judge_touchdown, pad_contacts
 from lunarsim.vehicle.variation import DRAWN
 from lunarsim_envs.descent import _kernels as k
 from lunarsim_envs.descent._loop_kernels import arc
-from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, Craft, Lanes
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.lanes import FLYING, LANDED, LATE, LOST, DescentBatch, VehicleParams
+from lunarsim_envs.descent.worlds import WorldPool
 from tests.reference import descent as plain
 from tests.reference.raster import RasterGround
 
@@ -42,11 +42,13 @@ RATES = {True: 5.0, False: 50.0}
 
 @pytest.fixture(scope="module")
 def worlds():
-    return Worlds.of(ROUGH, 2, 5)
+    return WorldPool.of(ROUGH, 2, 5)
 
 
 def lanes_of(worlds, count, guided, first_key=11, scenario=ROUGH):
-    lanes = Lanes(count, Craft.of(scenario), worlds, guided=guided, rate=RATES[guided])
+    lanes = DescentBatch(
+        count, VehicleParams.of(scenario), worlds, guided=guided, rate=RATES[guided]
+    )
     every = np.ones(count, bool)
     lanes.seed(every, np.arange(first_key, first_key + count, dtype=np.uint64) * np.uint64(977))
     lanes.begin(every)
@@ -260,18 +262,18 @@ def test_a_flight_ends_at_its_limit_or_off_the_map(worlds):
 )
 def test_what_only_the_whole_simulation_flies_is_refused(tables, field):
     with pytest.raises(InputError) as caught:
-        Craft.of(Scenario.from_dict(TABLES | tables))
+        VehicleParams.of(Scenario.from_dict(TABLES | tables))
     assert caught.value.field == field
 
 
 def test_worlds_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="worlds"):
-        Worlds.of(ROUGH, 0, 1)
+        WorldPool.of(ROUGH, 0, 1)
     with pytest.raises(InputError, match="GiB"):
-        Worlds.of(ROUGH, 10_000, 1)
+        WorldPool.of(ROUGH, 10_000, 1)
     far = Scenario.from_dict(TABLES | {"target": {"position_m": [75.0, 0.0], "scatter_m": [9, 0]}})
     with pytest.raises(InputError, match=r"target\.scatter_m"):
-        Worlds.of(far, 1, 1)
+        WorldPool.of(far, 1, 1)
 
 
 def test_worlds_are_those_of_a_campaign(worlds):

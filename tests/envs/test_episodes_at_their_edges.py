@@ -12,10 +12,10 @@ import pytest
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.env import GuidanceEnv, GuidanceVectorEnv
 from lunarsim_envs.descent.observations import PARTS as DESCENT_PARTS
-from lunarsim_envs.descent.observations import Part as DescentPart
+from lunarsim_envs.descent.observations import ObservationComponent as DescentPart
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.sites.parts import PARTS, Part
+from lunarsim_envs.sites.parts import PARTS, SiteObservationComponent
 from tests.envs.site_scene import SMALL
 from tests.low_descents import LOW
 
@@ -134,7 +134,11 @@ def test_a_copy_of_any_environment_goes_on_alike(copied):
 
 def test_a_part_of_ones_own_is_copied_and_must_keep_to_its_shape(monkeypatch):
     """By name: a lambda cannot be pickled."""
-    monkeypatch.setitem(PARTS, "two", Part("two", (2,), ("",), 0.0, 9.0, "own", lambda s: s.here))
+    monkeypatch.setitem(
+        PARTS,
+        "two",
+        SiteObservationComponent("two", (2,), ("",), 0.0, 9.0, "own", lambda s: s.here),
+    )
     high = DescentPart("high", 1, "m", -9.0, 9.0, "own", lambda lanes: lanes.y[:, 2:3])
     flat = DescentPart("flat", 1, "m", -9.0, 9.0, "own", lambda lanes: lanes.y[:, 2])
     monkeypatch.setitem(DESCENT_PARTS, "high", high)
@@ -144,9 +148,9 @@ def test_a_part_of_ones_own_is_copied_and_must_keep_to_its_shape(monkeypatch):
     other = pickle.loads(pickle.dumps(env))
     action = np.zeros(3, np.float32)
     assert np.array_equal(env.step(action)[0], other.step(action)[0])
-    with pytest.raises(InputError, match=r"two = \(1, 3\): an array of shape \(1, 2\)"):
+    with pytest.raises(InputError, match=r"two: must be an array of shape \(1, 2\)"):
         RetargetEnv(observation=["two"], **SITE).reset(seed=1)
-    with pytest.raises(InputError, match=r"flat = \(1,\): an array of shape \(1, 1\)"):
+    with pytest.raises(InputError, match=r"flat: must be an array of shape \(1, 1\)"):
         GuidanceEnv(changes=LOW, observation=["flat"]).reset(seed=1)
 
 

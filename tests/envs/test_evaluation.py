@@ -88,7 +88,7 @@ def test_progress_is_told_of_every_episode():
 
 
 def test_an_action_that_does_not_fit_is_the_agents_mistake():
-    with pytest.raises(InputError, match="actions that fit"):
+    with pytest.raises(InputError, match="an invalid action"):
         list(fly_episodes(asked(), "tests.envs.test_evaluation:wide", range(1)))
 
 
@@ -178,7 +178,7 @@ def test_agents_are_shown_the_parts_that_are_asked_for():
     done = CliRunner().invoke(main, [*words, "--observation", "velocity"])
     assert done.exit_code == 2 and "observations with 'position'" in done.output
     done = CliRunner().invoke(main, [*words, "--observation", "velocty"])
-    assert done.exit_code == 2 and "did you mean 'velocity'" in done.output
+    assert done.exit_code == 2 and "Did you mean 'velocity'" in done.output
 
 
 def test_one_episode_has_a_difference_without_an_interval():

@@ -102,11 +102,11 @@ def test_named_inputs_and_the_mask_are_fed(tmp_path):
 def test_networks_of_other_sizes_are_refused(tmp_path):
     space = Space(SCALARS, BOX)
     wrong = linear(tmp_path / "seen.onnx", np.zeros((5, 3)))
-    with pytest.raises(InputError, match="inputs of this environment"):
+    with pytest.raises(InputError, match="inputs that fit this environment"):
         agent_of(wrong, space)
-    with pytest.raises(InputError, match="an action of Box"):
+    with pytest.raises(InputError, match="an output for Box"):
         agent_of(linear(tmp_path / "action.onnx", np.zeros((4, 2))), space)
-    with pytest.raises(InputError, match="a finite number"):
+    with pytest.raises(InputError, match="finite numbers"):
         agent_of(linear(tmp_path / "nan.onnx", np.full((4, 3), np.nan)), space)
     named = gymnasium.spaces.Dict({"a": SCALARS})
     with pytest.raises(InputError, match="inputs among a, not x"):
@@ -115,7 +115,7 @@ def test_networks_of_other_sizes_are_refused(tmp_path):
     nodes = [helper.make_node("Add", ["x", "action_mask"], ["y"])]
     path = stored(tmp_path / "mask.onnx", nodes, mask, [info("y", [1, 4])])
     agent = agent_of(path, Space(SCALARS, gymnasium.spaces.Discrete(4)))
-    with pytest.raises(InputError, match="this environment has none"):
+    with pytest.raises(InputError, match="this environment does not provide"):
         agent.act(np.zeros(4), {})
 
 

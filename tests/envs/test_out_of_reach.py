@@ -7,17 +7,17 @@ import pytest
 
 from lunarsim.onboard.guidance._kernels import GLIDE, TAN_TILT
 from lunarsim.scenario import Scenario
-from lunarsim_envs.descent.lanes import Craft
+from lunarsim_envs.descent.lanes import VehicleParams
 from lunarsim_envs.sites import _beyond_kernels as b
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _stead_kernels as stead
-from lunarsim_envs.sites.lanes import law_of
+from lunarsim_envs.sites.lanes import kernel_guidance
 
 
 @pytest.fixture(scope="module")
 def law():
     scenario = Scenario.from_dict({})
-    return law_of(scenario, Craft.of(scenario))
+    return kernel_guidance(scenario, VehicleParams.of(scenario))
 
 
 def proven(law, glide, tilt, state, mass, low, high):

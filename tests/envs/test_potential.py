@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from lunarsim_envs.descent.potential import off, wanted_velocity
+from lunarsim_envs.descent.potential import reference_velocity, velocity_deviation
 from lunarsim_envs.descent.rewards import DescentWeights
 from tests.low_descents import IDS, batch
 from tests.reference import descent as reference
@@ -29,7 +29,7 @@ def descents():
 def test_the_field_is_that_of_the_plain_reference(descents):
     lanes, d = descents.lanes, descents.lanes.craft.dynamics
     before = lanes.y.copy()
-    for y, target, velocity in zip(lanes.y, lanes.target, wanted_velocity(lanes), strict=True):
+    for y, target, velocity in zip(lanes.y, lanes.target, reference_velocity(lanes), strict=True):
         wanted = reference.wanted_velocity(y[:3], target, d.lander, d.gravity)
         assert velocity == pytest.approx(wanted, rel=1e-12)
     assert np.array_equal(lanes.y, before)
@@ -51,11 +51,11 @@ def test_who_flies_along_the_field_comes_down_safe_on_the_target(descents):
     lanes.target[:] = 0.0
     lanes.y[:, :3] = np.random.default_rng(3).uniform([-600, -600, 200], [600, 600, 600], (64, 3))
     up = np.ones(64, bool)
-    end, before = np.full((64, 6), np.nan), wanted_velocity(lanes)
+    end, before = np.full((64, 6), np.nan), reference_velocity(lanes)
     most = lander.thrust_max / lander.wet_mass - gravity
     for _ in range(4000):
         lanes.y[up, :3] += 0.05 * before[up]
-        now = wanted_velocity(lanes)
+        now = reference_velocity(lanes)
         assert np.linalg.norm(now - before, axis=1)[up].max(initial=0.0) < 0.05 * most
         landed = up & (lanes.y[:, 2] <= lander.com_height)
         end[landed, :3], end[landed, 3:] = lanes.y[landed, :3], now[landed]
@@ -65,4 +65,4 @@ def test_who_flies_along_the_field_comes_down_safe_on_the_target(descents):
     assert np.hypot(end[:, 0], end[:, 1]).max() < 2.0
     assert np.hypot(end[:, 3], end[:, 4]).max() < lander.horizontal_speed_limit
     assert (-end[:, 5]).max() < 0.5 * lander.vertical_speed_limit
-    assert off(lanes).shape == (64,)
+    assert velocity_deviation(lanes).shape == (64,)

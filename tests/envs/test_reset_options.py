@@ -8,7 +8,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv, GuidanceVectorEnv
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.worlds import WorldPool
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from tests.envs.site_scene import SMALL, made_up
 from tests.reference import descent as plain
@@ -64,7 +64,7 @@ def test_lanes_of_a_mask_alone_are_changed(batch):
 
 def test_more_covers_leave_the_scenario_s_worlds_as_they_are():
     scenario = SMALL.changed(rocks={"cover": 0.0})
-    alone, more = Worlds.of(scenario, 2, 3), Worlds.of(scenario, 2, 3, [0.05, 0.15])
+    alone, more = WorldPool.of(scenario, 2, 3), WorldPool.of(scenario, 2, 3, [0.05, 0.15])
     assert more.covers == (0.0, 0.05, 0.15)
     assert np.array_equal(more.grounds[:2], alone.grounds)
     for cover, first in ((None, 0), (0.0, 0), (0.05, 2), (0.15, 4)):
@@ -134,14 +134,14 @@ def test_the_whole_computer_refuses_what_no_scenario_may_say(options, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"cover": 0.05}, "covers names"), ({"cover": "many"}, "finite number"),
-        ({"target_m": [9.0, 0.0]}, "target_scatter_m on either side"),
-        ({"target_m": [2.0, 0.0]}, r"within -8 to 8 m east"), ({"target_m": [0.0]}, "2 finite"),
+        ({"cover": 0.05}, "argument covers"), ({"cover": "many"}, "finite number"),
+        ({"target_m": [9.0, 0.0]}, "including target_scatter_m"),
+        ({"target_m": [2.0, 0.0]}, r"-8 to 8 m east"), ({"target_m": [0.0]}, "2 finite"),
         ({"target_m": [0.0, 6.0], "target_scatter_m": [0.0, 3.0]}, "-8 to 8 m north"),
         ({"target_m": [0.0, -6.0], "target_scatter_m": [0.0, 3.0]}, "-8 to 8 m north"),
         ({"target_m": [-6.0, 0.0], "target_scatter_m": [3.0, 0.0]}, "-8 to 8 m east"),
         ({"target_scatter_m": [-1.0, 0.0]}, "0 or more"),
-        ({"sun_elevation_deg": 5.0}, "by the Sun"), ({"covers": 0.05}, "did you mean 'cover'"),
+        ({"sun_elevation_deg": 5.0}, "on the Sun"), ({"covers": 0.05}, "Did you mean 'cover'"),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", [GuidanceEnv, ControlEnv, RetargetVectorEnv])

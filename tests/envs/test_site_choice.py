@@ -12,7 +12,7 @@ from lunarsim_envs.sites import _beyond_kernels as b
 from lunarsim_envs.sites import _cell_kernels as cells
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _stead_kernels as stead
-from lunarsim_envs.sites.flights import seen_by
+from lunarsim_envs.sites.flights import observation_of_lane
 from tests.envs.site_scene import SMALL, lanes
 from tests.reference.divert import reachable
 
@@ -40,7 +40,7 @@ def test_a_miss_wider_than_the_map_is_spread_all_the_same():
     many = lanes(1, scenario=wide)
     while not many.maps.seen.any():
         many.decide(np.full((1, 3), np.nan), np.ones(1, bool))
-    seen = seen_by(many, 0)
+    seen = observation_of_lane(many, 0)
     assert seen.expected_miss == 40.0
     held = HazardMap(
         Grid(*map(float, many.maps.corner[0]), 0.4, *many.maps.p.shape[1:]), many.maps.p[0],

@@ -18,9 +18,9 @@ from lunarsim_envs.descent.lanes import FLYING, LANDED
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.flights import seen_by
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.million import SparseLanes, without_decisions
+from lunarsim_envs.sites.flights import observation_of_lane
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.million import SparseDescentBatch, without_site_decisions
 from lunarsim_envs.sites.view import in_view
 from tests.envs.site_scene import SMALL, lanes
 from tests.reference.descent import normal
@@ -44,7 +44,7 @@ def flown(request):
     high = SMALL.changed(tasking={"flash": {"altitudes_m": [180.0, 110.0]}})
     told, scans = [[] for _ in range(4)], [[] for _ in range(4)]
 
-    class Noted(SiteLanes):
+    class Noted(SiteDescentBatch):
         def scan(self, due):
             super().scan(due)
             for i in np.flatnonzero(due):
@@ -291,7 +291,7 @@ def test_sites_are_those_that_the_computer_proposes():
     decisions = many.decisions
     lander, approach = many.craft.dynamics.lander, SMALL.approach.make()
     for lane in range(3):
-        seen = seen_by(many, lane)
+        seen = observation_of_lane(many, lane)
         miss = seen.expected_miss
         assert miss > decisions.touchdown_sigma
 
@@ -325,7 +325,7 @@ def test_a_lattice_is_told_what_maps_are():
     once = SMALL.changed(
         tasking={"flash": {"altitudes_m": [180.0]}}, mappers={"dem": {"size_m": 48.4}}
     )
-    sparse = lanes(6, kind=SparseLanes, scenario=without_decisions(once))
+    sparse = lanes(6, kind=SparseDescentBatch, scenario=without_site_decisions(once))
     assert (sparse.ended == LANDED).all()
     moved = compared = 0
     for i in range(6):

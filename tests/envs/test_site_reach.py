@@ -10,7 +10,7 @@ from lunarsim.onboard.policies.reach import Reach
 from lunarsim_envs.descent.lanes import FLYING
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.sites.flights import seen_by
+from lunarsim_envs.sites.flights import observation_of_lane
 from tests.envs.site_scene import SMALL, lanes, made_up
 
 # It may lean little: much of the ground is out of reach.
@@ -22,7 +22,7 @@ SHORT = SMALL.changed(
 
 def proposed(many, lane, within):
     """Return the sites that the computer would propose on what a lane is shown."""
-    seen, decisions, maps = seen_by(many, lane), many.decisions, many.maps
+    seen, decisions, maps = observation_of_lane(many, lane), many.decisions, many.maps
     lander, approach, law = SHORT.vehicle.make(), SHORT.approach.make(), SHORT.guidance.make()
 
     def cost_of(sites):

@@ -14,7 +14,7 @@ from lunarsim_envs.descent.env import GuidanceEnv
 from lunarsim_envs.descent.rewards import DescentWeights
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
-from lunarsim_envs.rewards import RewardWeights, SiteRewards, information, summed
+from lunarsim_envs.rewards import RewardWeights, SiteRewards, map_information, sum_terms
 from tests.envs.site_scene import SMALL, made_up
 from tests.reference.site_reward import PlainReward
 from tests.worlds import TINY_FLIGHT
@@ -180,8 +180,8 @@ def test_choices_are_counted_for_each_flight_of_its_own():
 def test_what_a_map_tells():
     seen = np.array([[True, True], [True, False]])
     p = np.array([[0.0, 1.0], [0.5, 1.0]], np.float32)
-    assert information(p, seen) == 0.5
-    assert information(p, ~seen) == 0.25
+    assert map_information(p, seen) == 0.5
+    assert map_information(p, ~seen) == 0.25
 
 
 @pytest.mark.parametrize(
@@ -225,10 +225,10 @@ def test_a_reward_is_the_same_sum_of_its_terms_in_any_company():
     wanted = np.zeros(64)
     for term in told.values():
         wanted = wanted + term
-    assert np.array_equal(summed(told), wanted)
+    assert np.array_equal(sum_terms(told), wanted)
     for i in range(64):
-        assert summed({name: term[i : i + 1] for name, term in told.items()})[0] == wanted[i]
-        assert summed({name: float(term[i]) for name, term in told.items()}) == wanted[i]
+        assert sum_terms({name: term[i : i + 1] for name, term in told.items()})[0] == wanted[i]
+        assert sum_terms({name: float(term[i]) for name, term in told.items()}) == wanted[i]
     single, pair = (RetargetVectorEnv(n, "SameStep", **SETTINGS) for n in (1, 2))
     alone = RetargetEnv(**SETTINGS, perception="surrogate")
     for env in (single, pair, alone):

@@ -174,7 +174,7 @@ def test_parts_say_what_they_are():
 
 def test_a_part_of_ones_own():
     name = "site_east"
-    own = parts.Part(
+    own = parts.SiteObservationComponent(
         name, (1,), ("m",), -9e3, 9e3, "east of the present site", lambda s: s.site[:, :1]
     )
     parts.register(own)
@@ -192,7 +192,7 @@ def test_a_part_of_ones_own():
     ("settings", "word"),
     [
         ({"perception": "thruth"}, "truth"),
-        ({"observation": ["site", "site"]}, "once"),
+        ({"observation": ["site", "site"]}, "not repeat"),
         ({"observation": ["hazards"]}, "hazard"),
         ({"worlds": 0}, "worlds"),
         ({"changes": {"guidance.kind": "gravity-turn"}}, "guidance"),

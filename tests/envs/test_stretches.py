@@ -23,11 +23,11 @@ from lunarsim_envs.evaluation.request import study
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.retarget_vector import RetargetVectorEnv
 from lunarsim_envs.sites import actions
-from lunarsim_envs.sites.actions import STRETCHES, ActionPart, SiteActions
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.surrogate import exact
-from lunarsim_envs.sites.view import view_of
+from lunarsim_envs.sites.actions import STRETCHES, ActionComponent, SiteActions
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.pool import SiteWorldPool
+from lunarsim_envs.sites.surrogate import exact_errors
+from lunarsim_envs.sites.view import fov_and_footprint
 from tests.envs.site_scene import SMALL
 
 BOTH = ("site", "stretch")
@@ -75,8 +75,9 @@ def drawn(seed, count):
 
 def test_kernels_stretch_as_the_whole_simulation_does():
     """Over drawn decisions: the same is refused, and flown a second on they arrive alike."""
-    kernels = SiteLanes(
-        1, LEVEL, SitePool.of(LEVEL, 1, 3), errors=exact(), view=view_of(LEVEL), drift=np.zeros(2),
+    kernels = SiteDescentBatch(
+        1, LEVEL, SiteWorldPool.of(LEVEL, 1, 3), errors=exact_errors(),
+        view=fov_and_footprint(LEVEL), drift=np.zeros(2),
         claimed=0.0, posting=0.4,
     )  # fmt: skip
     one, counts = np.ones(1, bool), [0, 0, 0]
@@ -247,8 +248,8 @@ def test_actions_that_are_none_are_refused_and_change_nothing(action):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (("sites",), "did you mean 'site'"), ((), "at least one part"), ("site", "a list"),
-        (("site", "site"), "once"), (3, "a list"),
+        (("sites",), "Did you mean 'site'"), ((), "non-empty list"), ("site", "list of names"),
+        (("site", "site"), "not repeat a name"), (3, "list of names"),
     ],
     ids=str,
 )  # fmt: skip
@@ -273,7 +274,7 @@ def test_copies_go_on_alike(copied):
 
 def test_a_part_of_ones_own(monkeypatch):
     monkeypatch.setattr(actions, "PARTS", dict(actions.PARTS))
-    slow = ActionPart("slow", "stretch", 2, "1 takes a fifth more time",
+    slow = ActionComponent("slow", "stretch", 2, "1 takes a fifth more time",
                       lambda sights, chosen: np.where(chosen == 1, 1.2, np.nan))  # fmt: skip
     actions.register(slow)
     env = pickle.loads(pickle.dumps(made(action=("site", "slow"))))
@@ -283,18 +284,18 @@ def test_a_part_of_ones_own(monkeypatch):
     start = env.flight.time
     env.step([0, 1])
     assert env.flight.lanes.course.arrival[0] - start == pytest.approx(1.2 * left, rel=0.05)
-    with pytest.raises(InputError, match="one part that sets the stretch"):
+    with pytest.raises(InputError, match="one component that sets the stretch"):
         SiteActions(("slow", "stretch"))
     for part, says in (
-        (slow, "a name of its own"), (ActionPart("a", "abort", 2, "", slow.of), "'site' or"),
-        (ActionPart("b", "stretch", 1, "", slow.of), "at least 2"),
+        (slow, "a name of its own"), (ActionComponent("a", "abort", 2, "", slow.of), "'site' or"),
+        (ActionComponent("b", "stretch", 1, "", slow.of), "at least 2"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
             actions.register(part)
     for part, says in (
-        (ActionPart("c", "stretch", 2, "", lambda s, c: s.site), r"c = \(1, 3\): an array"),
-        (ActionPart("d", "stretch", 2, "", lambda s, c: -1.0 * c), "positive finite"),
-        (ActionPart("e", "stretch", 2, "", slow.of, lambda s: s.here > 0), "open"),
+        (ActionComponent("c", "stretch", 2, "", lambda s, c: s.site), r"c: must be an array"),
+        (ActionComponent("d", "stretch", 2, "", lambda s, c: -1.0 * c), "positive and finite"),
+        (ActionComponent("e", "stretch", 2, "", slow.of, lambda s: s.here > 0), "open"),
     ):  # fmt: skip
         actions.register(part)
         env = made(action=(part.name,))
@@ -329,7 +330,7 @@ def test_agents_of_sites_leave_the_time_as_it_comes(name):
     turned, _ = flown(made(action=("stretch", "site")), name, 3)
     assert turned == plainly
     if name != "zero":
-        with pytest.raises(InputError, match=f"{name} flies Retarget-v0 with the part 'site'"):
+        with pytest.raises(InputError, match="needs Retarget-v0 with the action component 'site'"):
             agent_of(name, made(action=("stretch",)))
 
 
@@ -350,11 +351,11 @@ def test_agents_are_evaluated_on_the_parts_that_are_asked_for():
     given = study("lunarsim_envs:Retarget-v0", None, [], 1, action=list(BOTH))
     assert given.make().action_space == spaces.MultiDiscrete([21, 5])
     for name in ("lunarsim_envs:Guidance-v0", "CartPole-v1"):
-        with pytest.raises(InputError, match="--action = 'stretch': left out"):
+        with pytest.raises(InputError, match="--action: applies only"):
             study(name, None, [], 1, action=["stretch"])
     words = ["evaluate", "Retarget-v0", "--episodes", "1", "--jobs", "1"]
     done = CliRunner().invoke(main, [*words, "--action", "stretch", "--agent", "nearest-safe"])
-    assert done.exit_code == 2 and "with the part 'site' among its actions" in done.output
+    assert done.exit_code == 2 and "with the action component 'site'" in done.output
 
 
 def test_frames_say_by_which_stretch():

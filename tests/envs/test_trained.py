@@ -11,7 +11,7 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim_envs.agents.network import Network
-from lunarsim_envs.agents.registry import agent_of, known_agents, shipped
+from lunarsim_envs.agents.registry import agent_of, known_agents, packaged_agents
 from lunarsim_envs.descent.env import ControlEnv, GuidanceEnv
 from lunarsim_envs.training.settings import Training
 from tests.low_descents import LOW
@@ -39,7 +39,7 @@ def landed(agent, count, seed):
 
 @pytest.fixture(scope="module")
 def network():
-    return Network.load(shipped()["ppo"])
+    return Network.load(packaged_agents()["ppo"])
 
 
 def test_it_lands_on_seeds_that_no_training_has(network):
@@ -62,7 +62,7 @@ def test_it_is_what_lands_and_not_the_task(network):
 
 def test_it_is_small_and_flies_without_pytorch():
     assert known_agents()["ppo"] == "trained network"
-    assert shipped()["ppo"].stat().st_size < 1_000_000
+    assert packaged_agents()["ppo"].stat().st_size < 1_000_000
     code = (
         "import sys\n"
         "from lunarsim_envs.agents.registry import agent_of\n"
@@ -78,9 +78,9 @@ def test_it_is_small_and_flies_without_pytorch():
 
 def test_it_refuses_what_it_was_not_trained_for():
     for env, says in (
-        (ControlEnv(changes=LOW), "ppo flies Guidance-v0"),
-        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions a second"),
-        (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observations of"),
+        (ControlEnv(changes=LOW), "needs Guidance-v0"),
+        (GuidanceEnv(changes=LOW, rate_hz=10.0), "5 actions per second"),
+        (GuidanceEnv(changes=LOW, observation=["position", "velocity"]), "observation components"),
     ):
         with pytest.raises(InputError, match=says):
             agent_of("ppo", env)
@@ -88,6 +88,6 @@ def test_it_refuses_what_it_was_not_trained_for():
 
 def test_a_file_that_is_cut_short_is_refused(tmp_path):
     path = tmp_path / "cut.npz"
-    path.write_bytes(shipped()["ppo"].read_bytes()[:2000])
+    path.write_bytes(packaged_agents()["ppo"].read_bytes()[:2000])
     with pytest.raises(InputError, match="a network written by"):
         agent_of(str(path), GuidanceEnv(changes=LOW))

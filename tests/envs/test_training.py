@@ -22,7 +22,7 @@ SMALL = replace(Training(), lanes=32, horizon=16, batch=64, epochs=2, steps=4 * 
 
 def test_settings_that_will_not_do_are_refused():
     for changes, says in (
-        ({"steps": 0}, "steps = 0"), ({"discount": float("nan")}, "discount"),
+        ({"steps": 0}, "steps: must"), ({"discount": float("nan")}, "discount"),
         ({"lanes": 8}, "at least 16"), ({"nearest": 0.0}, "above 0"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
@@ -76,7 +76,7 @@ def test_two_trainings_are_the_same_bits_and_actions_scatter_less(tmp_path):
 @pytest.mark.slow
 def test_a_training_goes_on_bit_for_bit(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.guidance import Run, network_of
+    from lunarsim_envs.training.guidance import Run, policy_network
 
     whole = Run(SMALL, tmp_path / "whole")
     for _ in range(4):
@@ -89,11 +89,11 @@ def test_a_training_goes_on_bit_for_bit(tmp_path):
     assert second.done == 2
     for _ in range(2):
         second.advance()
-    one, other = network_of(whole.model), network_of(second.model)
+    one, other = policy_network(whole.model), policy_network(second.model)
     for a, b in zip(one.weights + one.biases, other.weights + other.biases, strict=True):
         assert np.array_equal(a, b)
-    assert not np.array_equal(one.weights[0], network_of(first.model).weights[0])
-    with pytest.raises(InputError, match="with the same settings"):
+    assert not np.array_equal(one.weights[0], policy_network(first.model).weights[0])
+    with pytest.raises(InputError, match="have the same settings"):
         Run(replace(SMALL, seed=1), tmp_path / "parts")
     # What NumPy flies, and what the file of Stable-Baselines3 does, is the agent that was trained.
     second.checkpoint()
@@ -111,10 +111,10 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
     from stable_baselines3.common.env_checker import check_env
 
-    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 
     near = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
-    env = LanesVecEnv(batch(IDS[0], 8, autoreset_mode="SameStep"), [near, {}])
+    env = Sb3VecEnv(batch(IDS[0], 8, autoreset_mode="SameStep"), [near, {}])
     env.seed(5)
     first = env.reset()
     assert (first[:4, 2] == 40.0).all() and (first[4:, 2] < 36.0).all()
@@ -132,7 +132,7 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
         assert not any(told[lane] for lane in np.flatnonzero(~over))
     assert ends > 8
     with pytest.raises(ValueError, match="must be 'SameStep'"):
-        LanesVecEnv(batch(IDS[0], 8))
+        Sb3VecEnv(batch(IDS[0], 8))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for name in IDS:
@@ -143,10 +143,10 @@ def test_a_batch_is_what_stable_baselines3_takes(tmp_path):
 @pytest.mark.parametrize("action", [("site",), ("site", "stretch")])
 def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
     contrib = pytest.importorskip("sb3_contrib", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 
     settings = {"scenario": site_scene.SMALL, "perception": "truth", "worlds": 2, "world_seed": 5}
-    env = LanesVecEnv(RetargetVectorEnv(4, "SameStep", action=action, **settings))
+    env = Sb3VecEnv(RetargetVectorEnv(4, "SameStep", action=action, **settings))
     seen, ends = env.reset(), 0
     for _ in range(40):
         masks = np.array(env.env_method("action_masks"))
@@ -169,10 +169,10 @@ def test_a_batch_that_chooses_sites_has_masks_and_is_learned_from(action):
 def test_options_of_stable_baselines3_are_those_of_a_reset():
     """For all lanes or each its own, over `starts`; of the next reset alone."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 
     near, exact = {"position_m": [0.0, 0.0, 40.0]}, {"position_sigma_m": 0.0}
-    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
+    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"))
     env.reset()
     env.set_options(near | exact)
     assert (env.reset()[:, 2] == 40.0).all()
@@ -180,12 +180,12 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
     own = [near | exact, {}, near | exact, {}]
     env.set_options(own)
     assert (env.reset()[:, 2] == 40.0).tolist() == [True, False, True, False]
-    env = LanesVecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"), [near, {}])
+    env = Sb3VecEnv(batch(IDS[0], 4, autoreset_mode="SameStep"), [near, {}])
     env.set_options(exact)
     seen = env.reset()
     assert (seen[:2, 2] == 40.0).all() and (seen[2:, 2] == 25.0).all()
     env.set_options({"positon_m": [0.0, 0.0, 40.0]})
-    with pytest.raises(InputError, match="did you mean 'position_m'"):
+    with pytest.raises(InputError, match="Did you mean 'position_m'"):
         env.reset()
     for wrong in ([near], [near, None, near, near]):
         env.set_options(wrong)
@@ -197,12 +197,12 @@ def test_options_of_stable_baselines3_are_those_of_a_reset():
 def test_what_the_clock_cut_off_is_told_as_truncated():
     """Learners take the value of the last state for what such a flight would have returned."""
     pytest.importorskip("stable_baselines3", reason="the extra `rl` is not installed")
-    from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+    from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 
     low = {"position_m": [0.0, 0.0, 40.0], "position_sigma_m": 0.0}
     falls = low | {"velocity_m_s": [0.0, 0.0, -30.0]}
     changes = LOW | {"simulation.max_time_s": 2.0}
-    env = LanesVecEnv(GuidanceVectorEnv(2, "SameStep", changes=changes), [low, falls])
+    env = Sb3VecEnv(GuidanceVectorEnv(2, "SameStep", changes=changes), [low, falls])
     env.reset()
     ends = {}
     for _ in range(11):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim_envs.views import ASIDE, HEIGHT, WIDTH, Views, project
+from lunarsim_envs.views import ASIDE, HEIGHT, WIDTH, ChaseViewRenderer, project
 
 ID = "lunarsim_envs:lunarsim/Retarget-v0"
 
@@ -65,7 +65,7 @@ def test_closing_lets_go_of_the_flight_and_resetting_takes_up_anew(env):
     with pytest.raises(gymnasium.error.ResetNeeded):
         inner.render()
     env.reset(seed=1)
-    assert isinstance(inner.views, Views)
+    assert isinstance(inner.views, ChaseViewRenderer)
     assert inner.render().shape == (720, 800, 3)
 
 

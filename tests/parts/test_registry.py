@@ -47,7 +47,7 @@ def test_names_and_paths_give_classes():
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("safset", "must be a known kind or \"module:Class\" (did you mean 'safest'?)"),
+        ("safset", "must be a known kind or \"module:Class\" (Did you mean 'safest'?)"),
         ("x", "known: fuel-aware, nearest-safe"),
         ("no.such.module:Thing", "must be a class that can be imported (ModuleNotFoundError"),
         (f"{__name__}:Missing", "can be imported (AttributeError"),
@@ -80,7 +80,7 @@ def test_a_scenario_takes_a_class_of_ones_own():
     with pytest.raises(InputError) as caught:
         Scenario.from_dict({"policy": {"kind": f"{__name__}:MyPolicy", "patiense": 5.0}})
     assert caught.value.field == "policy.patiense"
-    assert "did you mean 'patience'" in caught.value.problem
+    assert "Did you mean 'patience'" in caught.value.problem
 
 
 def test_entry_points_add_names_but_take_none(monkeypatch):

@@ -29,7 +29,7 @@ def _every_key():
         for path in _keys(settings_of(of), ()):
             yield (name,), None, path
     chosen = {name: contract for name, (contract, _) in layout.CHOSEN.items()}
-    for name, contract in (chosen | layout.OPTIONAL_CHOSEN).items():
+    for name, contract in (chosen | layout.OPTIONAL_SELECTED).items():
         for kind in kinds(contract):
             yield from (
                 ((name,), kind, path) for path in _keys(settings_of(resolve(contract, kind)), ())

@@ -28,11 +28,11 @@ def test_the_default_study_has_nothing_odd():
     [
         (
             {"vehicle": {"dry_mass_kg": 400.0, "inertia_dry_kg_m2": [1100.0, 1100.0, 1300.0]}},
-            "vehicle.inertia_dry_kg_m2 = [1100, 1100, 1300]", "mass of 400 kg",
+            "vehicle.inertia_dry_kg_m2: ", "for 400 kg",
         ),
         (
             {"vehicle": {"inertia_dry_kg_m2": [11.0, 11.0, 13.0]}},
-            "vehicle.inertia_dry_kg_m2 = [11, 11, 13]", "left out, it follows the mass",
+            "vehicle.inertia_dry_kg_m2: ", "got [11, 11, 13]. Omit it",
         ),
         (
             {"vehicle": {"inertia_full_kg_m2": [1000.0, 1000.0, 1000.0]}},
@@ -43,19 +43,19 @@ def test_the_default_study_has_nothing_odd():
             {"vehicle": {"torque_max_n_m": [40_000.0, 600.0, 300.0]}}, "vehicle.torque_max_n_m",
             "rad/s^2",
         ),
-        ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg = 10", "from 4.75 deg on"),
-        ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly touches"),
+        ({"vehicle": {"com_height_m": 20.0}}, "vehicle.slope_limit_deg: ", "tips over at 4.75 deg"),
+        ({"vehicle": {"roughness_limit_m": 0.4}}, "vehicle.roughness_limit_m", "belly_clearance_m"),
         (
             {
                 "sun": {"elevation_deg": 5.0},
                 "sensors": {name: {"kind": kind} for name, kind in FIXED.items()},
             },
             "sun.elevation_deg = 5",
-            "no sensor of kind 'camera'",
+            "no camera or star tracker",
         ),
         (
             {"terrain": {"kind": "hazard-field"}, "rocks": {"cover": 0.1}},
-            "rocks.cover = 0.1", "its own",
+            "rocks.cover = 0.1", "its own boulders",
         ),
         ({"rocks": {"cover": 0.0, "shape": "cube"}}, "rocks.shape = 'cube'", "cover = 0"),
         ({"rocks": {"block_crater_m": 30.0}}, "rocks.block_crater_m = 30", "clustered = 0"),
@@ -66,7 +66,7 @@ def test_the_default_study_has_nothing_odd():
         ({"terrain": {"crater_saturation_m": 9.0}}, "terrain.crater_saturation_m", "no craters"),
         (
             {"policy": {"kind": "no-divert"}, "decisions": {"interval_s": 2.0}},
-            "decisions.interval_s = 2", "decides nothing",
+            "decisions.interval_s = 2", "never diverts",
         ),
     ],
 )  # fmt: skip
@@ -109,8 +109,8 @@ LIDAR = {name: {"kind": kind} for name, kind in FIXED.items()}
 @pytest.mark.parametrize(
     ("tasking", "told"),
     [
-        ({"kind": "at-altitudes", "altitudes_m": [700.0, 200.0]}, "measures from 200 m up"),
-        ({"kind": "periodic", "last_altitude_m": 150.0}, "measures from 150 m up"),
+        ({"kind": "at-altitudes", "altitudes_m": [700.0, 200.0]}, "above 200 m only"),
+        ({"kind": "periodic", "last_altitude_m": 150.0}, "above 150 m only"),
         ({"kind": "at-altitudes", "altitudes_m": [700.0, 80.0]}, None),
         ({"kind": "periodic"}, None),
     ],
@@ -122,7 +122,7 @@ def test_a_lidar_whose_range_is_below_all_tasked_altitudes_is_odd(tasking, told)
         assert found == []
     else:
         (note,) = found
-        assert note.startswith("sensors.flash.max_range_m = 100") and told in note
+        assert note.startswith("sensors.flash.max_range_m: ") and told in note
 
 
 def test_variation_is_odd_where_landers_fly_by_themselves():
@@ -137,6 +137,6 @@ def test_a_camera_that_no_mapper_uses_may_record():
         "tasking": {"flash": {"kind": "at-altitudes"}, "eye": {"kind": "periodic", "rate_hz": 0.5}},
     }
     (note,) = notes(**tables)
-    assert note.startswith("sensors.eye = 'camera': no mapper uses its images")
+    assert note.startswith("sensors.eye: no mapper uses its images")
     flight = Simulation(Scenario.from_dict(tables), 1, "no-divert").run()
     assert {e["sensor"] for e in flight.events if e["name"] == "picture"} == {"eye"}

@@ -85,7 +85,7 @@ def test_ranking_is_printed(script, monkeypatch, capsys):
 def test_example_script_rejects_invalid_input(script, tmp_path):
     for words, says in (
         (["--episodes", "0"], "x>=1"), (["--seed", "-1"], "x>=0"),
-        (["--scenario", "hardd"], "did you mean 'hard'"),
+        (["--scenario", "hardd"], "Did you mean 'hard'"),
         (["--video", str(tmp_path / "film.txt")], "ends in .mp4"),
     ):  # fmt: skip
         done = CliRunner().invoke(script("learning", "retarget_agents").main, words)
@@ -95,4 +95,4 @@ def test_example_script_rejects_invalid_input(script, tmp_path):
 def test_surrogate_of_an_unknown_scenario_is_rejected(script, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["fit_surrogate.py", "--scenario", "hardd", "--check"])
     assert script("learning", "fit_surrogate").main() == 2
-    assert "did you mean 'hard'" in capsys.readouterr().err
+    assert "Did you mean 'hard'" in capsys.readouterr().err

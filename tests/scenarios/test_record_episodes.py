@@ -90,7 +90,7 @@ def test_recorded_episodes_can_be_replayed(
         (("Retarget-v0", "--perception", "trooth"), "perception"),
         (("Guidance-v0", "--agent", "safest"), "--agent"),
         (("Guidance-v0", "--action", "stretch"), "--action"),
-        (("Retarget-v0", "--action", "stretsh"), "did you mean 'stretch'"),
+        (("Retarget-v0", "--action", "stretsh"), "Did you mean 'stretch'"),
         (("Retarget-v0", "--set", "rocks.cover=2"), "rocks.cover"),
         (("Guidance-v0", "--episodes", "0"), "--episodes"),
     ],

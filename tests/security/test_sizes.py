@@ -27,7 +27,7 @@ def test_a_terrain_of_gigabytes_is_refused(tmp_path):
         path.write_text(tomli_w.dumps(TINY_FLIGHT | {"terrain": terrain}))
         done = call("scenario", "check", path)
         assert done.exit_code == 2, done.output
-        for words in ("terrain.size_m", "54.2 GiB", "16 GiB is the limit", "larger posting_m"):
+        for words in ("terrain.size_m", "54.2 GiB", "limit 16 GiB", "larger posting_m"):
             assert words in done.stderr
     Scenario.from_dict(TINY_FLIGHT | {"terrain": {"size_m": 2600.0, "posting_m": 0.25}})
 
@@ -51,9 +51,9 @@ def rasters(tmp_path_factory):
     ("terrain", "words"),
     [
         ({"path": "large.tif", "posting_m": 10.0}, ["terrain.path", "large.tif", "dtm_window"]),
-        ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m = 0.25", "larger value"]),
+        ({"path": "coarse.tif", "posting_m": 0.25}, ["terrain.posting_m:", "got 0.25", "larger"]),
         ({"path": "coarse.tif", "posting_m": 5.0, "mirrored_to_m": 90_000.0},
-         ["terrain.posting_m = 5.0", "larger value"]),
+         ["terrain.posting_m: ", "got 5.0", "larger value"]),
     ],
 )  # fmt: skip
 def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words):
@@ -63,7 +63,7 @@ def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words)
     for command in (("scenario", "check"), ("fly",)):
         done = call(*command, path)
         assert done.exit_code == 2, done.output
-        for word in (*words, "16 GiB is the limit"):
+        for word in (*words, "limit 16 GiB"):
             assert word in done.stderr
 
 
@@ -72,7 +72,7 @@ def test_a_raster_of_gigabytes_is_refused_by_its_header(rasters, terrain, words)
     [
         ({"terrain": {"size_m": 2500.0, "posting_m": 0.5},
           "rocks": {"cover": 0.2, "min_diameter_m": 0.01}},
-         ["rocks.min_diameter_m = 0.01", "must be smaller"]),
+         ["rocks.min_diameter_m: ", "got 0.01", "smaller cover"]),
         ({"moon": {}, "surroundings": {"sizes_m": [40_000.0] * 400, "postings_m": [10.0] * 400,
                                        "rms_slopes_deg": [1.0] * 400}},
          ["surroundings.sizes_m", "fewer levels"]),
@@ -83,7 +83,7 @@ def test_rocks_and_surroundings_of_gigabytes_are_refused(tmp_path, tables, words
     path.write_text(tomli_w.dumps(TINY_FLIGHT | tables))
     done = call("scenario", "check", path)
     assert done.exit_code == 2, done.output
-    for word in (*words, "16 GiB is the limit"):
+    for word in (*words, "limit 16 GiB"):
         assert word in done.stderr
 
 

@@ -143,7 +143,7 @@ def test_trust_that_comes_back_allows_diverts_unless_something_was_mapped(small_
     assert [d for d in found["during"].decisions if d["time"] >= barred] == []
 
 
-@pytest.mark.parametrize(("ends", "said"), [(8.0, "believed again later"), (np.inf, "to the end")])
+@pytest.mark.parametrize(("ends", "said"), [(8.0, "recovered later"), (np.inf, "not recovered")])
 def test_the_summary_says_so(small_scenario, tmp_path, monkeypatch, ends, said):
     path = tmp_path / "small.toml"
     small_scenario.save(path)
@@ -157,8 +157,8 @@ def test_the_summary_says_so(small_scenario, tmp_path, monkeypatch, ends, said):
     monkeypatch.setattr(FixNavigation, "take", take)
     result = CliRunner().invoke(main, ["fly", str(path)])
     assert result.exit_code == 0, result.output
-    assert "lost from" not in plain.output
-    assert "lost from 5.0 s" in result.output or "lost from 4.9 s" in result.output
+    assert "lost at" not in plain.output
+    assert "lost at 5.0 s" in result.output or "lost at 4.9 s" in result.output
     assert said in result.output
 
 

@@ -1,1 +1,1 @@
-"""Agents of the environments behind one interface: built-in, guidance laws, policies, files."""
+"""Agents behind one interface: built-in agents, guidance laws, policies, networks in files."""

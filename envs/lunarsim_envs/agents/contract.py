@@ -1,4 +1,4 @@
-"""What an agent is, and what it is built from."""
+"""Define the agent interface and shared checks."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from lunarsim.errors import InputError
 
 
 class Agent(Protocol):
-    """Flies an environment; one object flies many flights, one after another."""
+    """Select actions in an environment; one object flies many episodes in sequence."""
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A flight begins; what the agent draws in it comes from this generator."""
+        """Start an episode; all random numbers of the agent come from this generator."""
         ...
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the action for an observation and what the environment told beside it."""
+        """Return the action for an observation and the environment's `info`."""
         ...
 
 
-def refuse(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
-    """Return the error of an agent that cannot fly an environment."""
+def incompatible_agent_error(name: str, env: gymnasium.Env[Any, Any], wanted: str) -> InputError:
+    """Return the error for an agent that cannot fly an environment."""
     spec = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
-    return InputError("--agent", name, f"an agent of {spec}; {name} flies {wanted}")
+    return InputError("--agent", name, f"cannot fly {spec}, because it needs {wanted}")
 
 
 def check_sites(name: str, env: Any) -> None:
-    """Refuse an environment ``Retarget-v0`` the actions of which choose no sites.
+    """Check that the actions of a ``Retarget-v0`` environment include a site.
 
     Raises
     ------
@@ -37,4 +37,4 @@ def check_sites(name: str, env: Any) -> None:
         Naming the agent.
     """
     if not env.actions.has("site"):
-        raise refuse(name, env, "Retarget-v0 with the part 'site' among its actions")
+        raise incompatible_agent_error(name, env, "Retarget-v0 with the action component 'site'")

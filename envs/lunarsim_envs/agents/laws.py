@@ -1,4 +1,4 @@
-"""Guidance laws of the onboard computer as agents of ``Guidance-v0``."""
+"""Fly ``Guidance-v0`` with the guidance laws of the onboard computer."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from lunarsim.onboard.guidance.vertical import descent_law
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts import resolve, settings_of
 from lunarsim.scenario import Scenario
-from lunarsim_envs.agents.contract import refuse
-from lunarsim_envs.descent.baseline import PolynomialAgent
-from lunarsim_envs.descent.core import Descents
+from lunarsim_envs.agents.contract import incompatible_agent_error
+from lunarsim_envs.descent.baseline import PolynomialGuidance
+from lunarsim_envs.descent.core import DescentEnvCore
 from lunarsim_envs.descent.env import GuidanceEnv
 
 Array = NDArray[np.float64]
 
-# What a law is told of the lander.
+# Observation components that a law needs.
 _NEEDED = ("position", "velocity", "attitude", "rate", "propellant")
-# Where nothing is within the limits of a path: so many times the way over the speed, and at least
-# so long, s. The computer does the same after braking.
+# Time-to-go if no path is within limits: this factor times distance over speed (at least _SLOWEST,
+# m/s), and at least _LEAST, s. The onboard computer uses the same rule after braking.
 _LONGER, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
 
 
-def _descents(name: str, env: gymnasium.Env[Any, Any]) -> Descents:
+def _descents(name: str, env: gymnasium.Env[Any, Any]) -> DescentEnvCore:
     flown = env.unwrapped
     if not isinstance(flown, GuidanceEnv):
-        raise refuse(name, env, "Guidance-v0")
+        raise incompatible_agent_error(name, env, "Guidance-v0")
     missing = [part for part in _NEEDED if part not in flown.descents.shown.places]
     if missing:
-        raise refuse(name, env, f"observations with {missing[0]!r} among their parts")
+        raise incompatible_agent_error(name, env, f"the observation component {missing[0]!r}")
     return flown.descents
 
 
 def _briefing(scenario: Scenario, software: Software, time_to_go: float) -> Briefing:
-    """Return what a law is built from: the target is where positions are counted from."""
+    """Return the inputs for building a law; the target is the origin of positions."""
     start, clock = scenario.start.make(), scenario.simulation.make()
     upright = attitude_from_thrust([0.0, 0.0, 1.0], start.heading)
     known = StartEstimate(
@@ -56,23 +56,24 @@ def _briefing(scenario: Scenario, software: Software, time_to_go: float) -> Brie
     )  # fmt: skip
 
 
-class LawAgent:
-    """A guidance law to the end of the approach, then the scenario's way down from there.
+class GuidanceLawAgent:
+    """Fly a guidance law to the end of the approach, then the scenario's terminal descent.
 
-    Phases, time-to-go and limits are the onboard computer's; navigation is the observation. The
-    law is asked as often as the environment asks, not once a cycle of the computer.
+    Phases, time-to-go and limits are those of the onboard computer; the observation replaces
+    navigation. The law is evaluated at every step of the environment, not once per control cycle.
 
     Parameters
     ----------
     env
-        ``Guidance-v0``, whose observation has position, velocity, attitude, rate and propellant.
+        ``Guidance-v0`` with position, velocity, attitude, rate and propellant in its observation.
     kind
-        As `lunarsim parts guidance` lists it, with its defaults.
+        Kind of guidance from `lunarsim parts guidance`. Other kinds than the scenario's have their
+        default settings.
 
     Raises
     ------
     InputError
-        If it is another environment, or its observation lacks a part.
+        If the environment is another one or its observation lacks a component.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
@@ -87,11 +88,11 @@ class LawAgent:
         self._begun = False
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Forget the last flight."""
+        """Reset the agent for a new episode."""
         self._begun = False
 
     def _start(self, estimate: Estimate) -> None:
-        """Choose the time-to-go from where the flight begins, and build its laws."""
+        """Choose the time-to-go from the start state and build the laws."""
         descents, software = self._descents, self._software
         briefing = _briefing(descents.scenario, software, self._time_to_go(estimate))
         lag = software.control.response_time + self._lander.thrust_lag
@@ -101,7 +102,7 @@ class LawAgent:
         self._time, self._vertical, self._begun = 0.0, False, True
 
     def _time_to_go(self, estimate: Estimate) -> float:
-        """Return how long the approach is to take, s: the cheapest within the limits of paths."""
+        """Return the duration of the approach with minimum propellant within the limits, s."""
         if self._approach.time_to_go is not None:
             return float(self._approach.time_to_go)
         end = self._approach.end(np.zeros((1, 3)), self._lander)
@@ -115,7 +116,7 @@ class LawAgent:
         return max(_LONGER * way / speed, _LEAST)
 
     def _estimate(self, observation: Array, time: float) -> Estimate:
-        """Return an observation as laws take it."""
+        """Convert an observation to a state estimate."""
         places = self._descents.shown.places
         seen = {name: observation[places[name]].astype(np.float64) for name in _NEEDED}
         mass = self._lander.dry_mass + float(seen["propellant"][0])
@@ -125,7 +126,7 @@ class LawAgent:
         )  # fmt: skip
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the action nearest to the acceleration that the law asks for."""
+        """Return the action closest to the acceleration that the law commands."""
         estimate = self._estimate(observation, self._time if self._begun else 0.0)
         if not self._begun:
             self._start(estimate)
@@ -144,21 +145,21 @@ class LawAgent:
         return self._descents.actions.action(wanted)
 
 
-class Polynomial:
-    """`lunarsim_envs.descent.baseline.PolynomialAgent`, which keeps nothing between actions.
+class PolynomialLawAgent:
+    """Agent interface for the stateless `lunarsim_envs.descent.baseline.PolynomialGuidance`.
 
     Parameters
     ----------
     env
-        ``Guidance-v0``, whose observation begins with position and velocity.
+        ``Guidance-v0`` with position and velocity as the first observation components.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._law = PolynomialAgent(_descents("polynomial", env))
+        self._law = PolynomialGuidance(_descents("polynomial", env))
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing."""
+        """Do nothing: the agent has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> NDArray[np.float32]:
-        """Return the law's action."""
+        """Return the action of the law."""
         return self._law(observation)

@@ -1,4 +1,4 @@
-"""A trained network, flown by NumPy alone: weights in one file, no pickle."""
+"""Fly a trained network with NumPy only; weights are in one file without pickles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import refuse
+from lunarsim_envs.agents.contract import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
 Array = NDArray[np.float32]
@@ -23,21 +23,20 @@ _FORMAT = "lunarsim network 1"
 
 @dataclass(frozen=True)
 class Network:
-    """Layers of tanh on two scales of each number of an observation.
+    """Multilayer perceptron with tanh layers and two input scales per observation value.
 
     Attributes
     ----------
     far, near
-        The first layer is shown every number over `far`, and the inverse hyperbolic sine of it over
-        `near` (size,).
+        Input scales (size,). The first layer gets x / far and asinh(x / near) of each value x.
     weights, biases
-        Of the layers, the last of which gives the action (m, n) and (m,).
+        Weights (m, n) and biases (m,) of the layers; the last layer outputs the action.
     level
-        "Guidance-v0" or "Control-v0".
+        Environment: "Guidance-v0" or "Control-v0".
     parts
-        Names of the parts of the observation, in their order.
+        Names of the observation components, in order.
     rate
-        Actions a second that it was trained at, Hz.
+        Action rate of the training, Hz.
     """
 
     far: Array
@@ -57,7 +56,7 @@ class Network:
         return np.asarray(np.clip(layer @ self.weights[-1].T + self.biases[-1], -1.0, 1.0))
 
     def save(self, path: Path) -> None:
-        """Write it as ``.npz``."""
+        """Write the network to a ``.npz`` file."""
         held: dict[str, Any] = {f"weight_{i}": w for i, w in enumerate(self.weights)}
         held |= {f"bias_{i}": b for i, b in enumerate(self.biases)}
         held |= {"far": self.far, "near": self.near, "rate": np.float64(self.rate)}
@@ -66,17 +65,17 @@ class Network:
 
     @classmethod
     def load(cls, path: Path) -> Network:
-        """Read what `save` wrote.
+        """Read a network written by `save`.
 
         Raises
         ------
         InputError
-            If the file is something else, or its layers do not fit on each other.
+            If the file is not a network, or its layers have inconsistent shapes.
         """
         try:
             held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
-                raise ValueError(f"its format is {held['format']}")
+                raise ValueError(f"the format is {held['format']}")
             layers = sum(name.startswith("weight_") for name in held)
             network = cls(
                 held["far"], held["near"],
@@ -87,56 +86,62 @@ class Network:
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "--agent", str(path), f"a network written by `lunarsim_envs` ({error})"
+                "--agent", str(path), f"must be a network written by lunarsim_envs ({error})"
             ) from None
         return network
 
     def _check(self) -> None:
-        """Refuse layers that do not fit on each other, or are not finite."""
+        """Check that layers have consistent shapes and finite values."""
         width = 2 * len(self.far)
         if not self.weights or self.near.shape != self.far.shape:
             raise ValueError("layers or scales are missing")
         for weight, bias in zip(self.weights, self.biases, strict=True):
             if weight.shape != (len(bias), width):
-                raise ValueError(f"a layer of shape {weight.shape} on {width} numbers")
+                raise ValueError(f"a layer of shape {weight.shape} has {width} inputs")
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-                raise ValueError("a layer with numbers that are not finite")
+                raise ValueError("a layer has values that are not finite")
             width = len(bias)
 
 
 class NetworkAgent:
-    """A network that flies ``Guidance-v0`` or ``Control-v0``.
+    """Fly ``Guidance-v0`` or ``Control-v0`` with a network.
 
     Parameters
     ----------
     env
-        Which, with the observation and the rate that it was trained on.
-    network, name
-        Of the file, for messages.
+        Environment with the observation and the action rate of the training.
+    network
+        Trained network.
+    name
+        Name of the agent, for messages.
 
     Raises
     ------
     InputError
-        If the environment is another.
+        If the environment does not fit the network.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], network: Network, name: str) -> None:
         flown = env.unwrapped
         level = f"{'Guidance' if getattr(flown, 'guided', False) else 'Control'}-v0"
         if not isinstance(flown, DescentEnv) or level != network.level:
-            raise refuse(name, env, network.level)
+            raise incompatible_agent_error(name, env, network.level)
         parts = tuple(part.name for part in flown.descents.shown.parts)
         if parts != network.parts:
-            raise refuse(name, env, f"observations of {', '.join(network.parts)}")
+            raise incompatible_agent_error(
+                name, env, f"the observation components {', '.join(network.parts)}"
+            )
         if abs(flown.descents.period * network.rate - 1.0) > 1e-9:
-            raise refuse(name, env, f"{network.rate:g} actions a second")
+            raise incompatible_agent_error(name, env, f"{network.rate:g} actions per second")
         if network.weights[-1].shape[0] != len(flown.descents.actions.scale):
-            raise refuse(name, env, f"actions of {network.weights[-1].shape[0]} numbers")
+            raise incompatible_agent_error(
+                name, env, f"actions with {network.weights[-1].shape[0]} values"
+            )
         self._network = network
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing."""
+        """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Array:
-        """Return the network's action."""
+        """Return the action of the network."""
         return self._network(observation)

@@ -1,6 +1,6 @@
-"""Agents in ONNX files: networks that any framework can export and that run no code of their own.
+"""Fly networks in ONNX files, which any framework can export and which contain no code.
 
-They need the extra ``onnx`` to fly.
+These agents need the extra ``onnx``.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 
 MAX_BYTES = 64_000_000
-# A network with a loop that never ends is stopped after this time.
+# Time limit of one evaluation, s; it stops networks with endless loops.
 MAX_SECONDS = 5.0
 
 _MASK = "action_mask"
 
 
 def _session(path: Path) -> Any:
-    """Return the network of a file, on one thread so that its numbers repeat.
+    """Load a network; it runs on one thread so that results are reproducible.
 
-    It is read from memory, and weights in other files are looked for where no file can be.
+    The network is read from memory, and external weight files are disabled by an invalid folder.
     """
     try:
         import onnxruntime  # noqa: PLC0415  (an extra)
     except ImportError:
         raise InputError(
-            "--agent", str(path), "onnxruntime, which the extra `onnx` installs"
+            "--agent", str(path), "needs onnxruntime", "Install the extra `onnx`."
         ) from None
     if path.stat().st_size > MAX_BYTES:
-        raise InputError("--agent", str(path), f"at most {MAX_BYTES / 1e6:g} MB")
+        raise InputError("--agent", str(path), f"must have at most {MAX_BYTES / 1e6:g} MB")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
@@ -46,8 +46,10 @@ def _session(path: Path) -> Any:
         return onnxruntime.InferenceSession(
             path.read_bytes(), options, providers=["CPUExecutionProvider"]
         )
-    except Exception as error:  # onnxruntime has an exception type of its own for each status
-        raise InputError("--agent", str(path), f"an ONNX network ({_first_line(error)})") from None
+    except Exception as error:  # onnxruntime has a separate exception type for each status
+        raise InputError(
+            "--agent", str(path), f"must be an ONNX network ({_first_line(error)})"
+        ) from None
 
 
 def _first_line(error: Exception) -> str:
@@ -55,31 +57,31 @@ def _first_line(error: Exception) -> str:
 
 
 class OnnxAgent:
-    """A network in an ONNX file, without memory and without exploration.
+    """Fly a memoryless, deterministic network from an ONNX file.
 
     Inputs have a batch axis of length 1 and type float32. If the observation is a Box, the network
-    has one input, of any name; if it is a Dict, its inputs have the names of observations. An
+    has one input with any name. If it is a Dict, the inputs have the names of observations. An
     input ``action_mask`` gets ``info["action_mask"]`` (1: allowed). The first output is the action:
 
     ================  ==================================================================
     action space      first output
     ================  ==================================================================
-    Box               the action; it is clipped to the space
-    Discrete(n)       an integer, or n scores: the allowed option with the highest is flown
+    Box               the action, clipped to the space
+    Discrete(n)       an integer, or n scores; the allowed option with the maximum is used
     MultiDiscrete     an integer per choice, or the scores of all choices in one row
     ================  ==================================================================
 
     Parameters
     ----------
     env
-        The environment that it flies; observations and actions must fit the network's.
+        Environment with observations and actions that fit the network.
     path
-        The ONNX file.
+        ONNX file.
 
     Raises
     ------
     InputError
-        If the file holds no such network, or the extra is missing.
+        If the file is not such a network, or the extra is missing.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], path: Path) -> None:
@@ -91,18 +93,18 @@ class OnnxAgent:
         names = list(space) if isinstance(space, gymnasium.spaces.Dict) else None
         seen = [name for name in self._inputs if name != _MASK]
         if names is None and len(seen) != 1:
-            raise self._error(f"one input beside {_MASK}, not {', '.join(seen) or 'none'}")
+            raise self._error(f"one input besides {_MASK}, not {', '.join(seen) or 'none'}")
         if names is not None and not set(seen) <= set(names):
-            raise self._error(f"inputs among {', '.join(names)}, not {', '.join(seen)}")
+            raise self._error(f"inputs from {', '.join(names)}, not {', '.join(seen)}")
         sizes = _choices(self._space)
         mask = np.ones(sum(sizes)) if sizes else np.ones(1)
         self.act(_zeros(space), {_MASK: mask})
 
     def _error(self, wanted: str) -> InputError:
-        return InputError("--agent", str(self._path), f"a network with {wanted}")
+        return InputError("--agent", str(self._path), f"must be a network with {wanted}")
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Do nothing: the network has no memory."""
+        """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
         """Return the action for an observation.
@@ -110,19 +112,19 @@ class OnnxAgent:
         Raises
         ------
         InputError
-            If the network fails, takes too long, or returns no action of the space.
+            If the network fails, takes too long, or returns an invalid action.
         """
         return self._action(self._run(observation, info), info)
 
     def _run(self, observation: Any, info: dict[str, Any]) -> NDArray[Any]:
-        """Return the first output, flat."""
+        """Evaluate the network and return its first output, flattened."""
         import onnxruntime  # noqa: PLC0415
 
         fed: dict[str, NDArray[Any]] = {}
         for name, kind in self._inputs.items():
             if name == _MASK:
                 if _MASK not in info:
-                    raise self._error(f"no input {_MASK}: this environment has none")
+                    raise self._error(f"no input {_MASK}, which this environment does not provide")
                 value = info[_MASK]
             else:
                 value = observation[name] if isinstance(observation, dict) else observation
@@ -135,18 +137,18 @@ class OnnxAgent:
         timer.start()
         try:
             return np.asarray(self._session.run(None, fed, options)[0]).ravel()
-        except Exception as error:  # onnxruntime has an exception type of its own for each status
+        except Exception as error:  # onnxruntime has a separate exception type for each status
             if options.terminate:
-                raise self._error(f"an action within {MAX_SECONDS:g} s") from None
-            raise self._error(f"inputs of this environment ({_first_line(error)})") from None
+                raise self._error(f"an output within {MAX_SECONDS:g} s") from None
+            raise self._error(f"inputs that fit this environment ({_first_line(error)})") from None
         finally:
             timer.cancel()
 
     def _action(self, output: NDArray[Any], info: dict[str, Any]) -> Any:
-        """Return the action that an output stands for."""
+        """Convert an output to an action."""
         space, sizes = self._space, _choices(self._space)
         if output.dtype.kind not in "iuf" or not np.isfinite(output).all():
-            raise self._error("a finite number for each part of the action")
+            raise self._error("finite numbers as its first output")
         if isinstance(space, gymnasium.spaces.Box) and output.size == np.prod(space.shape):
             return np.clip(output.reshape(space.shape), space.low, space.high).astype(space.dtype)
         if sizes and output.dtype.kind == "f" and output.size == sum(sizes):
@@ -160,18 +162,18 @@ class OnnxAgent:
             chosen = action[0] if isinstance(space, gymnasium.spaces.Discrete) else action
             if space.contains(chosen):
                 return chosen
-        raise self._error(f"an action of {space}, not {output.size} numbers {output.dtype}")
+        raise self._error(f"an output for {space}, not {output.size} {output.dtype} values")
 
 
 def _zeros(space: gymnasium.Space[Any]) -> Any:
-    """Return an observation of zeros, to try a network before the first flight."""
+    """Return an observation of zeros, to test a network before the first episode."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: np.zeros(part.shape or (), part.dtype) for name, part in space.items()}
     return np.zeros(space.shape or (), space.dtype)
 
 
 def _choices(space: gymnasium.Space[Any]) -> list[int]:
-    """Return how many options each choice of an action has; empty if it is no choice."""
+    """Return the number of options of each choice of a discrete action; empty for others."""
     if isinstance(space, gymnasium.spaces.Discrete):
         return [int(space.n)]
     if isinstance(space, gymnasium.spaces.MultiDiscrete):

@@ -1,4 +1,4 @@
-"""Agents of one's own: any callable, ``module:Name``."""
+"""Load custom agents: any callable, given as ``module:Name``."""
 
 from __future__ import annotations
 
@@ -13,51 +13,52 @@ from lunarsim.errors import InputError
 from lunarsim.parts.registry import imported
 
 
-class CalledAgent:
-    """A callable ``(observation, info) -> action``, or one that takes the observation alone.
+class CallableAgent:
+    """Use a callable as an agent.
 
     Parameters
     ----------
     call
-        Is called for every action; `begin(rng)` before a flight, if it has that.
+        Callable ``(observation, info) -> action`` or ``observation -> action``. If it has a method
+        ``begin(rng)``, that is called before each episode.
     """
 
     def __init__(self, call: Callable[..., Any]) -> None:
         self._call = call
-        self._informed = _takes(call, 2)
+        self._informed = _accepts(call, 2)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Tell the callable of a new flight, if it listens."""
+        """Call the callable's ``begin``, if it has one."""
         begin = getattr(self._call, "begin", None)
         if begin is not None:
             begin(rng)
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return what the callable gives."""
+        """Return the action of the callable."""
         return self._call(observation, info) if self._informed else self._call(observation)
 
 
-def _takes(call: Callable[..., Any], count: int) -> bool:
-    """Tell whether a callable takes so many positional arguments; if it does not say, it does."""
+def _accepts(call: Callable[..., Any], count: int) -> bool:
+    """Return whether a callable accepts a number of positional arguments; true if unknown."""
     try:
         inspect.signature(call).bind(*[None] * count)
     except TypeError:
         return False
-    except ValueError:  # of what is written in C
+    except ValueError:  # functions written in C may have no signature
         return True
     return True
 
 
-def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
-    """Return the agent that ``module:Name`` names.
+def custom_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
+    """Return the agent ``module:Name``.
 
-    A class is built with the environment; what it gives, or the function itself, is an agent if it
-    has ``begin`` and ``act``, and else is called for every action.
+    A class is instantiated with the environment as its only argument. The instance, or a function,
+    is used directly if it has ``begin`` and ``act``; otherwise it is called for every action.
 
     Raises
     ------
     InputError
-        If it cannot be imported, or is nothing that can be called so.
+        If it cannot be imported, or cannot be called in this way.
     """
     module, _, attribute = name.partition(":")
     try:
@@ -66,16 +67,18 @@ def own_agent(env: gymnasium.Env[Any, Any], name: str) -> Any:
         said = str(error).split("\n")[0]
         raise InputError(
             "--agent", name,
-            "module:Name that can be imported, from the working directory or an installed package "
-            f"({type(error).__name__}: {said})",
+            f"cannot be imported ({type(error).__name__}: {said})",
+            "Put the module into the working directory or install it.",
         ) from error  # fmt: skip
-    if isinstance(found, type) and not _takes(found, 1):
-        raise InputError("--agent", name, "a class that is built with the environment alone")
+    if isinstance(found, type) and not _accepts(found, 1):
+        raise InputError(
+            "--agent", name, "must be a class that takes the environment as its only argument"
+        )
     made = found(env) if isinstance(found, type) else found
     if hasattr(made, "act") and hasattr(made, "begin"):
         return made
     if not callable(made):
-        raise InputError("--agent", name, "a function, a class, or an object that can be called")
-    if not (_takes(made, 1) or _takes(made, 2)):
-        raise InputError("--agent", name, "one that takes observation and info, or the former")
-    return CalledAgent(made)
+        raise InputError("--agent", name, "must be a function, a class or a callable object")
+    if not (_accepts(made, 1) or _accepts(made, 2)):
+        raise InputError("--agent", name, "must accept (observation, info) or (observation)")
+    return CallableAgent(made)

@@ -1,4 +1,4 @@
-"""Retargeting policies of the onboard computer as agents of ``Retarget-v0``."""
+"""Fly ``Retarget-v0`` with the retargeting policies of the onboard computer."""
 
 from __future__ import annotations
 
@@ -8,47 +8,48 @@ import gymnasium
 import numpy as np
 
 from lunarsim.simulation.loop import make_policy
-from lunarsim_envs.agents.contract import check_sites, refuse
+from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
 
 
 class PolicyAgent:
-    """A policy that decides on what the onboard computer shows it.
+    """Choose sites with an onboard policy.
 
-    A site that is none of the rows that the environment offers, and a decision to give up the
-    landing, are no actions there: the lander keeps its site. A stretch of the time-to-go is none
-    either: it stays as it comes.
+    If the policy chooses a site that is not a row of the observation, or decides to abort, the
+    lander keeps its site. The agent does not change the time-to-go.
 
     Parameters
     ----------
     env
         ``Retarget-v0``.
     kind
-        As `lunarsim parts policy` lists it.
+        Kind of policy from `lunarsim parts policy`.
 
     Raises
     ------
     InputError
-        If it is another environment, its actions choose no sites, or the policy has to be told the
-        truth.
+        If the environment is another one, its actions do not include a site, or the policy needs
+        the true hazard map.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], kind: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise refuse(kind, env, "Retarget-v0")
+            raise incompatible_agent_error(kind, env, "Retarget-v0")
         check_sites(kind, flown)
         self._env = flown
         self._policy = make_policy(flown.scenario, kind)
         if getattr(self._policy, "knows_truth", False):
-            raise refuse(kind, env, "no environment: it has to be told the truth")
+            raise incompatible_agent_error(
+                kind, env, "the true hazard map, which environments do not provide"
+            )
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing: policies decide by what they see."""
+        """Do nothing: policies have no memory and are deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the action of the site that the policy flies to, or keeps."""
+        """Return the action for the site that the policy chooses."""
         return self._env.actions.alone("site", self._row())
 
     def _row(self) -> int:

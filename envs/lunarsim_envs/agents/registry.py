@@ -1,4 +1,4 @@
-"""Agents by name, by file or by ``module:Name``."""
+"""Find agents by name, by file or as ``module:Name``."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import gymnasium
 from lunarsim.errors import InputError, suggestion
 from lunarsim.parts.registry import kinds
 from lunarsim_envs.agents.contract import Agent
-from lunarsim_envs.agents.laws import LawAgent, Polynomial
+from lunarsim_envs.agents.laws import GuidanceLawAgent, PolynomialLawAgent
 from lunarsim_envs.agents.network import Network, NetworkAgent
 from lunarsim_envs.agents.onnx_network import OnnxAgent
-from lunarsim_envs.agents.own import own_agent
+from lunarsim_envs.agents.own import custom_agent
 from lunarsim_envs.agents.policies import PolicyAgent
-from lunarsim_envs.agents.simple import Hover, Random, Zero
+from lunarsim_envs.agents.simple import HoverAgent, RandomAgent, ZeroAgent
 from lunarsim_envs.agents.site_network import SiteNetwork, SiteNetworkAgent, is_site_network
-from lunarsim_envs.agents.stored import StoredAgent, check_trust
+from lunarsim_envs.agents.stored import Sb3Agent, check_trust
 
 BUILT_IN: dict[str, Any] = {
-    "zero": Zero, "random": Random, "hover": Hover, "polynomial": Polynomial
+    "zero": ZeroAgent, "random": RandomAgent, "hover": HoverAgent, "polynomial": PolynomialLawAgent
 }  # fmt: skip
-# Trained networks that come with the package, by name.
+# Folder of the trained networks that come with the package.
 _SHIPPED = Path(__file__).parent / "trained"
 
 
-def shipped() -> dict[str, Path]:
+def packaged_agents() -> dict[str, Path]:
     """Return the files of trained agents that come with the package, by name."""
     return {path.stem: path for path in sorted(_SHIPPED.glob("*.npz"))}
 
 
 def known_agents() -> dict[str, str]:
-    """Return the names of agents and what each is.
+    """Return the type of each agent by name.
 
     Examples
     --------
@@ -40,13 +40,13 @@ def known_agents() -> dict[str, str]:
     'guidance law'
     """
     names = dict.fromkeys(BUILT_IN, "built in")
-    names |= dict.fromkeys(shipped(), "trained network")
+    names |= dict.fromkeys(packaged_agents(), "trained network")
     names |= dict.fromkeys(kinds("guidance"), "guidance law")
     return names | dict.fromkeys(kinds("policy"), "policy")
 
 
 def label(given: str) -> str:
-    """Return what an agent is called in tables: its name, its file without folders and ending.
+    """Return the name of an agent in tables; files lose their folder and suffix.
 
     Examples
     --------
@@ -63,7 +63,7 @@ def _is_file(given: str) -> bool:
 
 
 def check(given: str, *, trust_pickle: bool = False) -> None:
-    """Refuse what names no agent, and an untrusted pickle, before there is an environment.
+    """Check that an agent exists and may be loaded, without an environment.
 
     Raises
     ------
@@ -72,31 +72,36 @@ def check(given: str, *, trust_pickle: bool = False) -> None:
     """
     if _is_file(given):
         if not Path(given).is_file():
-            raise InputError("--agent", given, "an existing file")
+            raise InputError("--agent", given, "must be an existing file")
         if Path(given).suffix == ".zip":
             check_trust(given, trust_pickle)
     elif ":" not in given and given not in known_agents():
         near = suggestion(given, known_agents())
-        raise InputError("--agent", given, f"{near} Or a file (.npz, .onnx, .zip), or module:Name")
+        raise InputError(
+            "--agent",
+            given,
+            "must be a known name, a file (.npz, .onnx, .zip) or module:Name",
+            near,
+        )
 
 
 def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = False) -> Agent:
-    """Return the agent that a name, a file or ``module:Name`` stands for.
+    """Create an agent from a name, a file or ``module:Name``.
 
     Parameters
     ----------
     given
-        A name of `known_agents`; a network (``.npz``, ``.onnx``); a file of Stable-Baselines3
-        (``.zip``); or a callable, see `own.own_agent`.
+        Name from `known_agents`, network file (``.npz``, ``.onnx``), Stable-Baselines3 file
+        (``.zip``), or ``module:Name`` of a callable (`own.custom_agent`).
     env
-        That it is to fly.
+        Environment to fly.
     trust_pickle
-        Whether a file of Stable-Baselines3, which can run any code when it is read, is trusted.
+        Whether to read Stable-Baselines3 files, which can run any code when they are loaded.
 
     Raises
     ------
     InputError
-        If there is none, or it cannot fly this environment.
+        If there is no such agent, or it cannot fly this environment.
     """
     check(given, trust_pickle=trust_pickle)
     if _is_file(given):
@@ -105,20 +110,20 @@ def agent_of(given: str, env: gymnasium.Env[Any, Any], *, trust_pickle: bool = F
             return _network(env, path, given)
         if path.suffix == ".onnx":
             return OnnxAgent(env, path)
-        return StoredAgent(env, path, trust_pickle=trust_pickle)
+        return Sb3Agent(env, path, trust_pickle=trust_pickle)
     if ":" in given:
-        made: Agent = own_agent(env, given)
+        made: Agent = custom_agent(env, given)
         return made
     if given in BUILT_IN:
         built: Agent = BUILT_IN[given](env)
         return built
-    if given in shipped():
-        return _network(env, shipped()[given], given)
-    return LawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
+    if given in packaged_agents():
+        return _network(env, packaged_agents()[given], given)
+    return GuidanceLawAgent(env, given) if given in kinds("guidance") else PolicyAgent(env, given)
 
 
 def _network(env: gymnasium.Env[Any, Any], path: Path, name: str) -> Agent:
-    """Return the network of a file: one that chooses sites, or one that flies."""
+    """Load a network that chooses sites, or one that flies the descent."""
     if is_site_network(path):
         return SiteNetworkAgent(env, SiteNetwork.load(path), name)
     return NetworkAgent(env, Network.load(path), name)

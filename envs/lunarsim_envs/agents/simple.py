@@ -1,4 +1,4 @@
-"""Agents that know nothing: what they reach is what an environment gives away."""
+"""Trivial agents; their scores are the baseline that an environment gives without skill."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from lunarsim_envs.agents.contract import refuse
+from lunarsim_envs.agents.contract import incompatible_agent_error
 from lunarsim_envs.descent.env import DescentEnv
 
-_SPACES = "a Box, Discrete or MultiDiscrete"
+_SPACES = "Box, Discrete or MultiDiscrete"
 
 
-class Zero:
-    """Zero in every number of the action, or the first of discrete actions.
+class ZeroAgent:
+    """Always return zeros, or the first option of a discrete action.
 
     Parameters
     ----------
     env
-        Whose actions.
+        Environment with Box, Discrete or MultiDiscrete actions.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
@@ -32,44 +32,44 @@ class Zero:
         elif isinstance(space, spaces.Box):
             self._action = np.zeros(space.shape, space.dtype)
         else:
-            raise refuse("zero", env, f"environments whose actions are {_SPACES}")
+            raise incompatible_agent_error("zero", env, f"an action space of type {_SPACES}")
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing."""
+        """Do nothing: the action is constant."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the same action as ever."""
+        """Return the constant action."""
         return self._action
 
 
-class Random:
-    """Any action, each as likely as another; of discrete ones any that is available.
+class RandomAgent:
+    """Return uniformly distributed actions; discrete ones only among available options.
 
     Parameters
     ----------
     env
-        Whose actions.
+        Environment with Box, Discrete or MultiDiscrete actions.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         space = env.action_space
         if not isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.Box):
-            raise refuse("random", env, f"environments whose actions are {_SPACES}")
+            raise incompatible_agent_error("random", env, f"an action space of type {_SPACES}")
         self._space = space
         self._rng = np.random.default_rng(0)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Take the flight's generator."""
+        """Use the generator of the episode."""
         self._rng = rng
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Draw an action."""
+        """Draw a random action."""
         space = self._space
         if isinstance(space, spaces.Discrete):
             return space.start + self._of(info.get("action_mask"), int(space.n))
         if isinstance(space, spaces.MultiDiscrete):
             mask, counts = info.get("action_mask"), space.nvec.tolist()
-            # One mask of all numbers, those of one after those of the other.
+            # The mask concatenates the masks of all choices.
             ends = np.cumsum(counts)[:-1]
             masks = [None] * len(counts) if mask is None else np.split(mask, ends)
             drawn = [self._of(*one) for one in zip(masks, counts, strict=True)]
@@ -77,13 +77,13 @@ class Random:
         return self._rng.uniform(space.low, space.high).astype(space.dtype)
 
     def _of(self, mask: Any, count: int) -> np.int64:
-        """Draw one of so many, of those of a mask if there is one."""
+        """Draw one of `count` options, only among those of the mask if there is one."""
         known = np.arange(count) if mask is None else np.flatnonzero(mask)
         return np.int64(self._rng.choice(known))
 
 
-class Hover:
-    """Thrust that bears the weight at the start, straight up.
+class HoverAgent:
+    """Command a constant vertical thrust equal to the initial weight.
 
     Parameters
     ----------
@@ -93,13 +93,13 @@ class Hover:
     Raises
     ------
     InputError
-        If it is another.
+        If the environment is another one.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         flown = env.unwrapped
         if not isinstance(flown, DescentEnv):
-            raise refuse("hover", env, "Guidance-v0 and Control-v0")
+            raise incompatible_agent_error("hover", env, "Guidance-v0 or Control-v0")
         lanes = flown.descents.lanes
         dynamics = lanes.craft.dynamics
         weight = dynamics.lander.wet_mass * dynamics.gravity
@@ -107,8 +107,8 @@ class Hover:
         self._action = flown.descents.actions.action(wanted)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing."""
+        """Do nothing: the action is constant."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the same action as ever."""
+        """Return the constant action."""
         return self._action

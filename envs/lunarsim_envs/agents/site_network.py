@@ -1,4 +1,4 @@
-"""A network that chooses among sites: every site is scored alike, the best one is flown to."""
+"""Choose sites with a network that scores every site and selects the best one."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from numpy.typing import NDArray
 from lunarsim.array_files import read_arrays
 from lunarsim.errors import InputError
 from lunarsim.whole_arrays import write_arrays_whole
-from lunarsim_envs.agents.contract import check_sites, refuse
+from lunarsim_envs.agents.contract import check_sites, incompatible_agent_error
 from lunarsim_envs.retarget import RetargetEnv
 from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import Sights
+from lunarsim_envs.sites.sights import SiteInputs
 
 Array = NDArray[np.float64]
 
 FORMAT = "lunarsim site network 1"
-# What the network is shown of a site, and what each is measured by.
+# Input features of a site. The constants below are the scales of the features.
 FEATURES = (
     "log-odds of safety", "propellant over that of the present site", "distance", "is the present",
     "has been seen", "altitude", "expected miss", "log-odds under the best",
 )  # fmt: skip
 _LOG_ODDS, _PROPELLANT, _DISTANCE, _ALTITUDE, _MISS = 5.0, 2.0, 30.0, 200.0, 1.0
-# Log-odds are cut where the map's own model errors matter more than its figures.
+# Bounds of p_safe before log-odds: beyond them, model errors of the map dominate.
 _LEAST, _MOST = 1e-6, 0.999
 
 
-def features(sights: Sights) -> tuple[Array, NDArray[np.bool_]]:
-    """Return what is seen of the options (n, 21, features), and which can be had (n, 21).
+def features(sights: SiteInputs) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the features (n, 21, features) and the availability (n, 21) of all options.
 
-    Option 0 is the present site, the others are the rows of the actions.
+    Option 0 is the current site, the others are the rows of the action space.
     """
     n, m = len(sights.site), min(SITES, sights.p_safe.shape[1])
     p = np.zeros((n, SITES + 1))
@@ -63,14 +63,15 @@ def features(sights: Sights) -> tuple[Array, NDArray[np.bool_]]:
 
 @dataclass(frozen=True)
 class SiteNetwork:
-    """Scores of options: linear in their features, and a layer of tanh beside it.
+    """Score options by a linear function of their features plus one hidden tanh layer.
 
     Attributes
     ----------
     linear
         Weights of the features (features,).
     inner, bias, outer
-        Of the layer (hidden, features), (hidden,), (hidden,).
+        Input weights (hidden, features), biases (hidden,) and output weights (hidden,) of the
+        hidden layer.
     """
 
     linear: Array
@@ -80,24 +81,24 @@ class SiteNetwork:
 
     @classmethod
     def of(cls, flat: Array, hidden: int) -> SiteNetwork:
-        """Return the network of one row of numbers, see `flat`."""
+        """Create a network from a flat vector of weights in the order of `flat`."""
         k = len(FEATURES)
         parts = np.split(flat, np.cumsum([k, hidden * k, hidden]))
         return cls(parts[0], parts[1].reshape(hidden, k), parts[2], parts[3])
 
     @property
     def flat(self) -> Array:
-        """All weights one after another."""
+        """All weights as one vector."""
         return np.concatenate((self.linear, self.inner.ravel(), self.bias, self.outer))
 
-    def choose(self, sights: Sights) -> NDArray[np.int64]:
-        """Return the best option of every lander (n,)."""
+    def choose(self, sights: SiteInputs) -> NDArray[np.int64]:
+        """Return the best available option of every lander (n,)."""
         x, good = features(sights)
         scores = x @ self.linear + np.tanh(x @ self.inner.T + self.bias) @ self.outer
         return np.asarray(np.where(good, scores, -np.inf).argmax(axis=1))
 
     def save(self, path: Path) -> None:
-        """Write it as ``.npz``."""
+        """Write the network to a ``.npz`` file."""
         held: dict[str, Any] = {
             name: getattr(self, name) for name in ("linear", "inner", "bias", "outer")
         }
@@ -105,31 +106,31 @@ class SiteNetwork:
 
     @classmethod
     def load(cls, path: Path) -> SiteNetwork:
-        """Read what `save` wrote.
+        """Read a network written by `save`.
 
         Raises
         ------
         InputError
-            If the file is something else, or its layers do not fit.
+            If the file is not a site network, or its layers have inconsistent shapes.
         """
         try:
             found = read_arrays(path)
             if str(found["format"]) != FORMAT:
-                raise ValueError(f"its format is {found['format']}")
+                raise ValueError(f"the format is {found['format']}")
             made = cls(*(found[name] for name in ("linear", "inner", "bias", "outer")))
             k, hidden = len(FEATURES), len(made.bias)
             shapes = made.linear.shape, made.inner.shape, made.outer.shape
             if shapes != ((k,), (hidden, k), (hidden,)) or not np.isfinite(made.flat).all():
-                raise ValueError("layers that do not fit, or are not finite")
+                raise ValueError("layers have inconsistent shapes or values that are not finite")
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "--agent", str(path), f"a network of train_retarget.py ({error})"
+                "--agent", str(path), f"must be a network from train_retarget.py ({error})"
             ) from None
         return made
 
 
 def is_site_network(path: Path) -> bool:
-    """Tell whether a file says that it is one; what is no file of arrays is none."""
+    """Return whether a file has the format of a site network; false for other files."""
     try:
         return str(read_arrays(path).get("format")) == FORMAT
     except ValueError:
@@ -137,32 +138,34 @@ def is_site_network(path: Path) -> bool:
 
 
 class SiteNetworkAgent:
-    """A network that chooses in ``Retarget-v0``; it is shown what the onboard computer shows.
+    """Fly ``Retarget-v0`` with a site network, which gets the same inputs as onboard policies.
 
     Parameters
     ----------
     env
-        Which.
-    network, name
-        Of the file, for messages.
+        ``Retarget-v0``.
+    network
+        Trained network.
+    name
+        Name of the agent, for messages.
 
     Raises
     ------
     InputError
-        If the environment is another, or its actions choose no sites.
+        If the environment is another one, or its actions do not include a site.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], network: SiteNetwork, name: str) -> None:
         flown = env.unwrapped
         if not isinstance(flown, RetargetEnv):
-            raise refuse(name, env, "Retarget-v0")
+            raise incompatible_agent_error(name, env, "Retarget-v0")
         check_sites(name, flown)
         self._env, self._network = flown, network
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Draw nothing."""
+        """Do nothing: the network has no memory and is deterministic."""
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the best action; the time-to-go stays as it comes."""
+        """Return the action for the best site; the time-to-go is not changed."""
         best = self._network.choose(self._env.flight.sights)[0]
         return self._env.actions.alone("site", int(best))

@@ -1,4 +1,4 @@
-"""Agents in files of Stable-Baselines3 and sb3-contrib; they need the extra ``rl`` to fly."""
+"""Fly agents saved by Stable-Baselines3 or sb3-contrib; needs the extra ``rl``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import numpy as np
 
 from lunarsim.errors import InputError
 
-# Where a policy's class stands tells which algorithm the file is of; all of one policy act alike.
+# Module of the policy class, and an algorithm that loads it. Agents with the same policy class act
+# alike, so any algorithm with that policy can load the file.
 _ALGORITHMS = (
     ("sb3_contrib.common.maskable", "sb3_contrib", "MaskablePPO"),
     ("sb3_contrib.common.recurrent", "sb3_contrib", "RecurrentPPO"),
@@ -25,33 +26,35 @@ _ALGORITHMS = (
 
 
 def _algorithm(path: Path) -> Any:
-    """Return the class that loads a file.
+    """Return the algorithm class that loads a file.
 
     Raises
     ------
     InputError
-        If it is none of Stable-Baselines3's, of an algorithm that is not known here, or the
-        libraries are missing.
+        If the file is not from Stable-Baselines3, its algorithm is not supported, or the library is
+        missing.
     """
     try:
         with zipfile.ZipFile(path) as file:
             policy = str(json.loads(file.read("data"))["policy_class"]["__module__"])
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError, RecursionError):
-        raise InputError("--agent", str(path), "a file that Stable-Baselines3 has saved") from None
+        raise InputError("--agent", str(path), "must be a file from Stable-Baselines3") from None
     for begins, package, name in _ALGORITHMS:
         if policy.startswith(begins):
             try:
                 return getattr(importlib.import_module(package), name)
             except ImportError:
                 raise InputError(
-                    "--agent", str(path), f"{package}, which the extra `rl` installs"
+                    "--agent", str(path), f"needs {package}", "Install the extra `rl`."
                 ) from None
     known = ", ".join(name for _, _, name in _ALGORITHMS)
-    raise InputError("--agent", str(path), f"one of {known}; its policy is of {policy}")
+    raise InputError(
+        "--agent", str(path), f"must be an agent of {known}, but its policy is from {policy}"
+    )
 
 
 def _sizes(space: gymnasium.Space[Any]) -> Any:
-    """Return what must be alike of a space for an agent of one to fly the other, for messages."""
+    """Return type and size of a space, to compare spaces and for messages."""
     if isinstance(space, gymnasium.spaces.Dict):
         return {name: _sizes(part) for name, part in sorted(space.items())}
     if isinstance(space, gymnasium.spaces.Discrete):
@@ -62,7 +65,7 @@ def _sizes(space: gymnasium.Space[Any]) -> Any:
 
 
 def check_trust(given: str, trust_pickle: bool) -> None:
-    """Refuse a file of Stable-Baselines3 that is no archive, or that the user does not trust.
+    """Check that a file is a Stable-Baselines3 archive and that the user trusts it.
 
     Raises
     ------
@@ -70,44 +73,45 @@ def check_trust(given: str, trust_pickle: bool) -> None:
         Naming ``--agent``.
     """
     if not zipfile.is_zipfile(given):
-        raise InputError("--agent", given, "a file that Stable-Baselines3 has saved")
+        raise InputError("--agent", given, "must be a file from Stable-Baselines3")
     if not trust_pickle:
         raise InputError(
             "--agent", given,
-            "a pickle, which can run any code when it is read. Trust its source? Then add "
-            "--trust-pickle (Python: trust_pickle=True); .npz files need no trust",
+            "is a pickle, which can run any code when it is loaded",
+            "If you trust it, add --trust-pickle (Python: trust_pickle=True).",
         )  # fmt: skip
 
 
 def load_model(path: Path) -> Any:
-    """Return the model of a file of Stable-Baselines3, which can run any code when it is read.
+    """Load a Stable-Baselines3 model; loading can run any code in the file.
 
     Raises
     ------
     InputError
-        See `_algorithm`.
+        If the file is not from Stable-Baselines3, its algorithm is not supported, or the library is
+        missing.
     """
     return _algorithm(path).load(path, device="cpu")
 
 
-class StoredAgent:
-    """An agent that Stable-Baselines3 has saved, without exploration.
+class Sb3Agent:
+    """Fly a Stable-Baselines3 agent without exploration.
 
-    Such a file is a pickle, which can run any code when it is read.
+    The file is a pickle, which can run any code when it is loaded.
 
     Parameters
     ----------
     env
-        Whose observations and actions it must have been trained on.
+        Environment with the observation and action spaces of the training.
     path
-        Of the file, ``.zip``.
+        File to load (``.zip``).
     trust_pickle
-        Whether the user trusts the file. It is not read otherwise.
+        Whether the user trusts the file. Otherwise it is refused without loading.
 
     Raises
     ------
     InputError
-        If the file will not do, or is of other spaces.
+        If the file cannot be used, or was trained with other spaces.
     """
 
     def __init__(
@@ -118,17 +122,19 @@ class StoredAgent:
         for what in ("observation_space", "action_space"):
             own, others = (_sizes(getattr(one, what)) for one in (env, self._model))
             if own != others:
-                raise InputError("--agent", str(path), f"one trained on {what} {own}, not {others}")
+                raise InputError(
+                    "--agent", str(path), f"must be trained with {what} {own}, not {others}"
+                )
         self._masked = type(self._model).__name__ == "MaskablePPO"
         self._memory: Any = None
         self._first = True
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Forget the last flight."""
+        """Reset the memory of the agent."""
         self._memory, self._first = None, True
 
     def act(self, observation: Any, info: dict[str, Any]) -> Any:
-        """Return the likeliest action."""
+        """Return the most likely action."""
         if self._masked:
             mask = np.asarray(info["action_mask"], dtype=bool)
             return self._model.predict(observation, action_masks=mask, deterministic=True)[0]

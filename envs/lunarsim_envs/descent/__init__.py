@@ -1,1 +1,1 @@
-"""Descents flown by the agent itself: one kernel for one lander or for thousands side by side."""
+"""Descents that an agent flies itself; one kernel flies one lander or thousands in parallel."""

@@ -1,8 +1,4 @@
-"""Compiled descents, a lane each: draws at the start, and the way from one action to the next.
-
-The vehicle, the attitude loop and the touchdown are the simulation's own kernels. A lane's draws
-hang on its key and on how many flights it has begun, on nothing else.
-"""
+"""Compiled kernels of the descent environments: random starts, flight steps and touchdown."""
 
 from __future__ import annotations
 
@@ -16,9 +12,9 @@ from lunarsim.vehicle._kernels import advance_bodies
 from lunarsim.vehicle._touchdown_kernels import OFF_MAP, height_at, judge, touches
 from lunarsim_envs.descent import _loop_kernels as loop
 
-# How a flight stands.
+# Status of a flight.
 FLYING, LANDED, LOST, LATE = 0, 1, 2, 3
-# Draws that a flight has room for.
+# Random draws reserved for each flight.
 _DRAWS = 16
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -27,10 +23,7 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 
 @kernel()
 def uniform(key, count):
-    """Return draw number `count` of a key, in (0, 1).
-
-    SplitMix64: Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014.
-    """
+    """Return draw `count` of a key in (0, 1), by SplitMix64 (Steele, Lea and Flood, 2014)."""
     x = np.uint64(key) + _GOLDEN * np.uint64(count + 1)
     x = (x ^ (x >> np.uint64(30))) * _FIRST
     x = (x ^ (x >> np.uint64(27))) * _SECOND
@@ -50,26 +43,7 @@ def begin(
     share, mask, keys, begun, y, rate, target, world, time, ended, starts, aims, spans, upright,
     weight, reliefs, frame,
 ):  # fmt: skip
-    """Draw and set a new flight in every lane of `mask`.
-
-    Parameters
-    ----------
-    mask, keys, begun
-        Lanes to begin (n,), their keys (n,) and how many flights each has begun (n,).
-    y, rate, target, world, time, ended
-        State (n, 15), body rate as the gyroscopes tell it (n, 3), rad/s, target (n, 3), index of
-        the world, s, how it stands.
-    starts
-        Planned position over the target and velocity, and their standard deviations (n, 8).
-    aims
-        Middle and half sides of the targets' scatter (n, 4), m.
-    spans
-        First of the worlds that a lane may meet, and how many there are (n, 2).
-    upright, weight
-        Attitude at the start (4,); mass (kg) and thrust (N) (2,).
-    reliefs, frame
-        Ground without rocks of each world (k, rows, cols), and where it is: see `height_at`.
-    """
+    """Start a new random flight in every lane of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -98,18 +72,18 @@ def begin(
         ended[i] = FLYING
 
 
-# What of a flight's draws are where: see `variation.DRAWN`.
+# Indices of the randomized parameters, in the order of `variation.DRAWN`.
 LOAD, IMPULSE, THRUST, LAG, OFFSET, FAILS, ENGINE, TORQUE, SEES_LATE, ACTS_LATE = (
     0, 1, 2, 3, 4, 6, 7, 8, 11, 12,
 )  # fmt: skip
 DRAWS = 13
-# Sets these draws apart from those of the start.
+# Random stream of the randomized parameters.
 VARIED = np.uint64(0xD1342543DE82EF95)
 
 
 @kernel()
 def draw(key, flight, ranges, out):
-    """Draw what is a flight's own (13,) from the ranges of `Variation` (12,)."""
+    """Draw the randomized parameters of a flight (13,) from the ranges of `Variation` (12,)."""
     key = np.uint64(key) ^ VARIED
     first = flight * 2 * DRAWS
     for k in range(6):
@@ -129,19 +103,7 @@ def draw(key, flight, ranges, out):
 
 @kernel(shared=True)
 def vary(share, mask, keys, begun, ranges, standard, nominal, drawn, figures, y):
-    """Draw what is their own of the flights in the lanes of `mask` (n,), which have begun.
-
-    Parameters
-    ----------
-    mask, keys, begun
-        As `begin` takes them, after it.
-    ranges, standard
-        Of `Variation` (12,); standard gravity, m/s^2.
-    nominal
-        Gravity, exhaust velocity, lag, dry and wet mass of the lander (5,).
-    drawn, figures, y
-        Draws (n, 13); each lander's own figures (n, 5); states (n, 15), whose mass is set.
-    """
+    """Apply new randomized parameters to the started flights of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -166,10 +128,11 @@ def scatter(share, mask, keys, counts, out):
 
 
 class Vehicle(NamedTuple):
-    """Landers and how they are flown, SI; see `advance_bodies` and `judge` for the rest.
+    """Vehicle parameters, SI.
 
-    `figures` (n, 5) and `drawn` (n, 13) are each lander's own, see `vary`; `control` (9,): least
-    and greatest thrust, tilt, gains of the attitude loop, greatest torques.
+    `figures` (n, 5) and `drawn` (n, 13) are the randomized parameters of each lane; `control` (9,)
+    has minimum and maximum thrust, maximum tilt, gains of the attitude loop (3) and maximum torques
+    (3). The other fields are arguments of `advance_bodies` and `judge`.
     """
 
     figures: np.ndarray
@@ -186,7 +149,7 @@ class Vehicle(NamedTuple):
 
 
 class Grounds(NamedTuple):
-    """Heights with rocks of each world (k, rows, cols), where they are, the extremes (k, 2), m."""
+    """Heights with rocks (k, rows, cols), m; corner and posting (3,), m; height range (k, 2), m."""
 
     z: np.ndarray
     frame: np.ndarray
@@ -194,7 +157,7 @@ class Grounds(NamedTuple):
 
 
 class Flights(NamedTuple):
-    """How flights stand (n,): world, time (s), end, limits failed, and the touchdown (n, 7)."""
+    """Status of all lanes (n,): world, time (s), end, failed limits, touchdown values (n, 7)."""
 
     world: np.ndarray
     time: np.ndarray
@@ -205,7 +168,7 @@ class Flights(NamedTuple):
 
 @kernel()
 def _end(i, y, vehicle, grounds, flights):
-    """Return 1 if a flight has ended, on the ground or under the map, and note how; else 0."""
+    """Record the end of a flight by touchdown or below the map; return 1 if it ended, else 0."""
     w = flights.world[i]
     z, frame = grounds.z[w], grounds.frame
     if touches(y, vehicle.pads, vehicle.disc, z, frame):
@@ -226,10 +189,7 @@ def _end(i, y, vehicle, grounds, flights):
 
 @kernel(exact=True)
 def _loaded(first, beyond, ended, y, lanes, block):
-    """Take the lanes that are in flight into a block (15, width), and return how many there are.
-
-    What room is left is filled with the first of them, which comes to no harm.
-    """
+    """Copy flying lanes into a block (15, width), padded by the first; return their number."""
     count = 0
     for i in range(first, beyond):
         if ended[i] == FLYING:
@@ -244,10 +204,7 @@ def _loaded(first, beyond, ended, y, lanes, block):
 
 @kernel(exact=True)
 def _asked(block, own, n, action, guided, control, heading, load, attitude):
-    """Take what an action asks of lane n: thrust, and the attitude or torques.
-
-    A load that was drawn is not known: the thrust is that for the mass without it.
-    """
+    """Store the commanded thrust, and attitude or torques, of lane n; ignores a random load."""
     if guided:
         own[loop.THRUST, n] = steer(
             action, block[13, n] - load, control[0], control[1], heading, control[2], attitude
@@ -262,11 +219,11 @@ def _asked(block, own, n, action, guided, control, heading, load, attitude):
 
 @kernel(exact=True)
 def _takes(i, block, own, n, figures, rate, vehicle, levels, reach, flights):
-    """Take lane i into place n of a block: its figures, draws, and what the loop knows of it."""
+    """Copy parameters, random draws and controller state of lane i to place n of a block."""
     for k in range(5):
         figures[k, n] = vehicle.figures[i, k]
     drawn, inertia = vehicle.drawn[i], vehicle.inertia
-    # The moments at its mass, as the attitude loop knows them.
+    # Moments of inertia at the current mass, which the attitude loop uses.
     full = (block[13, n] - figures[3, n]) / (figures[4, n] - figures[3, n])
     for k in range(3):
         own[loop.MOMENT + k, n] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
@@ -290,7 +247,7 @@ def _stored(block, own, n, i, y, rate, flights):
 
 @kernel()
 def _ended(block, own, count, lanes, y, rate, vehicle, grounds, flights):
-    """Return how many lanes of a block have ended, on the ground or under the map."""
+    """Return the number of lanes of a block that have ended."""
     over = 0
     for n in range(count):
         i = lanes[n]
@@ -302,20 +259,7 @@ def _ended(block, own, count, lanes, y, rate, vehicle, grounds, flights):
 
 @kernel(shared=True)
 def advance(share, y, rate, actions, guided, steps, dt, limit, width, vehicle, grounds, flights):
-    """Fly every lane that is in flight for `steps` steps under its action, or to its end.
-
-    Parameters
-    ----------
-    y, rate
-        State (n, 15), and the body rate as gyroscopes tell it (n, 3), rad/s.
-    actions, guided
-        Thrust accelerations (n, 3), m/s^2, for the attitude loop; or thrust and torques (n, 4), N.
-    steps, dt, limit, width
-        Steps of the integration, their length, when a flight is over, s; lanes that are integrated
-        side by side, on which nothing depends.
-    vehicle, grounds, flights
-        See there.
-    """
+    """Fly every flying lane for `steps` steps with its action, or to its end."""
     v, ended = vehicle, flights.ended
     gains, most = v.control[3:6], v.control[6:]
     reach = np.sqrt(np.max(np.sum(v.pads * v.pads, axis=1))) + 0.1

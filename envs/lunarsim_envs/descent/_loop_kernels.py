@@ -1,9 +1,4 @@
-"""The attitude loop of lanes side by side, on perfect gyroscopes.
-
-What the loop knows of the attitude is the attitude itself: following perfect gyroscopes from it
-leads to it again. A block is written row by row, lanes beside each other, so that the compiler
-takes some of them at a time; it does so without leaving the order of any sum.
-"""
+"""Compiled attitude loop for blocks of lanes, with perfect gyroscopes."""
 
 from __future__ import annotations
 
@@ -12,14 +7,14 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim.onboard.control._kernels import limited_torque
 
-# Rows of a block (ROWS, width): attitude asked for and the one before a step; body rate as the
-# gyroscopes tell it; torques asked for; moments of inertia; thrust asked for; time flown; what the
-# flight has drawn (`variation.DRAWN`); what is under the lander, so low that it may touch.
+# Rows of a block (ROWS, width): commanded and previous attitude; measured body rate; commanded
+# torques; moments of inertia; commanded thrust; flight time; randomized parameters
+# (`variation.DRAWN`); height below which the lander may touch down.
 AIM, BEFORE, RATE, TORQUE, MOMENT, THRUST, TIME, FAILS, ENGINE, WEAK, SHARE, OFFSET, FLOOR = (
     0, 4, 8, 11, 14, 17, 18, 19, 20, 21, 24, 25, 27,
 )  # fmt: skip
 ROWS = 28
-# Of Cephes' atan (Moshier, 1989), to 2e-16 of the angle: two polynomials of the tangent's square.
+# Polynomials of Cephes' atan (Moshier, 1989) in the squared tangent; relative error 2e-16.
 _P = (
     -8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
     -1.228866684490136173410e2, -6.485021904942025371773e1,
@@ -28,13 +23,13 @@ _Q = (
     2.485846490142306297962e1, 1.650270098316988542046e2, 4.328810604912902668951e2,
     4.853903996359136964868e2, 1.945506571482613964425e2,
 )  # fmt: skip
-# Tangents of 3/8 pi and of where a quarter turn is taken off.
+# Tangents of 3/8 pi, and of the limit above which pi / 4 is subtracted.
 _STEEP, _MIDDLE = 2.41421356237309504880, 0.66
 
 
 @kernel(exact=True)
 def arc(s, w):
-    """Return the angle whose sine and cosine are as s to w, both 0 or more, without branches."""
+    """Return atan2(s, w) for s and w of 0 or more, without branches."""
     steep = s > _STEEP * w
     middle = s > _MIDDLE * w
     over = -w if steep else (s - w if middle else s)
@@ -49,7 +44,7 @@ def arc(s, w):
 
 @kernel(exact=True)
 def _between(block, a, other, b, out, n):
-    """Write the rotation vector of lane n from the quaternion in rows a on to that in rows b."""
+    """Write the rotation vector of lane n between the quaternions in rows a and rows b."""
     qx, qy, qz, qw = block[a, n], block[a + 1, n], block[a + 2, n], block[a + 3, n]
     tx, ty, tz, tw = other[b, n], other[b + 1, n], other[b + 2, n], other[b + 3, n]
     x = qw * tx - qx * tw - qy * tz + qz * ty
@@ -66,21 +61,7 @@ def _between(block, a, other, b, out, n):
 
 @kernel(inner=True)
 def ask(block, own, width, gains, most, error):
-    """Ask for torques by the proportional-derivative law, and keep the attitude.
-
-    Parameters
-    ----------
-    block
-        States (15, width).
-    own
-        See the rows above (ROWS, width).
-    width
-        Lanes.
-    gains, most
-        Natural frequency (rad/s), damping ratio, slew limit (rad/s); greatest torques (3,), N m.
-    error
-        Scratch (3, width).
-    """
+    """Compute torques by the proportional-derivative law, and store the attitude."""
     for n in range(width):
         _between(block, 6, own, AIM, error, n)
     for k in range(3):
@@ -96,7 +77,7 @@ def ask(block, own, width, gains, most, error):
 
 @kernel(inner=True)
 def sense(block, own, width, dt, turn):
-    """Let gyroscopes tell the rate over the step that was flown; `turn` is scratch (3, width)."""
+    """Compute the gyroscope rates over the last step; `turn` (3, width) is scratch."""
     for n in range(width):
         _between(own, BEFORE, block, 6, turn, n)
     for k in range(3):
@@ -106,11 +87,7 @@ def sense(block, own, width, dt, turn):
 
 @kernel(inner=True)
 def give(block, own, width, gives, torque):
-    """Write thrusts (width,), N, and torques (3, width), N m, that come of what is asked.
-
-    What a flight has drawn weakens them. The engine's line off the centre of mass turns the lander
-    by its thrust at the step's start.
-    """
+    """Write thrusts (width,), N, and torques (3, width), N m, with failures and thrust offset."""
     for n in range(width):
         asked = own[THRUST, n] * (1.0 + own[SHARE, n])
         gives[n] = asked * own[ENGINE, n] if own[TIME, n] >= own[FAILS, n] else asked
@@ -126,7 +103,7 @@ def give(block, own, width, gives, torque):
 
 @kernel(inner=True)
 def low(block, own, width):
-    """Return how many lanes are so low that they may touch."""
+    """Return the number of lanes that are low enough to touch down."""
     count = 0
     for n in range(width):
         count += 1 if block[2, n] <= own[FLOOR, n] else 0

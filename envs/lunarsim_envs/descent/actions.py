@@ -1,4 +1,4 @@
-"""What an agent commands: numbers from -1 to 1, and what they stand for."""
+"""Convert actions from -1 to 1 to physical commands."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from lunarsim.models.lander import Lander
 
 Array = NDArray[np.float64]
 
-# An action may lie past its bounds by the rounding of a float32.
+# Actions may exceed their bounds by the rounding error of float32.
 _ROUNDING = 1e-6
 
 
 class Actions:
-    """Thrust accelerations, or thrust and torques.
+    """Action space of thrust accelerations, or of thrust and torques.
 
     Parameters
     ----------
     lander
-        Whose.
+        Vehicle that defines the limits.
     guided
-        Which of the two.
+        Whether actions are thrust accelerations (true), or thrust and torques (false).
 
     Attributes
     ----------
     scale, offset
-        Physical units are ``offset + scale * action``.
+        Physical values are ``offset + scale * action``, m/s^2, or N and N m.
     """
 
     def __init__(self, lander: Lander, *, guided: bool) -> None:
@@ -38,40 +38,40 @@ class Actions:
 
     @property
     def space(self) -> spaces.Box:
-        """Of one lane."""
+        """Action space of one environment."""
         return spaces.Box(-1.0, 1.0, self.scale.shape, np.float32)
 
     def physical(self, action: ArrayLike, count: int | None = None) -> Array:
-        """Return actions in physical units (n, size).
+        """Convert actions to physical units (n, size).
 
         Parameters
         ----------
         action
-            From -1 to 1 (n, size), or (size,) of one environment.
+            Actions from -1 to 1 (n, size), or (size,) for a single environment.
         count
-            Of lanes n; None: one environment.
+            Number of environments n; None for a single environment.
 
         Raises
         ------
         ValueError
-            If it is of another shape or type, not finite, or out of bounds.
+            If actions have another shape or type, are not finite or are out of bounds.
         """
         size = len(self.scale)
         shape = (size,) if count is None else (count, size)
         given = np.asarray(action)
         if given.shape != shape or given.dtype.kind not in "fiu":
             raise ValueError(
-                f"action of shape {given.shape} and type {given.dtype}: must be numbers of shape "
-                f"{shape} from -1 to 1"
+                f"action: must be numbers from -1 to 1 of shape {shape}, got shape {given.shape} "
+                f"and type {given.dtype}."
             )
         wide = given.astype(np.float64).reshape(-1, size)
         most = np.abs(wide).max(initial=0.0)
         if not most <= 1.0 + _ROUNDING:
-            told = "a number that is not finite" if not np.isfinite(most) else f"{most:g} in size"
-            raise ValueError(f"action with {told}: must lie from -1 to 1")
+            told = "a value that is not finite" if not np.isfinite(most) else f"magnitude {most:g}"
+            raise ValueError(f"action: must be from -1 to 1, got {told}.")
         return np.asarray(self.offset + self.scale * np.clip(wide, -1.0, 1.0))
 
     def action(self, physical: ArrayLike) -> NDArray[np.float32]:
-        """Return the action that stands nearest to physical units (..., size)."""
+        """Return the action closest to values in physical units (..., size)."""
         scaled = (np.asarray(physical, dtype=np.float64) - self.offset) / self.scale
         return np.asarray(np.clip(scaled, -1.0, 1.0), dtype=np.float32)

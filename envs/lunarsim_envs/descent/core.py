@@ -1,4 +1,4 @@
-"""What one descent and many share: lanes, what is shown of them, actions, rewards."""
+"""Combine landers, observations, actions and rewards for single and vector environments."""
 
 from __future__ import annotations
 
@@ -13,20 +13,26 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle.variation import DRAWN
-from lunarsim_envs.arguments import covers_of, scenario_of, truth_of, weights_of, whole
+from lunarsim_envs.arguments import (
+    checked_bool,
+    checked_covers,
+    checked_int,
+    checked_weights,
+    scenario_argument,
+)
 from lunarsim_envs.descent.actions import Actions
-from lunarsim_envs.descent.lanes import FLYING, LATE, Craft, Lanes
-from lunarsim_envs.descent.observations import DEFAULT, Shown
-from lunarsim_envs.descent.options import check_height, take
+from lunarsim_envs.descent.lanes import FLYING, LATE, DescentBatch, VehicleParams
+from lunarsim_envs.descent.observations import DEFAULT, ObservationLayout
+from lunarsim_envs.descent.options import apply_options, check_height
 from lunarsim_envs.descent.rewards import DescentWeights, Rewards
-from lunarsim_envs.descent.senses import Senses
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.senses import SensingModel
+from lunarsim_envs.descent.worlds import WorldPool
 
 Mask = NDArray[np.bool_]
 
 
 def level() -> Scenario:
-    """Return nearly level ground without rocks, and starts 400 to 600 m up."""
+    """Return the default scenario: nearly flat terrain without rocks, start at 500 m."""
     return Scenario.from_dict(
         {
             "name": "level",
@@ -39,15 +45,15 @@ def level() -> Scenario:
 
 
 def _rate(given: Any) -> float:
-    """Return a number above 0."""
+    """Return a positive number."""
     numbers = int, float, np.integer, np.floating
     if isinstance(given, bool) or not isinstance(given, numbers) or not given > 0:
-        raise InputError("rate_hz", given, "a number above 0")
+        raise InputError("rate_hz", given, "must be a positive number")
     return float(given)
 
 
-class Settings(TypedDict, total=False):
-    """What environments are told, for one descent and for many: see `env.GuidanceEnv`."""
+class DescentEnvArguments(TypedDict, total=False):
+    """Arguments of single and vector environments, described in `env.GuidanceEnv`."""
 
     scenario: Scenario | str | Path | None
     changes: Mapping[str, Any] | None
@@ -60,17 +66,17 @@ class Settings(TypedDict, total=False):
     privileged: bool
 
 
-class Descents:
-    """Lanes with their spaces and rewards; the environments are made of it.
+class DescentEnvCore:
+    """Landers with their spaces and rewards: the core of the descent environments.
 
     Parameters
     ----------
     count
-        Of lanes; None: of one environment, whose actions are (size,).
+        Number of landers n; None for a single environment with actions (size,).
     guided
-        Whether actions are thrust accelerations.
+        Whether actions are thrust accelerations (true), or thrust and torques (false).
     scenario, changes, rate_hz, observation, weights, worlds, world_seed, covers, privileged
-        `Settings`.
+        Arguments of the environment, described in `env.GuidanceEnv`.
     """
 
     def __init__(
@@ -89,71 +95,75 @@ class Descents:
         privileged: bool = False,
     ) -> None:
         self.many = count is not None
-        count = whole("num_envs", 1 if count is None else count, 1)
-        worlds, world_seed = whole("worlds", worlds, 1), whole("world_seed", world_seed, 0)
+        count = checked_int("num_envs", 1 if count is None else count, 1)
+        worlds, world_seed = (
+            checked_int("worlds", worlds, 1),
+            checked_int("world_seed", world_seed, 0),
+        )
         privileged, weights = (
-            truth_of("privileged", privileged),
-            weights_of(weights, DescentWeights),
+            checked_bool("privileged", privileged),
+            checked_weights(weights, DescentWeights),
         )
         rate_hz = _rate(rate_hz)
-        self.scenario = scenario_of(scenario, changes, level())
-        craft = Craft.of(self.scenario)
-        self.shown = Shown(observation)
+        self.scenario = scenario_argument(scenario, changes, level())
+        craft = VehicleParams.of(self.scenario)
+        self.shown = ObservationLayout(observation)
         self.actions = Actions(craft.dynamics.lander, guided=guided)
-        ground = Worlds.of(self.scenario, worlds, world_seed, covers_of(covers))
-        self.lanes = Lanes(count, craft, ground, guided=guided, rate=rate_hz)
+        ground = WorldPool.of(self.scenario, worlds, world_seed, checked_covers(covers))
+        self.lanes = DescentBatch(count, craft, ground, guided=guided, rate=rate_hz)
         check_height(craft.start, self.lanes)
         self.rewards = Rewards(weights or DescentWeights.of(self.scenario), self.lanes)
-        self.truth = Shown(DEFAULT) if privileged else None
+        self.truth = ObservationLayout(DEFAULT) if privileged else None
         self.senses = self._senses() if craft.variation is not None else None
 
-    def _senses(self) -> Senses:
-        """Return how lanes see and act that are not all alike: idle ones bear their weight."""
+    def _senses(self) -> SensingModel:
+        """Return the model of noise and delays; before the first action, thrust equals weight."""
         d = self.lanes.craft.dynamics
         weight = d.lander.wet_mass * d.gravity
         idle = [0.0, 0.0, d.gravity] if self.lanes.guided else [weight, 0.0, 0.0, 0.0]
-        return Senses(self.lanes, self.shown, self.period, np.array(idle))
+        return SensingModel(self.lanes, self.shown, self.period, np.array(idle))
 
     @property
     def period(self) -> float:
-        """Between two actions, s."""
+        """Time between two actions, s."""
         return self.lanes.steps * self.lanes.craft.dynamics.step
 
     def seed(self, mask: Mask, seeds: Sequence[int | None]) -> None:
-        """Give lanes of `mask` new keys from their seeds; one of None goes on as it was.
+        """Seed the landers of `mask`; a seed of None keeps the generator.
 
-        A lane that never had a seed draws one.
+        A lander without a previous seed gets a random one.
         """
         for lane, seed in zip(np.flatnonzero(mask), seeds, strict=True):
             if seed is not None or not self.lanes.has_key[lane]:
                 self.key(int(lane), seeding.np_random(seed)[0])
 
     def key(self, lane: int, rng: np.random.Generator) -> None:
-        """Draw the key of a lane."""
+        """Draw the random key of a lander."""
         one = np.zeros(self.lanes.count, np.bool_)
         one[lane] = True
         self.lanes.seed(one, rng.integers(2**64, size=1, dtype=np.uint64))
 
-    def take(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
-        """Let flights in the lanes of `mask` start and land as the options say, from now on."""
-        take(options, self.lanes, mask)
+    def apply_options(self, mask: Mask, options: Mapping[str, Any] | None) -> None:
+        """Apply reset options to the landers of `mask`; they hold until the next call."""
+        apply_options(options, self.lanes, mask)
 
     def restart(self, mask: Mask) -> None:
-        """Begin new flights in the lanes of `mask`, from where `take` was told."""
+        """Start new episodes for the landers of `mask`, with the options of `apply_options`."""
         self.lanes.begin(mask)
         self.rewards.begin(mask)
         if self.senses is not None:
             self.senses.begin(mask)
 
     def observe(self) -> NDArray[np.float32]:
-        """Return what is shown of every lane (n, size)."""
+        """Return the observations of all landers (n, size)."""
         return self.shown.of(self.lanes) if self.senses is None else self.senses.seen
 
     def hidden(self) -> dict[str, Any]:
-        """Return what agents are not shown and studies may want to know, of every lane.
+        """Return values that are not part of the observation, by name.
 
-        ``drawn``: what each flight has drawn, by name (n,), where something is. ``privileged``:
-        the true state as `observations.DEFAULT` has it, and all draws (n, 28), where asked for.
+        ``drawn``: randomized parameters of each flight by name (n,), if the scenario has them.
+        ``privileged``: true state with the components of `observations.DEFAULT`, followed by all
+        randomized parameters (n, 28), if requested.
         """
         told: dict[str, Any] = {}
         drawn = self.lanes.drawn
@@ -165,12 +175,12 @@ class Descents:
         return told
 
     def told(self) -> dict[str, NDArray[np.float64]]:
-        """Return what is told of flights at their end (n,), by name: s, kg, m."""
+        """Return flight time (s), propellant used (kg) and miss distance (m), each (n,)."""
         lanes = self.lanes
         return {"time_s": lanes.time, "propellant_kg": lanes.burnt, "miss_m": lanes.miss}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[np.float64]], Mask, Mask, Mask]:
-        """Move all lanes in flight; return terms of the reward, moved, terminated, truncated."""
+        """Advance all flying landers; return reward terms, moved, terminated, truncated."""
         physical = self.actions.physical(action, self.lanes.count if self.many else None)
         moved = self.lanes.ended == FLYING
         if self.senses is not None:

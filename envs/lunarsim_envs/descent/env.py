@@ -1,4 +1,4 @@
-"""``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: an agent flies the descent itself."""
+"""Environments ``lunarsim/Guidance-v0`` and ``lunarsim/Control-v0``: an agent flies the descent."""
 
 from __future__ import annotations
 
@@ -9,46 +9,50 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lunarsim_envs.arguments import no_pictures, options_of
-from lunarsim_envs.descent.core import Descents, Settings
+from lunarsim_envs.arguments import check_no_render_mode, checked_options
+from lunarsim_envs.descent.core import DescentEnvArguments, DescentEnvCore
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.picture import Picture
-from lunarsim_envs.resets import check_begun, lane_seeds, reset_mask
-from lunarsim_envs.rewards import summed
-from lunarsim_envs.screen import Screen, modes_here
+from lunarsim_envs.descent.picture import PlaneView
+from lunarsim_envs.resets import check_all_reset, lane_seeds, reset_mask
+from lunarsim_envs.rewards import sum_terms
+from lunarsim_envs.screen import FrameWindow, available_render_modes
 from lunarsim_envs.step_limit import StepLimit
 
 Shown = NDArray[np.float32]
 
 
 class DescentEnv(gymnasium.Env[Any, Any]):
-    """One descent; see `GuidanceEnv` and `ControlEnv` for what differs."""
+    """Base class of the single environments `GuidanceEnv` and `ControlEnv`."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012
     guided: ClassVar[bool]
     rate: ClassVar[float]
 
-    def __init__(self, render_mode: str | None = None, **settings: Unpack[Settings]) -> None:
+    def __init__(
+        self, render_mode: str | None = None, **settings: Unpack[DescentEnvArguments]
+    ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
-            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array', 'human' or None")
+            raise ValueError(
+                f"render_mode: must be 'rgb_array', 'human' or None, got {render_mode!r}."
+            )
         self.render_mode = render_mode
         settings.setdefault("rate_hz", self.rate)
-        self.descents = Descents(None, guided=self.guided, **settings)
+        self.descents = DescentEnvCore(None, guided=self.guided, **settings)
         self.action_space = self.descents.actions.space
         self.observation_space = self.descents.shown.space
-        # Those of the class have "human" everywhere: else Gymnasium would not ask for it here.
-        modes = modes_here(self.metadata["render_modes"])
+        # The class always lists "human", because Gymnasium checks the class before the instance.
+        modes = available_render_modes(self.metadata["render_modes"])
         fps = max(round(1.0 / self.descents.period), 1)
         self.metadata = self.metadata | {"render_modes": modes, "render_fps": fps}
         self._one = np.ones(1, np.bool_)
-        self._picture = Picture(self.descents.lanes) if render_mode is not None else None
-        self._screen = Screen(self.metadata["render_fps"]) if render_mode == "human" else None
+        self._picture = PlaneView(self.descents.lanes) if render_mode is not None else None
+        self._screen = FrameWindow(self.metadata["render_fps"]) if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Shown, dict[str, Any]]:
-        """Draw a new flight."""
-        self.descents.take(self._one, options)
+        """Start a new episode."""
+        self.descents.apply_options(self._one, options)
         super().reset(seed=seed)
         if seed is not None or not self.descents.lanes.has_key[0]:
             self.descents.key(0, self.np_random)
@@ -67,10 +71,10 @@ class DescentEnv(gymnasium.Env[Any, Any]):
         return told
 
     def step(self, action: ArrayLike) -> tuple[Shown, float, bool, bool, dict[str, Any]]:
-        """Fly on to the next action, or to the end."""
+        """Fly with an action until the next one is due, or to the end."""
         d = self.descents
         if d.lanes.ended[0] != FLYING:
-            raise gymnasium.error.ResetNeeded("no flight is in the air: call reset()")
+            raise gymnasium.error.ResetNeeded("The episode has ended. Call reset().")
         terms, _, terminated, truncated = d.step(action)
         named = {name: float(term[0]) for name, term in terms.items()}
         if self._picture is not None:
@@ -82,34 +86,34 @@ class DescentEnv(gymnasium.Env[Any, Any]):
             info |= {"safe": bool(d.lanes.safe[0]), "failed": d.lanes.words(0)}
             info |= {name: float(told[0]) for name, told in d.told().items()}
         ends = bool(terminated[0]), bool(truncated[0])
-        return d.observe()[0], float(summed(named)), *ends, info
+        return d.observe()[0], float(sum_terms(named)), *ends, info
 
     def _show(self) -> None:
         if self._screen is not None and self._picture is not None:
             self._screen.show(self._picture.draw())
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window, if it is open."""
         if self._screen is not None:
             self._screen.close()
 
     def render(self) -> Any:
-        """Return the plane of the descent and gauges as an image (440, 640, 3), or None.
+        """Return an image (440, 640, 3) of the descent plane and gauges, or None.
 
-        In the mode ``"human"`` a window shows every frame as the flight goes.
+        In the mode ``"human"`` a window shows every frame during the flight.
         """
         if self._picture is None or self._screen is not None:
             return None
         if not self.descents.lanes.has_key[0]:
-            raise gymnasium.error.ResetNeeded("call reset() before render()")
+            raise gymnasium.error.ResetNeeded("Call reset() before render().")
         return self._picture.draw()
 
 
 class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """Many descents at once, in one kernel; see `GuidanceEnv` and `ControlEnv`.
+    """Base class of the vector environments, which fly all descents in one kernel.
 
-    Lane i with seed s flies what one environment with seed s + i flies, bit for bit, with any
-    number of lanes and threads.
+    Environment i with seed s gives bitwise the same episodes as a single environment with seed
+    s + i, for any number of environments and threads.
     """
 
     guided: ClassVar[bool]
@@ -121,10 +125,10 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         autoreset_mode: str | gymnasium.vector.AutoresetMode = "NextStep",
         render_mode: None = None,
         max_episode_steps: int | None = None,
-        **settings: Unpack[Settings],
+        **settings: Unpack[DescentEnvArguments],
     ) -> None:
-        no_pictures(render_mode)
-        self.descents = Descents(
+        check_no_render_mode(render_mode)
+        self.descents = DescentEnvCore(
             num_envs, guided=self.guided, **({"rate_hz": self.rate} | settings)
         )
         self.num_envs = num_envs
@@ -145,12 +149,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Shown, dict[str, Any]]:
-        """Begin new flights in all lanes, or those of ``options["reset_mask"]`` (n,)."""
-        left = options_of(options)
+        """Start new episodes in all environments, or those of ``options["reset_mask"]`` (n,)."""
+        left = checked_options(options)
         mask = reset_mask(left.pop("reset_mask", None), self.num_envs)
-        check_begun(self._begun, mask)
+        check_all_reset(self._begun, mask)
         seeds = lane_seeds(seed, mask)
-        self.descents.take(mask, left)
+        self.descents.apply_options(mask, left)
         self.descents.seed(mask, seeds)
         self._restart(mask)
         self._begun |= mask
@@ -169,12 +173,12 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[Shown, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Fly all lanes on to the next action, or to their ends."""
+        """Advance all environments by one action, or to the end of their flights."""
         d, mode = self.descents, gymnasium.vector.AutoresetMode
         idle = d.lanes.ended != FLYING
         if (idle & ~self._due).any():
             raise gymnasium.error.ResetNeeded(
-                "a lane's flight is not in the air: call reset(), with its reset_mask"
+                "An episode has ended. Call reset() with options['reset_mask']."
             )
         terms, moved, terminated, truncated = d.step(actions)
         over = terminated | truncated
@@ -199,93 +203,100 @@ class DescentVectorEnv(gymnasium.vector.VectorEnv[Any, Any, Any]):
             info["_final_info"] = over
             self._restart(over)
         info |= self._hidden()
-        return d.observe(), summed(terms), terminated, truncated, info
+        return d.observe(), sum_terms(terms), terminated, truncated, info
 
 
 class GuidanceEnv(DescentEnv):
-    """Fly a lander to its target by thrust accelerations.
+    """Fly a lander to its target with thrust acceleration commands.
 
-    The agent takes the place of the guidance law: the attitude loop and the throttle follow what
-    it asks for, on perfect sensors.
+    The agent replaces the guidance law. The attitude loop and the throttle follow its commands with
+    perfect sensors.
 
     ## Action Space
 
-    ``Box(-1, 1, (3,))``, five times a second: the wanted thrust acceleration, ENU. East and north
-    from -A to A, up from 0 to A, A = thrust_max / dry_mass (5.45 m/s^2). What the engine, or the
-    largest tilt of the scenario's approach, does not allow is cut as for a guidance law.
-    ``env.unwrapped.descents.actions.action(acceleration)`` turns m/s^2 into an action.
+    ``Box(-1, 1, (3,))`` at 5 Hz: commanded thrust acceleration, ENU. East and north range from -A
+    to A, up from 0 to A, with A = thrust_max / dry_mass (5.45 m/s^2). Commands beyond the thrust
+    range or the maximum tilt of the scenario's approach are limited as for a guidance law.
+    ``env.unwrapped.descents.actions.action(acceleration)`` converts m/s^2 to an action.
 
     ## Observation Space
 
-    ``Box`` of float32, named parts one after another (``observation=[...]`` chooses others):
+    ``Box`` of float32 with these components in sequence (``observation=[...]`` selects others):
 
-    - ``position`` (3,): of the centre of mass from the target, ENU, m.
-    - ``velocity`` (3,): ENU, m/s.
-    - ``attitude`` (4,): quaternion from body axes to ENU, scalar last.
-    - ``rate`` (3,): of the body, body axes, rad/s.
-    - ``thrust`` (1,): of the engine now, over the mass, m/s^2.
-    - ``propellant`` (1,): left, kg.
+    - ``position`` (3,): centre of mass relative to the target, ENU, m.
+    - ``velocity`` (3,): velocity, ENU, m/s.
+    - ``attitude`` (4,): quaternion, body axes to ENU, scalar last.
+    - ``rate`` (3,): angular rate, body axes, rad/s.
+    - ``thrust`` (1,): current thrust over mass, m/s^2.
+    - ``propellant`` (1,): remaining propellant, kg.
 
-    Also ``time_left`` (1,), s. `lunarsim_envs.descent.observations.register` adds more.
+    ``time_left`` (1,), s, is also available. `lunarsim_envs.descent.observations.register` adds
+    custom components.
 
     ## Rewards
 
-    The sum of named terms, in ``info["reward_terms"]``: ``touchdown`` (+1 within all limits, -1
-    for a crash or a flight off the map), ``propellant`` (-0.001 a kilogram), ``miss`` (-0.01 a
-    metre between a safe touchdown and the target, up to 50 m), ``severity`` and
-    ``excess`` (nothing, unless they are given weights: of a crash by its distance and speed, and by
-    how far it exceeds the limits of a touchdown), ``shaping`` (of a potential that falls with how
-    far the velocity is off one that leads to the target, braking evenly; its discounted
-    sum is the same for all flights from one start, where the learner's discount is that of the
-    weights). Every crash returns less than any safe landing, shaping aside; weights with which it
-    may not are refused.
+    The reward is the sum of the terms in ``info["reward_terms"]``:
 
-    ``info["cost"]``, for constrained methods, is 1 at a crash and 0 else.
+    - ``touchdown``: +1 for a touchdown within all limits, -1 for a crash or leaving the map.
+    - ``propellant``: -0.001 per kilogram.
+    - ``miss``: -0.01 per metre between a safe touchdown and the target, up to 50 m.
+    - ``severity``, ``excess``: penalties for a crash by its distance and speed, and by its
+      violation of the touchdown limits; both have zero weight by default.
+    - ``shaping``: difference of a potential, which falls with the deviation of the velocity from
+      one that leads to the target with constant deceleration. Its discounted sum depends only on
+      the start state, if the learner uses the discount factor of the weights.
+
+    Apart from shaping, every crash returns less than any safe landing. Weights that violate this
+    are refused.
+
+    ``info["cost"]``, for constrained methods, is 1 at a crash and 0 otherwise.
 
     ## Starting State
 
-    About 600 m away and 500 m up, at 28 m/s towards the target and 18 m/s down, upright, with
-    full tanks (the table [start] of the scenario; by default with 30 m and 3 m/s of dispersion).
+    About 600 m from the target and 500 m above it, at 28 m/s towards the target and 18 m/s
+    downward, upright, with full tanks. The table [start] of the scenario sets these values; by
+    default the dispersion is 30 m and 3 m/s (1 sigma per axis).
 
-    ``reset(options=...)``, for a curriculum, takes ``position_m``, ``velocity_m_s``,
+    For a curriculum, ``reset(options=...)`` accepts ``position_m``, ``velocity_m_s``,
     ``position_sigma_m`` and ``velocity_sigma_m_s`` of that table, ``target_m`` and
-    ``target_scatter_m`` of [target] (where the scenario's targets may lie), and ``cover``, one of
-    ``covers`` or the scenario's own. They hold until the next reset, also through automatic ones.
+    ``target_scatter_m`` of [target] (within the target area of the scenario), and ``cover`` (one of
+    ``covers`` or that of the scenario). Options hold until the next call of `reset`; automatic
+    resets keep them.
 
-    The table [variation] of a scenario (``changes={"variation.load_kg": 50.0}``) lets every flight
-    draw its lander anew: load, specific impulse, thrust, lag, the engine's line; failures of thrust
-    and of torque from some time on; noise and delay of what is shown, delay of what is commanded.
-    ``info["drawn"]`` tells what was drawn.
+    The table [variation] of a scenario (``changes={"variation.load_kg": 50.0}``) randomizes each
+    flight: load, specific impulse, thrust, thrust lag, thrust line; failures of thrust and torque
+    from a random time; noise and delay of the observation, and delay of the action.
+    ``info["drawn"]`` contains the random values.
 
     ## Episode End
 
-    Terminated at the touchdown, whose verdict is the simulation's (``info["safe"]``,
-    ``info["failed"]``), or below the map; ``info`` then has ``time_s``, ``propellant_kg`` burnt
-    and ``miss_m``, the distance over the ground from the target. Truncated by the scenario's time
-    limit (120 s). In a batch ``info["failed"]`` has a bit for each of
-    `lunarsim_envs.descent.lanes.LIMITS`.
+    The episode terminates at touchdown or below the map. The simulation evaluates the touchdown
+    (``info["safe"]``, ``info["failed"]``). ``info`` then also has ``time_s``, ``propellant_kg``
+    used and ``miss_m``, the horizontal distance from the target. The episode is truncated at the
+    time limit of the scenario (120 s). In a vector environment, ``info["failed"]`` has one bit for
+    each limit in `lunarsim_envs.descent.lanes.LIMITS`.
 
     ## Arguments
 
-    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a shipped
-      one; by default nearly level ground without rocks.
-    - ``changes``: other values of some of its keys, ``{"rocks.cover": 0.05}``.
-    - ``rate_hz``: actions a second.
-    - ``observation``: names of its parts.
-    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`; by default those of the table
+    - ``scenario``: a `lunarsim.scenario.Scenario`, the path of a TOML file or the name of a
+      packaged scenario. Default: nearly flat terrain without rocks.
+    - ``changes``: changed values by key, for example ``{"rocks.cover": 0.05}``.
+    - ``rate_hz``: action rate, Hz.
+    - ``observation``: names of the observation components.
+    - ``weights``: `lunarsim_envs.descent.rewards.DescentWeights`. Default: the table
       [descent_reward] of the scenario.
-    - ``render_mode``: ``"rgb_array"``, the plane of the descent with gauges beside it;
-      ``"human"``, the same in a window; or None. A batch draws nothing.
-    - ``worlds``, ``world_seed``: how many worlds are drawn, once, and their root seed; each flight
-      meets one of them. Ground is a raster of 0.1 m about the targets.
-    - ``covers``: further covers of rocks, of each of which as many worlds are drawn, for
-      ``reset(options={"cover": ...})``.
-    - ``privileged``: ``info["privileged"]`` (28,) for asymmetric critics: the true state as the
-      default observation has it, then all of ``info["drawn"]``.
+    - ``render_mode``: ``"rgb_array"`` returns images of the descent plane with gauges; ``"human"``
+      shows them in a window; None disables rendering. Vector environments do not render.
+    - ``worlds``, ``world_seed``: number of worlds in the pool and their root seed. Each flight uses
+      one of them. The terrain is a raster with 0.1 m posting around the targets.
+    - ``covers``: additional rock covers for ``reset(options={"cover": ...})``. The pool has
+      ``worlds`` worlds for each cover.
+    - ``privileged``: adds ``info["privileged"]`` (28,) for asymmetric critics: the true state with
+      the default observation components, then all values of ``info["drawn"]``.
     - ``num_envs``, ``autoreset_mode``, ``max_episode_steps`` with ``gymnasium.make_vec(...,
       vectorization_mode="vector_entry_point")``: number of flights in one kernel; "NextStep",
-      "SameStep" or "Disabled"; number of steps after which an episode is truncated. Lane i with
-      seed s flies what one environment with seed s + i does.
+      "SameStep" or "Disabled"; number of steps until truncation. Environment i with seed s gives
+      the same episodes as a single environment with seed s + i.
 
     ## Version History
 
@@ -296,41 +307,41 @@ class GuidanceEnv(DescentEnv):
 
 
 class GuidanceVectorEnv(DescentVectorEnv):
-    """Many of `GuidanceEnv` at once."""
+    """Vector environment of `GuidanceEnv`."""
 
     guided, rate = True, 5.0
 
 
 class ControlEnv(DescentEnv):
-    """Fly a lander to its target by throttle and torques.
+    """Fly a lander to its target with throttle and torque commands.
 
-    The agent takes the place of guidance and control.
+    The agent replaces guidance and attitude control.
 
     ## Action Space
 
-    ``Box(-1, 1, (4,))``, fifty times a second: the engine's thrust, from its least (-1) to its
-    greatest (1), and torques about the body axes as shares of the greatest. The engine runs all
-    the way.
+    ``Box(-1, 1, (4,))`` at 50 Hz: thrust from its minimum (-1) to its maximum (1), and torques
+    about the body axes as fractions of their maximum. The engine cannot be shut down before
+    touchdown.
 
     ## Observation Space
 
-    As `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v0`.
 
     ## Rewards
 
-    As `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v0`.
 
     ## Starting State
 
-    As `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v0`.
 
     ## Episode End
 
-    As `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v0`.
 
     ## Arguments
 
-    As `lunarsim/Guidance-v0`.
+    Same as `lunarsim/Guidance-v0`.
 
     ## Version History
 
@@ -341,6 +352,6 @@ class ControlEnv(DescentEnv):
 
 
 class ControlVectorEnv(DescentVectorEnv):
-    """Many of `ControlEnv` at once."""
+    """Vector environment of `ControlEnv`."""
 
     guided, rate = False, 50.0

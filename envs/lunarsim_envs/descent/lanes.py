@@ -1,4 +1,7 @@
-"""Landers side by side, a lane each: what they are, where they stand, and how they move."""
+"""Simulate many landers in parallel: vehicle parameters, states and motion.
+
+A lane is one lander of the batch with its current flight.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,19 @@ from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.touchdown import GROUND_SPACING, pad_disc
 from lunarsim.vehicle.variation import DRAWN, Variation
 from lunarsim_envs.descent import _kernels as k
-from lunarsim_envs.descent.worlds import Worlds
+from lunarsim_envs.descent.worlds import WorldPool
 
 Array = NDArray[np.float64]
 
 FLYING, LANDED, LOST, LATE = k.FLYING, k.LANDED, k.LOST, k.LATE
-# What a lane and step take, microseconds.
+# Compute time per lane and step, microseconds.
 _STEP = 0.1
-# What is drawn where all flights are alike.
+# Values of the randomized parameters without domain randomization.
 _ALIKE = np.zeros(len(DRAWN))
 _ALIKE[k.FAILS] = np.inf
 _ALIKE[k.ENGINE : k.SEES_LATE] = 1.0
-# Limits that a verdict names, in the order of its bits; see `judge_touchdown`.
+# Names of the touchdown limits of `judge_touchdown`, in the order of the bits of
+# `DescentBatch.failed`.
 LIMITS = (
     "off-map", "vertical-speed", "horizontal-speed", "tilt", "rate", "slope", "roughness", "belly",
     "tip-over",
@@ -38,25 +42,26 @@ LIMITS = (
 
 
 @dataclass(frozen=True)
-class Craft:
-    """A scenario's lander, start and clock, as the kernels take them.
+class VehicleParams:
+    """Parameters of lander, start, target and clock, in the form that kernels use.
 
     Attributes
     ----------
     dynamics
-        Vehicle, gravity and step.
+        Vehicle, gravity and time step.
     gains
-        Of the attitude loop (3,); see `ProportionalDerivative`.
+        Gains of the attitude loop (3,), defined in `ProportionalDerivative`.
     heading, max_tilt
-        Azimuth of body x and largest tilt of a commanded thrust, rad.
+        Azimuth of body x, and maximum tilt of a commanded thrust, rad.
     start
-        Planned position and velocity and their standard deviations (8,).
+        Planned position (3,) and velocity (3,), and their standard deviations per axis (8,), m and
+        m/s.
     aim
-        Middle and half sides of the targets' scatter (4,), m.
+        Centre and half widths of the target area, east and north (4,), m.
     limit
-        When a flight is over, s.
+        Time limit of a flight, s.
     variation
-        What every flight draws anew; None: all are alike.
+        Ranges of the randomized parameters; None disables domain randomization.
     """
 
     dynamics: Dynamics
@@ -69,26 +74,30 @@ class Craft:
     variation: Variation | None = None
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Craft:
-        """Return what a scenario flies.
+    def of(cls, scenario: Scenario) -> VehicleParams:
+        """Return the parameters of a scenario.
 
         Raises
         ------
         InputError
-            If it has thrusters, legs, a round Moon or a control law that only the whole
-            simulation flies.
+            If the scenario has thrusters, legs, faults, a round Moon or another control law, which
+            only the full simulation supports.
         """
         lander, control = scenario.vehicle.make(), scenario.control.make()
         if isinstance(lander, JetLander):
-            raise InputError("vehicle.kind", "jet-lander", "a lander whose torques act as asked")
+            raise InputError("vehicle.kind", "jet-lander", "must be 'lander' in this environment")
         if scenario.legs is not None:
-            raise InputError("legs", "given", "left out: here the state at the touchdown counts")
+            raise InputError("legs", "given", "is not supported in this environment", "Omit it.")
         if scenario.faults is not None:
-            raise InputError("faults", "given", "left out: here nothing sticks; see variation")
+            raise InputError(
+                "faults", "given", "is not supported in this environment", "Use [variation]."
+            )
         if scenario.moon is not None:
-            raise InputError("moon", "given", "left out: here the ground is level")
+            raise InputError("moon", "given", "is not supported in this environment", "Omit it.")
         if type(control) is not ProportionalDerivative:
-            raise InputError("control.kind", type(control).__name__, "the default control law")
+            raise InputError(
+                "control.kind", type(control).__name__, "must be 'pd' in this environment"
+            )
         lander.check_hover(scenario.gravity_m_s2)
         varied = None if scenario.variation is None else scenario.variation.make()
         _check_ranges(varied, lander, scenario.simulation.make().step)
@@ -108,23 +117,23 @@ class Craft:
         )
 
     def steps(self, rate: float) -> int:
-        """Return the steps of the integration between two actions.
+        """Return the number of integration steps between two actions.
 
         Raises
         ------
         InputError
-            If they are not a whole number.
+            If the number is not an integer.
         """
         steps = 1.0 / (rate * self.dynamics.step)
         if not (steps >= 1.0 and abs(steps - round(steps)) < 1e-6):
             raise InputError(
-                "rate_hz", rate, f"a whole number of steps of {self.dynamics.step} s between two"
+                "rate_hz", rate, f"must have a period that is a multiple of {self.dynamics.step} s"
             )
         return round(steps)
 
 
 def _check_ranges(varied: Variation | None, lander: Lander, step: float) -> None:
-    """Refuse ranges that leave nothing of what they change, or too little to integrate."""
+    """Check that randomized parameters stay positive and large enough for integration."""
     if varied is None:
         return
     for name, most in (
@@ -134,52 +143,60 @@ def _check_ranges(varied: Variation | None, lander: Lander, step: float) -> None
         given = getattr(varied, name)
         if given > 0.0 and not given < most:
             raise InputError(
-                f"variation.{name}", given, f"less than {max(most, 0.0):g}, or 0, with this lander"
+                f"variation.{name}",
+                given,
+                f"must be 0, or less than {max(most, 0.0):g}, for this lander",
             )
 
 
-class Lanes:
-    """Landers side by side.
+class DescentBatch:
+    """A batch of landers.
 
     Parameters
     ----------
     count
         Number of lanes n.
     craft, worlds
-        What flies, and over what.
+        Vehicle parameters, and pool of worlds.
     guided
-        Whether actions are thrust accelerations, or thrust and torques; see `move`.
+        Whether actions are thrust accelerations (true), or thrust and torques (false).
     rate
-        Actions a second.
+        Action rate, Hz.
 
     Attributes
     ----------
     y
-        States (n, 15): position, velocity (ENU), attitude (scalar last), body rate, mass, thrust.
+        States (n, 15), SI: position, velocity (ENU), attitude (scalar last), body rate, mass and
+        thrust.
     target
-        Where each is to land (n, 3), m.
+        Target positions (n, 3), m.
     world
-        Index of the world that each flies over (n,).
+        Index of the world of each lane (n,).
     time
-        Since the start of each flight (n,), s.
+        Time since the start of each flight (n,), s.
     ended
-        FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (n,).
-    failed, told
-        Limits that a landing failed, a bit each in the order of `LIMITS` (n,); its vertical and
-        horizontal speed, tilt, rate, slope, roughness and tip margin (n, 7), SI.
+        State of the flight: FLYING, LANDED (a pad has touched), LOST (off the map) or LATE (time
+        limit) (n,).
+    failed
+        Violated touchdown limits, one bit each in the order of `LIMITS` (n,).
+    told
+        Vertical and horizontal speed, tilt, rate, slope, roughness and tip-over margin at
+        touchdown (n, 7), SI.
     starts, aims
-        Of each lane, as `Craft.start` (n, 8) and `Craft.aim` (n, 4).
+        Start and target parameters of each lane, as `VehicleParams.start` (n, 8) and
+        `VehicleParams.aim` (n, 4).
     spans
-        First of the worlds that each may meet, and how many there are (n, 2).
+        Index of the first world that each lane may use, and number of these worlds (n, 2).
     has_key
-        Whether each was given a key (n,).
-    figures, drawn
-        Gravity, exhaust velocity, thrust lag, dry and wet mass of each (n, 5), and what else its
-        flight has drawn (n, 13), in the order of `variation.DRAWN`.
+        Whether each lane has a random key (n,).
+    figures
+        Gravity, exhaust velocity, thrust lag, dry mass and wet mass of each lane (n, 5), SI.
+    drawn
+        Other randomized parameters of each flight (n, 13), in the order of `variation.DRAWN`.
     """
 
     def __init__(
-        self, count: int, craft: Craft, worlds: Worlds, *, guided: bool, rate: float
+        self, count: int, craft: VehicleParams, worlds: WorldPool, *, guided: bool, rate: float
     ) -> None:
         d, lander = craft.dynamics, craft.dynamics.lander
         self.count, self.craft, self.worlds, self.guided = count, craft, worlds, guided
@@ -215,23 +232,23 @@ class Lanes:
 
     @property
     def keys(self) -> NDArray[np.uint64]:
-        """Key of each lane (n,)."""
+        """Random key of each lane (n,)."""
         return self._keys
 
     @property
     def begun(self) -> NDArray[np.int64]:
-        """How many flights each lane has begun with its key (n,)."""
+        """Number of flights that each lane has started with its key (n,)."""
         return self._begun
 
     def seed(self, mask: NDArray[np.bool_], keys: NDArray[np.uint64]) -> None:
-        """Give lanes their keys, from which all of their later flights are drawn."""
+        """Set the random keys of lanes; all later flights derive from them."""
         self._keys[mask] = keys
         self._begun[mask] = 0
         self._counts[mask] = 0
         self.has_key[mask] = True
 
     def begin(self, mask: NDArray[np.bool_]) -> None:
-        """Draw a new flight in every lane of `mask` (n,)."""
+        """Start a new random flight in every lane of `mask` (n,)."""
         w = self.worlds
         with threads_for(_STEP * self.count):
             k.begin(
@@ -248,14 +265,14 @@ class Lanes:
         self.told[mask] = np.nan
 
     def normals(self, mask: NDArray[np.bool_], size: int) -> Array:
-        """Draw standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
+        """Return standard normal numbers for lanes of `mask` (n, size); 0 in the others."""
         found = np.zeros((self.count, size))
         with threads_for(0.02 * self.count * size):
             k.scatter(mask, self._keys, self._counts, found)
         return found
 
     def move(self, actions: Array) -> None:
-        """Fly all lanes that are in flight to the next action, or to their end.
+        """Fly all flying lanes until the next action is due, or to their end.
 
         Parameters
         ----------
@@ -270,26 +287,26 @@ class Lanes:
             )  # fmt: skip
 
     def stop(self, mask: NDArray[np.bool_]) -> None:
-        """End the flights that are still in the air in the lanes of `mask` (n,)."""
+        """End the flights of `mask` (n,) that are still flying, as if by the time limit."""
         self.ended[mask & (self.ended == FLYING)] = LATE
 
     @property
     def safe(self) -> NDArray[np.bool_]:
-        """Whether each has landed within all limits (n,)."""
+        """Whether each lander has landed within all limits (n,)."""
         return np.asarray((self.ended == LANDED) & (self.failed == 0))
 
     @property
     def miss(self) -> Array:
-        """Distance over the ground from the target (n,), m."""
+        """Horizontal distance from the target (n,), m."""
         return np.asarray(np.linalg.norm(self.y[:, :2] - self.target[:, :2], axis=1))
 
     @property
     def burnt(self) -> Array:
-        """Propellant burnt since the start (n,), kg."""
+        """Propellant used since the start (n,), kg."""
         return np.asarray(self.figures[:, 4] - self.y[:, 13])
 
     def words(self, lane: int) -> tuple[str, ...]:
-        """Return the limits that a lane's flight failed."""
+        """Return the names of the limits that a lane's flight violated."""
         if self.ended[lane] == LATE:
             return ("time-limit",)
         return tuple(name for bit, name in enumerate(LIMITS) if self.failed[lane] >> bit & 1)

@@ -1,6 +1,6 @@
-"""What an agent is shown of a descent: named parts, one after another.
+"""Build observations of the descent environments from named components.
 
-A part of one's own is added by `register`, and named in an environment's `observation`.
+`register` adds custom components, which can then be named in an environment's `observation`.
 """
 
 from __future__ import annotations
@@ -13,27 +13,29 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.descent.lanes import DescentBatch
 from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 
 Array = NDArray[np.float64]
 
-# No distance (m), speed (m/s) or mass (kg) of a descent is larger: what would be is clipped.
+# Bound of distances (m), speeds (m/s) and masses (kg) in observations; larger values are clipped.
 FAR = 5000.0
 
 
 @dataclass(frozen=True)
-class Part:
-    """One part of an observation.
+class ObservationComponent:
+    """One component of an observation.
 
     Attributes
     ----------
-    name, unit, meaning
-        As documents tell them.
+    name
+        Name by which `observation` selects it.
     size, low, high
-        Numbers in it, and the bounds of each.
+        Number of values, and their bounds.
+    unit, meaning
+        Unit and description, for the documentation.
     of
-        Returns it for all lanes (n, size).
+        Function that returns the values of all lanes (n, size).
     """
 
     name: str
@@ -42,92 +44,96 @@ class Part:
     low: float
     high: float
     meaning: str
-    of: Callable[[Lanes], Array]
+    of: Callable[[DescentBatch], Array]
 
 
-PARTS: dict[str, Part] = {}
-# What is seen unless something else is asked for.
+PARTS: dict[str, ObservationComponent] = {}
+# Default components of the observation.
 DEFAULT = ("position", "velocity", "attitude", "rate", "thrust", "propellant")
 
 
-def register(part: Part) -> None:
-    """Add a part.
+def register(part: ObservationComponent) -> None:
+    """Register a component.
 
     Raises
     ------
     InputError
-        If there is one of its name, or it has no room.
+        If the name exists, the size is less than 1, or the bounds are empty.
     """
     check_new(part.name, PARTS)
     if part.size < 1 or not part.low < part.high:
         raise InputError(
-            part.name, (part.size, part.low, part.high), "a size of 1 or more, a range"
+            part.name, (part.size, part.low, part.high), "must have a size of 1 or more and a range"
         )
     PARTS[part.name] = part
 
 
-def _position(lanes: Lanes) -> Array:
+def _position(lanes: DescentBatch) -> Array:
     return lanes.y[:, :3] - lanes.target
 
 
-def _velocity(lanes: Lanes) -> Array:
+def _velocity(lanes: DescentBatch) -> Array:
     return lanes.y[:, 3:6]
 
 
-def _attitude(lanes: Lanes) -> Array:
+def _attitude(lanes: DescentBatch) -> Array:
     return lanes.y[:, 6:10]
 
 
-def _rate(lanes: Lanes) -> Array:
+def _rate(lanes: DescentBatch) -> Array:
     return lanes.y[:, 10:13]
 
 
-def _thrust(lanes: Lanes) -> Array:
+def _thrust(lanes: DescentBatch) -> Array:
     return lanes.y[:, 14:15] / lanes.y[:, 13:14]
 
 
-def _propellant(lanes: Lanes) -> Array:
+def _propellant(lanes: DescentBatch) -> Array:
     return lanes.y[:, 13:14] - lanes.figures[:, 3:4]
 
 
-def _left(lanes: Lanes) -> Array:
+def _left(lanes: DescentBatch) -> Array:
     return (lanes.craft.limit - lanes.time)[:, None]
 
 
 for _part in (
-    Part("position", 3, "m", -FAR, FAR, "centre of mass from the target, ENU", _position),
-    Part("velocity", 3, "m/s", -FAR, FAR, "ENU", _velocity),
-    Part("attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude),
-    Part("rate", 3, "rad/s", -10.0, 10.0, "of the body, body axes", _rate),
-    Part("thrust", 1, "m/s^2", 0.0, 100.0, "of the engine now, over the mass", _thrust),
-    Part("propellant", 1, "kg", -1.0, FAR, "left", _propellant),
-    Part("time_left", 1, "s", 0.0, 1e5, "until the flight is broken off", _left),
+    ObservationComponent(
+        "position", 3, "m", -FAR, FAR, "centre of mass relative to the target, ENU", _position
+    ),
+    ObservationComponent("velocity", 3, "m/s", -FAR, FAR, "velocity, ENU", _velocity),
+    ObservationComponent(
+        "attitude", 4, "", -1.0, 1.0, "quaternion, body axes to ENU, scalar last", _attitude
+    ),
+    ObservationComponent("rate", 3, "rad/s", -10.0, 10.0, "angular rate, body axes", _rate),
+    ObservationComponent("thrust", 1, "m/s^2", 0.0, 100.0, "current thrust over mass", _thrust),
+    ObservationComponent("propellant", 1, "kg", -1.0, FAR, "remaining propellant", _propellant),
+    ObservationComponent("time_left", 1, "s", 0.0, 1e5, "time until the time limit", _left),
 ):
     register(_part)
 
 
-class Shown:
-    """An observation made of parts.
+class ObservationLayout:
+    """An observation that consists of named components.
 
     Parameters
     ----------
     names
-        Of the parts, in their order.
+        Names of the components, in order.
 
     Attributes
     ----------
     places
-        Where each part stands in an observation, by name.
+        Slice of each component in the observation, by name.
 
     Raises
     ------
     InputError
-        If a name is unknown or comes twice, or there is none.
+        If a name is unknown or occurs twice, or there are no names.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self.parts = named_parts("observation", names, PARTS)
-        self._checked = False  # at the first look: it takes a share of a step
+        self._checked = False  # shapes are checked once, because a check takes a part of a step
         sizes = [p.size for p in self.parts]
         ends = np.cumsum(sizes)
         self.places = {
@@ -137,17 +143,17 @@ class Shown:
         self._low = np.repeat([p.low for p in self.parts], sizes).astype(np.float32)
         self._high = np.repeat([p.high for p in self.parts], sizes).astype(np.float32)
 
-    def __reduce__(self) -> tuple[type[Shown], tuple[list[str]]]:
-        """Copy by names: what a part is computed by need not be copied itself."""
-        return Shown, ([part.name for part in self.parts],)
+    def __reduce__(self) -> tuple[type[ObservationLayout], tuple[list[str]]]:
+        """Pickle the names only, because functions of components may not be picklable."""
+        return ObservationLayout, ([part.name for part in self.parts],)
 
     @property
     def space(self) -> spaces.Box:
-        """Of one lane."""
+        """Observation space of one lane."""
         return spaces.Box(self._low, self._high)
 
-    def of(self, lanes: Lanes) -> NDArray[np.float32]:
-        """Return the observation of every lane (n, size)."""
+    def of(self, lanes: DescentBatch) -> NDArray[np.float32]:
+        """Return the observations of all lanes (n, size)."""
         each = [p.of(lanes) for p in self.parts]
         for part, value in () if self._checked else zip(self.parts, each, strict=True):
             check_shape(f"observation: {part.name}", value, (lanes.count, part.size))

@@ -1,4 +1,4 @@
-"""What `reset(options=...)` may say: where flights start and are to land, over which ground."""
+"""Apply the options of `reset`: start state, target, rock cover and Sun."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.changes import with_values
-from lunarsim_envs.arguments import options_of
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.arguments import checked_options
+from lunarsim_envs.descent.lanes import DescentBatch
 
 Array = NDArray[np.float64]
 
-# What of a scenario each stands for.
+# Scenario key of each option.
 KEYS = {
     "position_m": "start.position_m", "velocity_m_s": "start.velocity_m_s",
     "position_sigma_m": "start.position_sigma_m", "velocity_sigma_m_s": "start.velocity_sigma_m_s",
@@ -24,38 +24,42 @@ KEYS = {
     "cover": "rocks.cover",
     "sun_azimuth_deg": "sun.azimuth_deg", "sun_elevation_deg": "sun.elevation_deg",
 }  # fmt: skip
-# Where each stands in `Lanes.starts` and in `Lanes.aims`.
+# Slices of the options in `DescentBatch.starts` and `DescentBatch.aims`.
 _STARTS = {
     "position_m": slice(0, 3), "velocity_m_s": slice(3, 6), "position_sigma_m": slice(6, 7),
     "velocity_sigma_m_s": slice(7, 8),
 }  # fmt: skip
 _AIMS = {"target_m": slice(0, 2), "target_scatter_m": slice(2, 4)}
 
-# No start is farther off, m, or faster, m/s.
+# Bound of start positions, m, and velocities, m/s.
 MOST = 5000.0
 
 
-def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_]) -> None:
-    """Change where the flights of some lanes start and land, and over what, from now on.
+def apply_options(
+    options: Mapping[str, Any] | None, lanes: DescentBatch, mask: NDArray[np.bool_]
+) -> None:
+    """Set start, target and rock cover of the next flights of some lanes.
 
     Parameters
     ----------
     options
-        ``position_m`` and ``velocity_m_s`` (3,), ``position_sigma_m``, ``velocity_sigma_m_s``:
-        see the table [start] of a scenario. ``target_m``, ``target_scatter_m`` (2,): see [target];
-        targets lie where those of the scenario may. ``cover``: one that worlds were drawn with.
-        None, or left out: as the scenario says.
-    lanes, mask
-        Which.
+        ``position_m`` and ``velocity_m_s`` (3,), ``position_sigma_m``, ``velocity_sigma_m_s`` as in
+        the table [start] of a scenario; ``target_m``, ``target_scatter_m`` (2,) as in [target],
+        within the target area of the scenario; ``cover``, a rock cover of the pool. Omitted options
+        have the values of the scenario.
+    lanes
+        Batch of landers.
+    mask
+        Lanes to change (n,).
 
     Raises
     ------
     InputError
-        If a key is unknown or a value will not do; nothing is changed then.
+        If a key is unknown or a value is invalid; then nothing changes.
     """
     starts, aims = lanes.craft.start.copy(), lanes.craft.aim.copy()
     cover: float | None = None
-    for key, value in options_of(options).items():
+    for key, value in checked_options(options).items():
         if key in _STARTS:
             starts[_STARTS[key]] = _numbers(key, value, starts[_STARTS[key]])
         elif key in _AIMS:
@@ -65,32 +69,38 @@ def take(options: Mapping[str, Any] | None, lanes: Lanes, mask: NDArray[np.bool_
         elif key in KEYS:
             raise InputError(
                 f"options.{key}", value,
-                "left out: nothing here sees by the Sun but perception on board",
+                "has no effect, because only onboard perception depends on the Sun",
+                "Omit it.",
             )  # fmt: skip
         else:
-            raise InputError(f"options.{key}", value, suggestion(key, KEYS))
+            raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
     span = lanes.worlds.span(cover)
     check_height(starts, lanes)
     _check_aims(aims, lanes)
     lanes.starts[mask], lanes.aims[mask], lanes.spans[mask] = starts, aims, span
 
 
-def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
-    """Return a scenario as the options of a reset say; see `take`.
+def scenario_with_options(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenario:
+    """Return a scenario with the options of a reset applied.
 
-    Also ``sun_azimuth_deg`` and ``sun_elevation_deg``: see the table [sun].
+    Parameters
+    ----------
+    options
+        Options of `apply_options`, and ``sun_azimuth_deg`` and ``sun_elevation_deg`` of [sun].
+    scenario
+        Scenario to change.
 
     Raises
     ------
     InputError
-        If a key is unknown or a value will not do.
+        If a key is unknown or a value is invalid.
     """
-    for key, value in options_of(options).items():
+    for key, value in checked_options(options).items():
         if key not in KEYS:
-            raise InputError(f"options.{key}", value, suggestion(key, KEYS))
+            raise InputError(f"options.{key}", value, "is an unknown option", suggestion(key, KEYS))
         plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
         if plain is None:
-            raise InputError(f"options.{key}", value, "a value, or left out: as the scenario says")
+            raise InputError(f"options.{key}", value, "must have a value", "Otherwise omit it.")
         try:
             scenario = with_values(scenario, {KEYS[key]: plain}, "options")
         except InputError as error:
@@ -99,7 +109,7 @@ def changed_by(options: Mapping[str, Any] | None, scenario: Scenario) -> Scenari
 
 
 def _numbers(key: str, value: Any, room: Array) -> Array:
-    """Return the numbers of an option, as many as there is room for."""
+    """Return the numbers of an option in the shape of `room`."""
     plain = value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
     several = list(plain) if isinstance(plain, Sequence) else []
     listed = [plain] if len(room) == 1 else several
@@ -107,40 +117,41 @@ def _numbers(key: str, value: Any, room: Array) -> Array:
     told = all(isinstance(one, kinds) and not isinstance(one, bool) for one in listed)
     numbers = np.array(listed, dtype=np.float64) if told else np.full(1, np.nan)
     if numbers.shape != room.shape or not np.isfinite(numbers).all():
-        what = "a finite number" if len(room) == 1 else f"{len(room)} finite numbers"
+        what = (
+            "must be a finite number" if len(room) == 1 else f"must be {len(room)} finite numbers"
+        )
         raise InputError(f"options.{key}", value, what)
     if np.abs(numbers).max() > MOST:
-        raise InputError(f"options.{key}", value, f"at most {MOST:g} in size")
+        raise InputError(f"options.{key}", value, f"must have a magnitude of at most {MOST:g}")
     if key.endswith(("_sigma_m", "_sigma_m_s", "_scatter_m")) and numbers.min() < 0.0:
-        raise InputError(f"options.{key}", value, "0 or more")
+        raise InputError(f"options.{key}", value, "must be 0 or more")
     return np.asarray(numbers)
 
 
-def _check_aims(aims: Array, lanes: Lanes) -> None:
-    """Refuse targets off the ground that worlds are kept of: where the scenario's may lie."""
+def _check_aims(aims: Array, lanes: DescentBatch) -> None:
+    """Check that targets are within the target area of the scenario, where terrain is stored."""
     middle, scatter = lanes.craft.aim[:2], lanes.craft.aim[2:]
     low, high = middle - scatter, middle + scatter
     if np.any(aims[:2] - aims[2:] < low - 1e-9) or np.any(aims[:2] + aims[2:] > high + 1e-9):
         raise InputError(
             "options.target_m", (*aims[:2].tolist(), *aims[2:].tolist()),
-            f"with target_scatter_m on either side within {low[0]:g} to {high[0]:g} m east and "
-            f"{low[1]:g} to {high[1]:g} m north, where the scenario's targets lie "
-            "(target.scatter_m)",
+            f"must be within the scenario's target area, {low[0]:g} to {high[0]:g} m east and "
+            f"{low[1]:g} to {high[1]:g} m north, including target_scatter_m",
         )  # fmt: skip
 
 
-def check_height(starts: Array, lanes: Lanes) -> None:
-    """Refuse starts that may lie in the ground.
+def check_height(starts: Array, lanes: DescentBatch) -> None:
+    """Check that starts are above the terrain.
 
     Raises
     ------
     InputError
-        If the planned height, less five standard deviations, is not above all ground.
+        If the planned height minus five standard deviations is not above all terrain.
     """
     low, high = lanes.worlds.levels[:, 0].min(), lanes.worlds.levels[:, 1].max()
     least = high - low + lanes.craft.dynamics.lander.com_height + 5.0 * starts[6]
     if starts[2] <= least:
         raise InputError(
             "position_m", tuple(starts[:3].tolist()),
-            f"a height above {least:.1f} m: five standard deviations lower it is in the ground",
+            f"must have a height above {least:.1f} m, five standard deviations above the terrain",
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A picture of a descent: the plane through start and target, and gauges beside it."""
+"""Render images of a descent: the vertical plane through start and target, with gauges."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.frames import quat_rotate
-from lunarsim_envs.descent.lanes import FLYING, Lanes
+from lunarsim_envs.descent.lanes import FLYING, DescentBatch
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# Pixels: the view is a square of that side, with gauges right of it.
+# Side of the square view and width of the gauges to its right, pixels.
 SIDE, ASIDE = 440, 200
 _SKY, _GROUND, _LINE = (16, 18, 24), (96, 92, 86), (190, 184, 172)
 _BODY, _FLAME, _PATH, _AIM = (222, 222, 226), (255, 170, 60), (86, 180, 233), (0, 200, 130)
 _WORDS, _DIM = (235, 235, 235), (70, 74, 84)
-# Least extent of the view, m; its extent over that of the way left; least breadth of a lander, px.
+# Minimum extent of the view, m; extent over the remaining distance; minimum lander width, pixels.
 _NEAREST, _ROOM, _LEAST = 24.0, 1.3, 26.0
-# Underside and top of the body over the plane of the pads, as shares of the leg circle.
+# Underside and top of the body above the pad plane, and its half width, in leg radii.
 _UNDER, _TOP, _HALF = 0.25, 1.1, 0.55
 
 
-class Picture:
-    """Draws one lane, and remembers where it has been.
+class PlaneView:
+    """Draw one lane with its path.
 
     Parameters
     ----------
     lanes, lane
-        Whose flights, and which of them.
+        Batch of landers, and index of the lane to draw.
     """
 
-    def __init__(self, lanes: Lanes, lane: int = 0) -> None:
+    def __init__(self, lanes: DescentBatch, lane: int = 0) -> None:
         self._lanes, self._lane = lanes, lane
         self._path: list[Array] = []
         self._along = np.array([1.0, 0.0])
 
     def begin(self) -> None:
-        """A flight begins: the view is the plane through where it is and its target."""
+        """Start a flight: the view is the vertical plane through the lander and its target."""
         away = (self._lanes.y[self._lane, :2] - self._lanes.target[self._lane, :2]).copy()
         far = float(np.linalg.norm(away))
         self._along = away / far if far > 1.0 else np.array([1.0, 0.0])
@@ -48,16 +48,16 @@ class Picture:
         self.note()
 
     def note(self) -> None:
-        """Remember where the lander is."""
+        """Append the current position to the path."""
         self._path.append(self._flat(self._lanes.y[self._lane, :3]))
 
     def _flat(self, points: Array) -> Array:
-        """Return points (..., 3) in the plane: along it from the target, and over it, m."""
+        """Project points (..., 3) to the plane: horizontal and vertical offset from target, m."""
         off = points - self._lanes.target[self._lane]
         return np.stack((off[..., :2] @ self._along, off[..., 2]), axis=-1)
 
     def draw(self) -> Image:
-        """Return the flight as it stands (440, 640, 3)."""
+        """Return an image of the current state (440, 640, 3)."""
         here = self._flat(self._lanes.y[self._lane, :3])
         extent = max(_NEAREST, _ROOM * max(abs(float(here[0])), float(here[1])))
         left, low = 0.5 * float(here[0]) - 0.5 * extent, -0.12 * extent
@@ -82,7 +82,7 @@ class Picture:
         return np.hstack((image, self._gauges()))
 
     def _ground(self, left: float, extent: float) -> Array:
-        """Return the ground's profile (n, 2), m; level with the target where it is not known."""
+        """Return the terrain profile (n, 2), m; unknown terrain has the height of the target."""
         lanes, worlds = self._lanes, self._lanes.worlds
         z = worlds.grounds[lanes.world[self._lane]]
         x0, y0, posting = worlds.frame
@@ -102,7 +102,7 @@ class Picture:
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         size = vehicle.leg_radius
-        # From far it is drawn larger than it is.
+        # Enlarge a distant lander to a visible size.
         more = max(1.0, _LEAST / (2.0 * size * scale))
         foot = -vehicle.com_height
         across = np.array([*self._along, 0.0])
@@ -126,7 +126,7 @@ class Picture:
         cv2.fillPoly(image, [np.array(body)], _BODY, cv2.LINE_AA)
 
     def _gauges(self) -> Image:
-        """Return what instruments would show (440, 200, 3)."""
+        """Return an image of the gauges (440, 200, 3)."""
         lanes, y = self._lanes, self._lanes.y[self._lane]
         vehicle = lanes.craft.dynamics.lander
         tilt = np.degrees(np.arccos(np.clip(quat_rotate(y[6:10], [0.0, 0.0, 1.0])[2], -1.0, 1.0)))
@@ -134,9 +134,9 @@ class Picture:
         told = [
             ("time", f"{lanes.time[self._lane]:.1f} s", None),
             ("height", f"{off[1] - vehicle.com_height:.1f} m", None),
-            ("to the target", f"{lanes.miss[self._lane]:.1f} m", None),
+            ("to target", f"{lanes.miss[self._lane]:.1f} m", None),
             ("down", f"{-y[5]:.1f} m/s", None),
-            ("over ground", f"{np.hypot(y[3], y[4]):.1f} m/s", None),
+            ("lateral", f"{np.hypot(y[3], y[4]):.1f} m/s", None),
             ("tilt", f"{tilt:.1f} deg", tilt / 90.0),
             ("thrust", f"{y[14]:.0f} N", y[14] / vehicle.thrust_max),
             ("propellant", f"{y[13] - vehicle.dry_mass:.0f} kg",
@@ -154,7 +154,7 @@ class Picture:
                 cv2.rectangle(image, (10, top + 8), (10 + full, top + 16), _PATH, -1)
         if lanes.ended[self._lane] != FLYING:
             safe = bool(lanes.safe[self._lane])
-            words = ("landed safe",) if safe else lanes.words(self._lane)
+            words = ("landed safely",) if safe else lanes.words(self._lane)
             colour = _AIM if safe else (230, 90, 60)
             for i, word in enumerate(words[:3]):
                 cv2.putText(image, word, (10, 398 + 16 * i), font, 0.42, colour, 1, cv2.LINE_AA)

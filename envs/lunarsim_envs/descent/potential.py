@@ -1,30 +1,31 @@
-"""How far a lander is off a velocity that leads to its target: what shaping is made of."""
+"""Compute the shaping potential: deviation from a velocity that leads to the target."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim_envs.descent.lanes import Lanes
+from lunarsim_envs.descent.lanes import DescentBatch
 
 Array = NDArray[np.float64]
 
-# Share of what full thrust can brake by, against the weight and with full tanks, that the wanted
-# velocity needs; a share of the limit of the speed downward, with which it reaches the ground.
+# Deceleration of the reference velocity over the maximum one (full thrust minus gravity, full
+# tanks). Touchdown speed over the vertical speed limit.
 _BRAKES, _LANDS = 0.38, 0.4
-# Near the target the wanted speed is the distance over this time, s; along the ground it is so
-# much faster, by when the lander is over the target before it is down.
+# Near the target, the reference speed is the distance over _LAST, s. The horizontal speed is
+# increased by _SOONER, so that the lander is above the target before it is down.
 _LAST, _SOONER = 4.0, 1.5
 
 
-def wanted_velocity(lanes: Lanes) -> Array:
-    """Return the velocity that leads to the target, braking evenly (n, 3), ENU, m/s.
+def reference_velocity(lanes: DescentBatch) -> Array:
+    """Return the reference velocity towards the target (n, 3), ENU, m/s.
 
-    The way that is left over T + sqrt(r / 2 a), r the distance: from far off the root of 2 a r,
-    which braking at `a` keeps to, near by r / T. Downward it is meant for a point a little below
-    the ground, which is reached at a speed that the legs take.
-    A field of velocities to reward is of Gaudet, Linares and Furfaro, "Deep reinforcement learning
-    for six degree-of-freedom planetary landing", Advances in Space Research 65, 2020.
+    It is the vector to the target divided by T + sqrt(r / 2 a), where r is the distance. Far away
+    its norm is sqrt(2 a r), which corresponds to a constant deceleration a; near the target it is
+    r / T. Vertically it aims at a point slightly below the terrain, so that touchdown occurs at a
+    speed within the limit. Rewards based on a velocity field: Gaudet, Linares and Furfaro, "Deep
+    reinforcement learning for six degree-of-freedom planetary landing", Advances in Space Research
+    65, 2020.
     """
     dynamics = lanes.craft.dynamics
     lander = dynamics.lander
@@ -37,12 +38,12 @@ def wanted_velocity(lanes: Lanes) -> Array:
     return np.asarray(-away / time[:, None])
 
 
-def off(lanes: Lanes) -> Array:
-    """Return how far each lander is off the wanted velocity (n,).
+def velocity_deviation(lanes: DescentBatch) -> Array:
+    """Return the deviation of each lander from its reference velocity (n,).
 
-    The logarithm of 1 + the difference over the limit of speed along the ground: it tells a metre
-    a second from two at the end as well as ten from twenty on the way.
+    It is log(1 + error / horizontal speed limit). The logarithm distinguishes 1 from 2 m/s near the
+    end as well as 10 from 20 m/s earlier.
     """
-    error = np.linalg.norm(lanes.y[:, 3:6] - wanted_velocity(lanes), axis=1)
+    error = np.linalg.norm(lanes.y[:, 3:6] - reference_velocity(lanes), axis=1)
     limit = lanes.craft.dynamics.lander.horizontal_speed_limit
     return np.asarray(np.log1p(error / limit))

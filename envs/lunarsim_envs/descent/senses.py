@@ -1,4 +1,4 @@
-"""What comes late and with noise: how landers that a flight draws see and act."""
+"""Model noise and delay of observations, and delay of actions."""
 
 from __future__ import annotations
 
@@ -7,93 +7,98 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lunarsim_envs.descent import _kernels as k
-from lunarsim_envs.descent.lanes import Lanes
-from lunarsim_envs.descent.observations import Shown
+from lunarsim_envs.descent.lanes import DescentBatch
+from lunarsim_envs.descent.observations import ObservationLayout
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Late:
-    """Rows (n, size) of the last steps, of which each lane has that of its own delay.
+class DelayLine:
+    """Delay line with a separate delay for each lane.
 
     Parameters
     ----------
     lanes, size
-        Whose, and how many numbers a row has.
-    place, most, period
-        Which draw tells the delay, its greatest value, s, and how long a step is, s. A delay counts
-        in whole steps, the nearest number of them.
+        Batch of landers, and number of values per row.
+    place
+        Column of `DescentBatch.drawn` with the delay, s. Delays are rounded to whole steps.
+    most, period
+        Maximum delay and duration of a step, s.
     """
 
-    def __init__(self, lanes: Lanes, size: int, place: int, most: float, period: float) -> None:
+    def __init__(
+        self, lanes: DescentBatch, size: int, place: int, most: float, period: float
+    ) -> None:
         self._lanes, self._place, self._period = lanes, place, period
         self._kept = np.zeros((round(most / period) + 1, lanes.count, size))
         self._rows = np.arange(lanes.count)
 
     def begin(self, mask: Mask, row: Array) -> None:
-        """Let lanes of `mask` have had the same row as long as they remember."""
+        """Fill the delay line of the lanes of `mask` with one row."""
         self._kept[:, mask] = row[mask]
 
     def put(self, mask: Mask, row: Array) -> None:
-        """Take in the rows of this step, of the lanes in `mask`."""
+        """Insert the rows of this step for the lanes of `mask`."""
         self._kept[1:, mask] = self._kept[:-1, mask]
         self._kept[0, mask] = row[mask]
 
     @property
     def rows(self) -> Array:
-        """What comes through now (n, size)."""
+        """Delayed rows of the current step (n, size)."""
         steps = np.round(self._lanes.drawn[:, self._place] / self._period).astype(int)
         return np.asarray(self._kept[steps, self._rows])
 
 
-class Senses:
-    """What is shown of landers that see with noise and late, and what they do late.
+class SensingModel:
+    """Add noise and delay to observations, and delay to actions.
 
     Parameters
     ----------
     lanes, shown
-        Whose, and the parts of the observation; the lanes' craft has a `variation`.
+        Batch of landers whose `VehicleParams.variation` is set, and the observation components.
     period
-        Of a step, s.
+        Duration of a step, s.
     idle
-        What lanes are commanded before the first action (size,).
+        Command before the first action (size,).
     """
 
-    def __init__(self, lanes: Lanes, shown: Shown, period: float, idle: Array) -> None:
+    def __init__(
+        self, lanes: DescentBatch, shown: ObservationLayout, period: float, idle: Array
+    ) -> None:
         varied = lanes.craft.variation
         assert varied is not None
         self._lanes, self._shown = lanes, shown
         self._idle = np.tile(idle, (lanes.count, 1))
         width = shown.space.shape[0]
-        self._seen = Late(lanes, width, k.SEES_LATE, varied.sensing_delay, period)
-        self._asked = Late(lanes, len(idle), k.ACTS_LATE, varied.actuation_delay, period)
+        self._seen = DelayLine(lanes, width, k.SEES_LATE, varied.sensing_delay, period)
+        self._asked = DelayLine(lanes, len(idle), k.ACTS_LATE, varied.actuation_delay, period)
         self._noise = [
             (shown.places[name], sigma, name == "attitude")
             for name, sigma in varied.noise.items() if sigma > 0.0 and name in shown.places
         ]  # fmt: skip
 
     def begin(self, mask: Mask) -> None:
-        """Look for the first time in a flight, in the lanes of `mask`."""
+        """Take the first observation of a flight in the lanes of `mask`."""
         self._seen.begin(mask, self._look(mask))
         self._asked.begin(mask, self._idle)
 
     def look(self, mask: Mask) -> None:
-        """Look again, in the lanes of `mask`."""
+        """Take a new observation in the lanes of `mask`."""
         self._seen.put(mask, self._look(mask))
 
     def act(self, mask: Mask, physical: Array) -> Array:
-        """Take in what is commanded (n, size), and return what gets through."""
+        """Insert the commands (n, size) and return the delayed commands."""
         self._asked.put(mask, physical)
         return self._asked.rows
 
     @property
     def seen(self) -> NDArray[np.float32]:
-        """What is shown of every lane (n, size)."""
+        """Delayed, noisy observations of all lanes (n, size)."""
         return self._seen.rows.astype(np.float32)
 
     def _look(self, mask: Mask) -> Array:
-        """Return what is measured now (n, size), with noise in the lanes of `mask`."""
+        """Return the undelayed observations (n, size), with noise in the lanes of `mask`."""
         found = self._shown.of(self._lanes).astype(np.float64)
         if not self._noise:
             return found
@@ -110,5 +115,5 @@ class Senses:
 
 
 def _turned(attitude: Array, error: Array) -> Array:
-    """Return attitudes (n, 4) turned by small rotation vectors (n, 3) in their own axes."""
+    """Rotate attitudes (n, 4) by small rotation vectors (n, 3) in body axes, rad."""
     return np.asarray((Rotation.from_quat(attitude) * Rotation.from_rotvec(error)).as_quat())

@@ -1,4 +1,4 @@
-"""The worlds that descents meet: a pool of them, drawn once and shared by all lanes."""
+"""Generate a pool of worlds that all lanes share."""
 
 from __future__ import annotations
 
@@ -16,29 +16,30 @@ from lunarsim.simulation.worlds import build_world
 from lunarsim.world import World
 from lunarsim.world.terrain import Terrain
 
-# Distance of the posts of ground with rocks, and of relief, m.
+# Posting of the terrain with rocks, and of the terrain without rocks, m.
 _POSTING, _RELIEF_POSTING = 0.1, 1.0
-# Ground that is kept about where targets lie, m.
+# Margin of stored terrain around the target area, m.
 _ASIDE = 50.0
 _MOST_BYTES = 4 * 2**30
-# Relative, above that of rounding to single precision.
+# Relative tolerance for covers, larger than single-precision rounding.
 _SINGLE = 1e-6
 
 
 @dataclass(frozen=True)
-class Worlds:
-    """Ground of each world, about where its targets lie.
+class WorldPool:
+    """Terrain of each world around its target area.
 
     Attributes
     ----------
     grounds, frame
-        Heights with rocks (k, rows, cols), m, and where they are: corner and posting (3,).
+        Heights with rocks (k, rows, cols), m; east and north of cell (0, 0), and posting (3,), m.
     reliefs, relief_frame
-        The same without rocks, which is what a mission knows.
+        The same without rocks, as the mission knows the terrain.
     levels
-        Least and greatest height of each (k, 2), m.
+        Minimum and maximum height of each world (k, 2), m.
     covers
-        Of rocks, of equal shares of the worlds one after another; the scenario's own is the first.
+        Rock covers. The worlds are grouped by cover in this order, with equal group sizes; the
+        cover of the scenario is the first.
     """
 
     grounds: NDArray[np.float32]
@@ -49,29 +50,32 @@ class Worlds:
     covers: tuple[float, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()) -> Worlds:
-        """Draw worlds of a scenario.
+    def of(
+        cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
+    ) -> WorldPool:
+        """Generate the worlds of a scenario.
 
         Parameters
         ----------
         scenario
-            Of which terrain, rocks and the scatter of targets count.
+            Scenario with terrain, rocks and target area.
         count, seed
-            How many, and their root seed: world k is that of flight k of a campaign with it.
+            Number of worlds per cover, and root seed. World k is that of flight k of a campaign
+            with this seed.
         covers
-            Of rocks, of each of which so many are drawn besides.
+            Additional rock covers.
 
         Raises
         ------
         InputError
-            If there are none, a cover will not do, they take more than 4 GiB, or targets may lie
-            off the map.
+            If the count is less than 1, a cover is invalid, the worlds need more than 4 GiB, or
+            the target area is not inside the map.
         """
         if count < 1:
-            raise InputError("worlds", count, "at least 1")
+            raise InputError("worlds", count, "must be 1 or more")
         drawn = (
             build_world(one, Streams(flight_seed(seed, k)))
-            for one in with_covers(scenario, covers)
+            for one in scenarios_by_cover(scenario, covers)
             for k in range(count)
         )
         return cls.about(scenario, count, drawn, covers)
@@ -79,9 +83,9 @@ class Worlds:
     @classmethod
     def about(
         cls, scenario: Scenario, count: int, drawn: Iterable[World], covers: Sequence[float] = ()
-    ) -> Worlds:
-        """Keep the ground about the targets of worlds that have been drawn; see `of`."""
-        told = tuple(one.rocks.cover for one in with_covers(scenario, covers))
+    ) -> WorldPool:
+        """Store the terrain around the targets of generated worlds; arguments as in `of`."""
+        told = tuple(one.rocks.cover for one in scenarios_by_cover(scenario, covers))
         grounds, reliefs, grids = [], [], None
         for world in drawn:
             if grids is None:
@@ -90,59 +94,66 @@ class Worlds:
                 if size > _MOST_BYTES:
                     raise InputError(
                         "worlds", count,
-                        f"fewer, or less scatter of targets: they take {bytes_in_words(size)}",
+                        f"must be smaller, because the worlds need {bytes_in_words(size)}",
+                        "A smaller target.scatter_m also helps.",
                     )  # fmt: skip
             grounds.append(world.terrain.raster(grids[0]))
             reliefs.append(Terrain(world.terrain.relief).raster(grids[1]))
         assert grids is not None
         ground, relief = np.stack(grounds), np.stack(reliefs)
         if not np.isfinite(relief).all():
-            raise InputError("target.scatter_m", scenario.target.make().scatter, "measured ground")
+            raise InputError(
+                "target.scatter_m", scenario.target.make().scatter, "must be on terrain with data"
+            )
         levels = np.stack((np.nanmin(ground, (1, 2)), np.nanmax(ground, (1, 2))), axis=1)
         frames = [np.array([g.x0, g.y0, g.posting]) for g in grids]
         return cls(ground, frames[0], relief, frames[1], levels.astype(np.float64), told)
 
     def span(self, cover: float | None) -> tuple[int, int]:
-        """Return the first world of a cover, and how many there are; None: the scenario's own.
+        """Return index of the first world and number of worlds of a cover.
+
+        None is the cover of the scenario.
 
         Raises
         ------
         InputError
-            If there are no worlds of such a cover.
+            If there are no worlds with this cover.
         """
         count = len(self.grounds) // len(self.covers)
         if cover is None:
             return 0, count
-        # Within the rounding of single precision.
         k = int(np.abs(np.array(self.covers) - cover).argmin())
         if abs(self.covers[k] - cover) > _SINGLE * self.covers[k]:
             known = ", ".join(f"{one:g}" for one in self.covers)
             raise InputError(
                 "options.cover",
                 cover,
-                f"{known}; others are drawn if the argument covers names them",
+                f"must be one of {known}",
+                "Add it to the argument covers of the environment.",
             )
         return k * count, count
 
 
-def with_covers(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
-    """Return a scenario, and what it is with each of other covers of rocks.
+def scenarios_by_cover(scenario: Scenario, covers: Sequence[float]) -> list[Scenario]:
+    """Return a scenario, followed by copies with other rock covers.
 
     Raises
     ------
     InputError
-        If a cover is named twice or will not do.
+        If a cover is invalid or occurs twice.
     """
     made = [scenario]
     for cover in covers:
         if cover in [one.rocks.cover for one in made]:
-            raise InputError("covers", cover, "other covers than the scenario's own, each once")
+            raise InputError(
+                "covers", cover, "must not repeat a cover, nor contain the cover of the scenario"
+            )
         made.append(scenario.changed(rocks={"cover": cover}))
     return made
 
 
 def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
-    """Return where ground with rocks, and relief, are kept."""
+    """Return the grids of the terrain with rocks and of the terrain without rocks."""
     target = scenario.target.make()
     middle, scatter = np.asarray(target.position), np.asarray(target.scatter)
     west, east, south, north = terrain.bounds
@@ -153,8 +164,8 @@ def _grids(scenario: Scenario, terrain: Terrain) -> tuple[Grid, Grid]:
     if np.any(middle - scatter - room < low) or np.any(middle + scatter + room > high):
         raise InputError(
             "target.scatter_m", target.scatter,
-            f"targets {room:.1f} m or more inside the map, which goes from {west:.0f} to "
-            f"{east:.0f} m east and {south:.0f} to {north:.0f} m north",
+            f"must keep targets {room:.1f} m inside the map, {west:.0f} to {east:.0f} m east and "
+            f"{south:.0f} to {north:.0f} m north",
         )  # fmt: skip
 
     def grid(low: NDArray[np.float64], high: NDArray[np.float64], posting: float) -> Grid:

@@ -1,1 +1,1 @@
-"""Agents flown over the same episodes and compared."""
+"""Evaluate and compare agents on identical episodes."""

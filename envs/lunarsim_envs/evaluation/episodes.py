@@ -1,4 +1,4 @@
-"""Episodes of one agent: everything in them derives from the root seed and the episode's index."""
+"""Fly episodes of one agent; all random numbers derive from root seed and episode index."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from lunarsim_envs.agents.registry import agent_of, label
 
 @dataclass(frozen=True)
 class Study:
-    """What is flown, whoever flies it.
+    """Definition of an evaluation, without the agents.
 
     Attributes
     ----------
     env
-        Id of the environment, ``module:`` before it where one is to be imported first.
+        Id of the environment, with prefix ``module:`` if a module must be imported first.
     scenario
-        Of the environment; None: as it has it.
+        Scenario of the environment; None is the default of the environment.
     arguments
         Other arguments of the environment.
     seed
         Root seed of the episodes.
     trust_pickle
-        Whether files of Stable-Baselines3 are trusted; see `agent_of`.
+        Whether Stable-Baselines3 files, which can run any code, may be loaded.
     """
 
     env: str
@@ -40,7 +40,7 @@ class Study:
     trust_pickle: bool = False
 
     def make(self) -> gymnasium.Env[Any, Any]:
-        """Return the environment."""
+        """Create the environment."""
         given = dict(self.arguments)
         if self.scenario is not None:
             given["scenario"] = self.scenario
@@ -48,7 +48,7 @@ class Study:
 
 
 def _ending(info: dict[str, Any]) -> dict[str, Any]:
-    """Return what an episode's last info tells: truths, numbers, and words in one text."""
+    """Return the booleans, numbers and tuples of words (as one text) of the last info."""
     row: dict[str, Any] = {}
     for name, value in info.items():
         if isinstance(value, bool | np.bool_):
@@ -61,25 +61,27 @@ def _ending(info: dict[str, Any]) -> dict[str, Any]:
 
 
 def fly_episodes(study: Study, agent: str, episodes: range) -> Iterator[dict[str, Any]]:
-    """Fly episodes and yield a row of each.
+    """Fly episodes and yield one row per episode.
 
     Parameters
     ----------
-    study, agent
-        What is flown, and by whom; see `agent_of`.
+    study
+        Definition of the evaluation.
+    agent
+        Agent, in a form that `agent_of` accepts.
     episodes
-        Indices.
+        Indices of the episodes.
 
     Yields
     ------
     dict
-        Agent, episode, return, score (the return less shaping, which tells nothing of how well it
-        went), steps and sum of each term of the reward, with what the last info tells.
+        Agent, episode, return, score (return without shaping), steps, sum of each reward term, and
+        values of the last info.
 
     Raises
     ------
     InputError
-        If the agent cannot fly the environment, or gives an action that it does not take.
+        If the agent cannot fly the environment or returns an invalid action.
     """
     env = study.make()
     try:
@@ -96,7 +98,9 @@ def fly_episodes(study: Study, agent: str, episodes: range) -> Iterator[dict[str
                 try:
                     observation, reward, ended, late, info = env.step(action)
                 except ValueError as error:
-                    raise InputError("--agent", agent, f"actions that fit ({error})") from error
+                    raise InputError(
+                        "--agent", agent, f"returned an invalid action ({error})"
+                    ) from error
                 total, steps, over = total + float(reward), steps + 1, ended or late
                 for name, term in info.get("reward_terms", {}).items():
                     terms[name] = terms.get(name, 0.0) + float(term)

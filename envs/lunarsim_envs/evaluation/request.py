@@ -1,4 +1,4 @@
-"""Turns what the command line says into a study."""
+"""Convert command-line options to a study."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lunarsim_envs.evaluation.episodes import Study
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.perception import PERCEPTIONS
 
-# What each environment flies over unless a scenario is given.
+# Default scenario of each environment.
 _DEFAULTS = {
     "lunarsim/Retarget-v0": default_scenario, "lunarsim/Guidance-v0": level,
     "lunarsim/Control-v0": level,
@@ -26,64 +26,66 @@ _DEFAULTS = {
 
 
 def _environment(given: str) -> str:
-    """Return the id of a registered environment; ``Guidance-v0`` is short for ``lunarsim/...``.
+    """Return the id of a registered environment; the prefix ``lunarsim/`` may be omitted.
 
     Raises
     ------
     InputError
-        If there is none of it, or the module before it cannot be imported.
+        If the environment does not exist, or its module cannot be imported.
     """
     module, _, name = given.rpartition(":")
     if module:
         try:
             importlib.import_module(module)
         except ImportError as error:
-            raise InputError("env", given, f"a module that can be imported ({error})") from None
+            raise InputError("env", given, f"its module cannot be imported ({error})") from None
     for candidate in (name, f"lunarsim/{name}"):
         if candidate in gymnasium.registry:
             return f"{module}:{candidate}" if module else candidate
     known = [one for one in gymnasium.registry if one.startswith("lunarsim/")]
     near = suggestion(name if "/" in name else f"lunarsim/{name}", known)
-    raise InputError("env", given, f"an environment that Gymnasium knows; {near}")
+    raise InputError("env", given, "is not a registered environment", near)
 
 
 def _check_perception(given: str, default: Any) -> None:
-    """Refuse a perception that there is not, and any of an environment without one."""
+    """Check that a perception exists and applies to the environment."""
     if given not in PERCEPTIONS:
-        raise InputError("--perception", given, suggestion(given, PERCEPTIONS))
+        raise InputError("--perception", given, "is unknown", suggestion(given, PERCEPTIONS))
     if default is level:
-        raise InputError("--perception", given, "left out: of Retarget-v0 alone")
+        raise InputError("--perception", given, "applies only to Retarget-v0", "Omit it.")
 
 
 def study(
     env: str, scenario: Path | None, changes: Sequence[str], seed: int, **arguments: Any
 ) -> Study:
-    """Return what is to be flown.
+    """Return the definition of an evaluation.
 
     Parameters
     ----------
     env
-        Id, with ``module:`` before it where one registers it.
-    scenario, changes
-        File or name, None: the environment's own; and ``KEY=VALUE`` each.
+        Id of the environment, with prefix ``module:`` if a module registers it.
+    scenario
+        File or name of a scenario; None is the default of the environment.
+    changes
+        Scenario changes ``KEY=VALUE``.
     seed
-        Root seed.
+        Root seed of the episodes.
     arguments
-        Of the environment.
+        Other arguments of the environment.
 
     Raises
     ------
     InputError
-        If there is no such environment or scenario, or it takes none.
+        If the environment or the scenario does not exist, or an argument does not apply.
     """
     name = _environment(env)
     own = _DEFAULTS.get(name.rpartition(":")[2])
     if "observation" in arguments and own is None:
         given = ", ".join(arguments["observation"])
-        raise InputError("--observation", given, f"left out: {name} is none of lunarsim's")
+        raise InputError("--observation", given, f"does not apply to {name}", "Omit it.")
     if "action" in arguments and own is not default_scenario:
         raise InputError(
-            "--action", ", ".join(arguments["action"]), "left out: of Retarget-v0 alone"
+            "--action", ", ".join(arguments["action"]), "applies only to Retarget-v0", "Omit it."
         )  # fmt: skip
     if "perception" in arguments:
         _check_perception(arguments["perception"], own)
@@ -93,7 +95,7 @@ def study(
     elif own is not None:
         flown = own()
     elif changes:
-        raise InputError("--set", changes[0], f"--scenario as well: {name} says nothing of its own")
+        raise InputError("--set", changes[0], f"needs --scenario, because {name} has no default")
     if flown is not None:
         flown = with_changes(flown, tuple(changes))
     return Study(name, flown, dict(arguments), seed)

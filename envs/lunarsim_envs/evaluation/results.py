@@ -1,4 +1,4 @@
-"""What episodes gave: every agent by itself, agents against each other, and the files of both."""
+"""Compute and write the results of an evaluation: metrics per agent and paired differences."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Mean:
-    """A mean with its bootstrap interval at 95 %, over the values that there are."""
+class BootstrapMean:
+    """A mean over finite values with its 95 % bootstrap interval."""
 
     value: float
     low: float
     high: float
 
     def text(self, digits: int) -> str:
-        """Return ``value [low, high]``; a dash without values."""
+        """Format as ``value [low, high]``, or as a dash if there are no values."""
         if not np.isfinite(self.value):
             return "-"
         if not np.isfinite(self.low):
@@ -48,38 +48,38 @@ class Mean:
 
 @dataclass(frozen=True)
 class AgentFigures:
-    """One agent by itself.
+    """Metrics of one agent.
 
     Attributes
     ----------
     name, episodes
-        Whose, and how many.
+        Name of the agent, and number of episodes.
     score, steps
-        Return less shaping, and length of an episode.
+        Return without shaping, and number of steps per episode.
     safe, on_target
-        Share that landed safe, and safe near enough to the target; None where an environment tells
-        neither.
+        Fraction of safe landings, and of safe landings near the target; None if the environment
+        does not report them.
     propellant, miss
-        Of safe landings, kg and m.
+        Propellant used (kg) and miss distance (m) of safe landings.
     """
 
     name: str
     episodes: int
-    score: Mean
-    steps: Mean
+    score: BootstrapMean
+    steps: BootstrapMean
     safe: Proportion | None
     on_target: Proportion | None
-    propellant: Mean
-    miss: Mean
+    propellant: BootstrapMean
+    miss: BootstrapMean
 
 
 def column(rows: Rows, name: str) -> Array:
-    """Return a column of some rows (n,); NaN where a row has none."""
+    """Return a column of rows (n,); NaN where a row does not have it."""
     return np.array([float(row.get(name, np.nan)) for row in rows], dtype=np.float64)
 
 
 def with_target(rows: Rows, within: float) -> Rows:
-    """Return rows that also tell whether a safe landing was within so many metres."""
+    """Add ``on_target``: whether the landing was safe and within a distance, m."""
     return [
         row | {"on_target": bool(row["safe"] and row["miss_m"] <= within)}
         if "miss_m" in row and "safe" in row
@@ -95,15 +95,15 @@ def _share(rows: Rows, name: str) -> Proportion | None:
 
 
 def figures(rows: Rows, seed: int) -> list[AgentFigures]:
-    """Return every agent's figures, in the order in which they come in the rows."""
+    """Return the metrics of every agent, in the order of the rows."""
     rng = np.random.default_rng(design_seed(seed))
 
-    def mean(own: Rows, name: str) -> Mean:
+    def mean(own: Rows, name: str) -> BootstrapMean:
         values = column(own, name)
         values = values[np.isfinite(values)]
         if not len(values):
-            return Mean(*3 * (float("nan"),))
-        return Mean(float(values.mean()), *mean_bootstrap(values, rng))
+            return BootstrapMean(*3 * (float("nan"),))
+        return BootstrapMean(float(values.mean()), *mean_bootstrap(values, rng))
 
     found = []
     for agent in dict.fromkeys(row["agent"] for row in rows):
@@ -119,10 +119,10 @@ def figures(rows: Rows, seed: int) -> list[AgentFigures]:
 
 
 def differences(rows: Rows, seed: int) -> dict[str, list[Difference]]:
-    """Return differences between agents on the same episodes, by metric.
+    """Return paired differences between agents on the same episodes, by metric.
 
-    The share of safe landings is compared on all episodes, propellant on those that both landed
-    safe. Tests of one metric are corrected for their number.
+    Safe landings are compared on all episodes, propellant on episodes in which both agents landed
+    safely. The p-values of one metric are corrected for multiple comparisons (Holm).
     """
     rng = np.random.default_rng(design_seed(seed))
     agents = list(dict.fromkeys(row["agent"] for row in rows))
@@ -153,16 +153,18 @@ def write(
     out: Path, rows: Rows, told: dict[str, Any], found: list[AgentFigures],
     between: dict[str, list[Difference]],
 ) -> None:  # fmt: skip
-    """Write ``results.parquet``, a row an episode and agent, and ``summary.json``.
+    """Write ``results.parquet`` (one row per episode and agent) and ``summary.json``.
 
     Parameters
     ----------
     out
-        Folder; made if it is not there.
-    rows, told
-        Episodes, and what was asked for.
+        Folder to write to; it is created if needed.
+    rows
+        Results of the episodes.
+    told
+        Arguments of the evaluation, stored in the summary.
     found, between
-        Figures of agents, and differences between them.
+        Metrics of agents, and differences between agents.
     """
     out.mkdir(parents=True, exist_ok=True)
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -177,7 +179,7 @@ def write(
 
 
 def _finite(value: Any) -> Any:
-    """Return a value in which numbers that JSON has no word for are None."""
+    """Replace numbers that JSON cannot represent (NaN, infinity) by None."""
     if isinstance(value, dict):
         return {key: _finite(own) for key, own in value.items()}
     if isinstance(value, list | tuple):

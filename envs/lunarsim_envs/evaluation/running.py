@@ -1,4 +1,4 @@
-"""Episodes of several agents, spread over processes; results do not depend on how many."""
+"""Fly episodes of several agents in parallel processes; results do not depend on their number."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from lunarsim.errors import InputError
 from lunarsim_envs.agents.registry import agent_of, check, label
 from lunarsim_envs.evaluation.episodes import Study, fly_episodes
 
-# Episodes that a process takes at a time: few enough that a bar moves.
+# Number of episodes per task: small enough for a smooth progress bar.
 _CHUNK = 10
 
 Rows = list[dict[str, Any]]
 
 
 class WorkersDieError(RuntimeError):
-    """A process that flew episodes has died."""
+    """Report that a worker process died."""
 
 
 def check_agents(study: Study, agents: Sequence[str]) -> None:
-    """Refuse agents that are none, come twice or cannot fly the environment.
+    """Check that agents exist, have distinct names and can fly the environment.
 
     Raises
     ------
@@ -35,12 +35,12 @@ def check_agents(study: Study, agents: Sequence[str]) -> None:
         Naming ``--agent``.
     """
     if not agents:
-        raise InputError("--agent", "", "at least one")
+        raise InputError("--agent", "", "must be given at least once")
     for agent in agents:
         check(agent, trust_pickle=study.trust_pickle)
     names = [label(agent) for agent in agents]
     if len(set(names)) < len(names):
-        raise InputError("--agent", ", ".join(names), "each name once")
+        raise InputError("--agent", ", ".join(names), "must have distinct names")
     env = study.make()
     try:
         for agent in agents:
@@ -62,16 +62,16 @@ def fly(
     Parameters
     ----------
     study, agents
-        What is flown, and by whom.
+        Definition of the evaluation, and agents.
     episodes, jobs
-        Episodes an agent; processes.
+        Number of episodes per agent, and number of processes.
     progress
-        Is called with the number of episodes finished since the last call.
+        Function called with the number of episodes finished since the last call.
 
     Returns
     -------
     list of dict
-        By agent, then episode.
+        One row per episode, ordered by agent and episode.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def fly(
         If there are too many episodes, or worker processes cannot load the environment or an agent.
     """
     if episodes > MAX_FLIGHTS:
-        raise InputError("--episodes", episodes, f"at most {MAX_FLIGHTS}")
+        raise InputError("--episodes", episodes, f"must be at most {MAX_FLIGHTS}")
     tell = progress or (lambda n: None)
     work = [
         (agent, range(first, min(first + _CHUNK, episodes)))
@@ -99,12 +99,12 @@ def fly(
 def _spread(
     study: Study, work: list[tuple[str, range]], jobs: int, tell: Callable[[int], None]
 ) -> Rows:
-    """Fly chunks in processes of their own.
+    """Fly tasks in worker processes.
 
-    They are spawned: a fork of a process that has flown or rendered may hang.
+    Workers are spawned, because a fork of a process that has flown or rendered may hang.
     """
     check_picklable("study", study)
-    # Agents and environments are sent by name: classes of a notebook show only here.
+    # Agents and environments are sent by name, so classes defined in a notebook fail here.
     entry = gymnasium.spec(study.env.rpartition(":")[2]).entry_point
     if callable(entry):
         name = getattr(entry, "__qualname__", type(entry).__qualname__)
@@ -121,7 +121,7 @@ def _spread(
                 tell(sum(len(future.result()) for future in done))
         except BrokenProcessPool:
             raise WorkersDieError(
-                "a process that flew episodes died; --jobs 1 flies them in this one"
+                "A worker process died. Use --jobs 1 to fly the episodes in the main process."
             ) from None
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""The tables that `lunarsim evaluate` prints."""
+"""Format the tables that `lunarsim evaluate` prints."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lunarsim_envs.evaluation.results import AgentFigures
 if TYPE_CHECKING:
     from rich.table import Table
 
-_UNITS = {"score": "score", "safe": "share safe", "propellant_kg": "propellant, kg"}
+_UNITS = {"score": "Score", "safe": "Landed safely", "propellant_kg": "Propellant (kg)"}
 
 
 def _table(headings: tuple[str, ...]) -> Table:
-    from rich.table import Table  # noqa: PLC0415  (a library does not draw)
+    from rich.table import Table  # noqa: PLC0415  (only needed for printing)
 
     table = Table()
     for i, heading in enumerate(headings):
@@ -25,10 +25,10 @@ def _table(headings: tuple[str, ...]) -> Table:
 
 
 def agents_table(found: list[AgentFigures], within: float) -> Table:
-    """Return a row an agent."""
+    """Return a table with one row per agent."""
     table = _table(
-        ("agent", "episodes", "landed safe [95 %]", f"safe within {within:g} m", "score",
-         "propellant kg\nof safe", "miss m\nof safe", "steps")
+        ("Agent", "Episodes", "Landed safely [95 % CI]", f"Safe within {within:g} m", "Score, mean",
+         "Propellant (kg)\nsafe landings", "Miss (m)\nsafe landings", "Steps,\nmean")
     )  # fmt: skip
     for agent in found:
         table.add_row(
@@ -42,16 +42,14 @@ def agents_table(found: list[AgentFigures], within: float) -> Table:
 
 
 def _interval(d: Difference) -> str:
-    """Return a difference with its interval; without it where there is none, of one pair."""
+    """Format a difference with its interval, if there is more than one pair."""
     told = f"{d.value:+.3f}"
     return told if np.isnan(d.low) else f"{told} [{d.low:+.3f}, {d.high:+.3f}]"
 
 
 def differences_table(between: dict[str, list[Difference]]) -> Table:
-    """Return a row a pair of agents and metric."""
-    table = _table(
-        ("second less first, same episodes", "of", "pairs", "difference [95 %]", "p, corrected")
-    )
+    """Return a table with one row per pair of agents and metric."""
+    table = _table(("Paired difference", "Metric", "Pairs", "Difference [95 % CI]", "p (Holm)"))
     for metric, many in between.items():
         for d in many:
             table.add_row(

@@ -1,1 +1,1 @@
-"""Where to land, decided over a pool of worlds and flown by kernels."""
+"""Site selection over a pool of worlds, flown by compiled kernels."""

@@ -1,12 +1,4 @@
-"""Compiled proof that ground is out of reach, without trying its times-to-go one by one.
-
-At a sample of a path the acceleration is a polynomial of the second degree in 1 / T, and where the
-acceleration asked at its end is nought its place is one of the first degree in T (see
-`paths.PathShape`). Long paths dip below the cone: above the place's cone is a concave function of
-T, so once it is below and falls it stays there. Short ones ask for too much thrust or tilt: squared
-these are polynomials of the fourth degree, which are positive where their Bernstein coefficients
-are. What is proven holds with room for the rounding of `_reach_kernels`; what is not is surveyed.
-"""
+"""Compiled proofs that a region is out of reach for every time-to-go."""
 
 from __future__ import annotations
 
@@ -24,19 +16,15 @@ from lunarsim.onboard.guidance._kernels import (
     TAN_TILT,
 )
 
-# Room for rounding: a share, m^2/s^4, m, m/s.
+# Margins for rounding: relative, m^2/s^4, m, m/s.
 _SHARE, _SQUARE, _LENGTH, _SPEED = 1e-3, 1e-3, 0.05, 1e-3
-# Samples whose tilt is looked at, from the first; the least part of the span of 1 / T.
+# Number of first samples with a tilt check; smallest part of the interval of 1 / T.
 _LOOKED, _FINEST = 4, 1.0 / 64.0
 
 
 @kernel(inner=True)
 def ways_of(state, law, out):
-    """Write how paths from a state hang on T and on their target (samples, 9).
-
-    Of each sample: the share of the target's distance in the acceleration, its slope in 1 / T
-    (3,), the share of the distance in the place, its slope in T (3,), nothing.
-    """
+    """Write the coefficients of path samples in T and 1 / T (samples, 9)."""
     low, high = law.powers[0], law.powers[1]
     k = (low + 2.0) / (high - low)
     for s in range(len(out)):
@@ -55,7 +43,7 @@ def ways_of(state, law, out):
 
 @kernel(inline=True)
 def _square(a, b, c, out, sign):
-    """Add the square of a quadratic, from its highest term on, to a quartic (5,)."""
+    """Add the square of a quadratic (highest term first) to a quartic (5,)."""
     out[0] += sign * c * c
     out[1] += sign * 2.0 * b * c
     out[2] += sign * (b * b + 2.0 * a * c)
@@ -65,9 +53,9 @@ def _square(a, b, c, out, sign):
 
 @kernel(inline=True)
 def _positive(c, low, high):
-    """Tell whether a quartic (5,), from its constant on, is surely positive between two points."""
+    """Return whether a quartic (5,), constant first, is certainly positive in an interval."""
     w = high - low
-    # In the share of the way from low to high.
+    # Bernstein form on the interval from low to high.
     b0 = c[0] + low * (c[1] + low * (c[2] + low * (c[3] + low * c[4])))
     b1 = w * (c[1] + low * (2.0 * c[2] + low * (3.0 * c[3] + low * 4.0 * c[4])))
     b2 = w * w * (c[2] + low * (3.0 * c[3] + low * 6.0 * c[4]))
@@ -84,7 +72,7 @@ def _positive(c, low, high):
 
 @kernel(inline=True)
 def _over(way, gap, wide, tall, glide, time):
-    """Return how far a sample is above the cone at most, m, and how fast that grows with T."""
+    """Return the maximum height of a sample above the cone, m, and its derivative in T."""
     part = abs(way[4])
     east, north = way[4] * gap[0] + way[5] * time, way[4] * gap[1] + way[6] * time
     side = np.sqrt(east * east + north * north)
@@ -95,7 +83,7 @@ def _over(way, gap, wide, tall, glide, time):
 
 @kernel(inner=True)
 def sunk(ways, gap, wide, tall, glide, first):
-    """Return a time from `first` on, s, from which on paths go below the cone; inf: none known."""
+    """Return a time after `first`, s, beyond which all paths are below the cone; inf if unknown."""
     best = np.inf
     for s in range(len(ways) - 1):
         way = ways[s]
@@ -127,7 +115,7 @@ def sunk(ways, gap, wide, tall, glide, first):
 
 @kernel(inner=True)
 def _quartics(ways, gap, wide, tall, figures, out):
-    """Write what is positive where too much is asked for (1 + _LOOKED, 5), in powers of 1 / T."""
+    """Write polynomials in 1 / T that are positive where limits are violated."""
     out[:] = 0.0
     tan, gravity = figures[TAN_TILT] * (1.0 + _SHARE), figures[GRAVITY]
     for s in range(_LOOKED):
@@ -148,11 +136,7 @@ def _quartics(ways, gap, wide, tall, figures, out):
 
 @kernel()
 def beyond(ways, state, low, high, speed, most, law, figures):
-    """Tell whether no target in a box (3,), (3,) has an admissible time-to-go, for certain.
-
-    `ways`: see `ways_of`; `speed` of the lander, m/s, `most` as `_flight_kernels.reach` has it. No
-    is no answer.
-    """
+    """Return whether no target in a box has an admissible time-to-go, for certain."""
     for axis in range(3):
         if law.asked[1, axis] != 0.0:
             return False

@@ -1,4 +1,4 @@
-"""Compiled picks of cells from a map: the best of them, and the nearest that are good enough."""
+"""Compiled selection of map cells: the best ones, and the nearest safe ones."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim._lanes import LANES, larger, load, store
 
-# Of `candidates.best_cells`.
+# Constant of `candidates.best_cells`.
 _PRICE = np.float32(1e-3 / 100.0)
-# Stands for cells that are no site.
+# Score of excluded cells.
 NOWHERE = np.float32(-1e30)
 _NOUGHT, _WHOLE = np.float32(0.0), np.float32(1.0)
 
 
 @kernel(finite=True)
 def offsets(corner, posting, site, out):
-    """Write how far columns lie from a site (cols,), m."""
+    """Write the distance of columns from a site (cols,), m."""
     for c in range(len(out)):
         out[c] = np.float32(corner + c * posting - site)
 
 
 @kernel(finite=True)
 def _scored(aim, dy, offset, score):
-    """Write how good each cell of a row is (cols,)."""
+    """Write the scores of the cells of a row (cols,)."""
     for c in range(len(aim)):
         dx = offset[c]
         good = aim[c] * (_WHOLE - _PRICE * np.sqrt(dx * dx + dy * dy))
@@ -32,7 +32,7 @@ def _scored(aim, dy, offset, score):
 
 @kernel()
 def greatest(cells, row):
-    """Return the greatest of a row of cells (rows, cols) without NaN."""
+    """Return the maximum of a row of cells (rows, cols) without NaN."""
     cols = cells.shape[1]
     best = cells[row, 0]
     if cols < LANES:
@@ -40,7 +40,7 @@ def greatest(cells, row):
             best = max(best, cells[row, c])
         return best
     flat, first = cells.reshape(-1), row * cols
-    # The last sixteen overlap those before them.
+    # The last sixteen elements overlap the previous ones.
     sixteen, each = load(flat, first + cols - LANES), np.empty(LANES, np.float32)
     for c in range(0, cols - LANES, LANES):
         sixteen = larger(load(flat, first + c), sixteen)
@@ -52,7 +52,7 @@ def greatest(cells, row):
 
 @kernel()
 def score_all(aim, corner, posting, site, score, most, highest):
-    """Write how good each cell is (rows, cols), the best of each row and of its aim (rows,)."""
+    """Write the score of each cell (rows, cols), and the row maxima of score and aim (rows,)."""
     rows, cols = aim.shape
     offset = np.empty(cols, np.float32)
     offsets(corner[0], posting, site[0], offset)
@@ -64,7 +64,7 @@ def score_all(aim, corner, posting, site, score, most, highest):
 
 @kernel(inner=True)
 def halves_of(separation, posting, out):
-    """Write how many cells to a side are too near, of rows that are so many apart (m,)."""
+    """Write the half widths of the exclusion disc per row (m,), in cells."""
     for apart in range(len(out)):
         out[apart] = 0
         while np.hypot(apart, out[apart]) * posting < separation:
@@ -73,7 +73,7 @@ def halves_of(separation, posting, out):
 
 @kernel(inner=True)
 def clear(score, most, row, col, halves):
-    """Take the cells about one out of the choice; see `halves_of`."""
+    """Exclude the cells around a chosen cell, with the half widths of `halves_of`."""
     rows, cols = score.shape
     wide = len(halves) - 1
     for r in range(max(row - wide, 0), min(row + wide + 1, rows)):
@@ -85,10 +85,7 @@ def clear(score, most, row, col, halves):
 
 @kernel()
 def best_cells(aim, corner, posting, site, count, separation, score, highest, cells):
-    """Write up to `count` cells (m, 2) of greatest aim and return how many.
-
-    See `candidates.best_cells`. `highest` (rows,) takes the greatest aim of each row.
-    """
+    """Write up to `count` cells (m, 2) with the highest scores; return their number."""
     rows = len(aim)
     most = np.empty(rows, np.float32)
     score_all(aim, corner, posting, site, score, most, highest)
@@ -111,10 +108,7 @@ def best_cells(aim, corner, posting, site, count, separation, score, highest, ce
 
 @kernel()
 def nearest(aim, corner, posting, site, level, highest, place):
-    """Write the nearest cell of an aim of at least `level` (2,); tell whether there is one.
-
-    Rows are gone through from the site's outward, as far as one may still be nearer.
-    """
+    """Write the nearest cell with an aim of at least `level` (2,); return whether one exists."""
     rows, cols = aim.shape
     middle = min(max(int(np.floor((site[1] - corner[1]) / posting + 0.5)), 0), rows - 1)
     best = np.inf
@@ -137,7 +131,7 @@ def nearest(aim, corner, posting, site, level, highest, place):
 
 @kernel()
 def nearest_cells(aim, corner, posting, site, levels, count, highest, cells):
-    """Add the nearest cell at each level of aim that is not among them; return how many."""
+    """Append the nearest cell at each level of aim, if it is new; return the number."""
     place = np.empty(2, np.int64)
     for k in range(len(levels)):
         known = not nearest(aim, corner, posting, site, levels[k], highest, place)

@@ -1,4 +1,4 @@
-"""Compiled choice among the sites on maps: which stand out, what each costs, how it is missed."""
+"""Compiled selection of candidate sites from maps, with their cost and expected miss."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from lunarsim_envs.sites._flight_kernels import believed, reach
 from lunarsim_envs.sites._map_kernels import cell
 from lunarsim_envs.sites._stead_kernels import beaten, in_their_stead, within
 
-# A spread map is made anew where the miss has changed by this share.
+# An averaged map is recomputed if the miss has changed by this fraction.
 _ALIKE = 0.05
-# Of `expected_miss.MOST`.
+# Value of `expected_miss.MOST`.
 _MOST = 30.0
 
 
 class Found(NamedTuple):
-    """Sites of lanes (n, m, ...): position, p_safe, distance, propellant; how many (n,).
+    """Candidate sites (n, m, ...): position, p_safe, distance, propellant; their number (n,).
 
-    `here` (n, 3): p_safe at the site flown to (NaN: not seen), propellant to it, expected miss.
+    `here` (n, 3): current site: p_safe (NaN: not observed), propellant to it, expected miss.
     """
 
     position: np.ndarray
@@ -34,7 +34,7 @@ class Found(NamedTuple):
 
 @kernel()
 def miss_at(time, left, mapped, stated):
-    """Return the expected miss of a site that takes so long from now on, m; see `Aim.misses`."""
+    """Return the expected miss of a site after a flight time, m, as `Aim.misses`."""
     if stated[1] == 0.0:
         return stated[0]
     seconds = max(time - mapped + left + stated[2], 0.0)
@@ -43,24 +43,21 @@ def miss_at(time, left, mapped, stated):
 
 @kernel(exact=True)
 def one(out, a, w):
-    """Add a share of a line to another."""
+    """Add a multiple of a line to another."""
     for c in range(len(out)):
         out[c] += w * a[c]
 
 
 @kernel(exact=True)
 def two(out, a, v, b, w):
-    """Add a share of a line to another, and then one of a second."""
+    """Add multiples of two lines to another."""
     for c in range(len(out)):
         out[c] = (out[c] + v * a[c]) + w * b[c]
 
 
 @kernel(allocates=False)
 def spread(p, seen, sigma, out, line, weight):
-    """Write p_safe (rows, cols) spread by a miss of so many cells; see `HazardMap.dispersed`.
-
-    `line` has room for a row, and for as much to either side of it as a miss reaches.
-    """
+    """Write p_safe (rows, cols) averaged over the miss, as `HazardMap.dispersed`."""
     rows, cols = p.shape
     reach_ = int(3.0 * sigma + 0.5)
     total = 0.0
@@ -88,7 +85,7 @@ def spread(p, seen, sigma, out, line, weight):
 
 @kernel()
 def spread_at(p, seen, row, col, sigma):
-    """Return what `spread` gives at one cell."""
+    """Return the result of `spread` at one cell."""
     if not seen[row, col]:
         return 0.0
     reach_ = int(3.0 * sigma + 0.5)
@@ -109,7 +106,7 @@ def spread_at(p, seen, row, col, sigma):
 
 @kernel()
 def _aimed(i, time, left, maps, line, weight):
-    """Spread a lane's map by the miss of its site, and return that miss, m."""
+    """Average a lane's map over the expected miss of its site; return that miss, m."""
     miss = miss_at(time, left, maps.mapped[i], maps.stated)
     if not abs(miss / maps.aimed[i] - 1.0) <= _ALIKE:
         maps.aimed[i] = miss
@@ -119,7 +116,7 @@ def _aimed(i, time, left, maps, line, weight):
 
 @kernel()
 def _sorted(order, count, p):
-    """Order rows by falling p_safe, those alike as they were."""
+    """Sort rows by decreasing p_safe (stable)."""
     for n in range(count):
         order[n] = n
     for n in range(1, count):
@@ -133,7 +130,7 @@ def _sorted(order, count, p):
 
 @kernel()
 def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
-    """Write sites on the ground of some cells, the one flown to, and what each costs (n + 1)."""
+    """Write the positions of candidate cells and the cost of each and of the current site."""
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         sites[m, 0] = maps.corner[i, 0] + col * maps.posting
@@ -146,7 +143,7 @@ def _costs(i, cells, n, site, state, mass, law, maps, sites, cost):
 
 @kernel()
 def _told(i, time, left, cells, n, cost, maps, p):
-    """Write the p_safe of some cells, each by the miss of its own way there (n,)."""
+    """Write p_safe of candidate cells (n,), each averaged over the miss of its own path."""
     for m in range(n):
         row, col = cells[m, 0], cells[m, 1]
         p[m] = maps.aim[i, row, col]
@@ -158,14 +155,11 @@ def _told(i, time, left, cells, n, cost, maps, p):
 
 @kernel(shared=True)
 def look(share, mask, y, time, course, law, maps, count, separation, levels, found):
-    """Write the sites that the lanes of `mask` (n,) may choose from, and what each costs.
-
-    See `OnboardComputer.observe` and `candidates.candidate_sites`.
-    """
+    """Write candidate sites and their cost for the lanes of `mask` (n,)."""
     rows, cols = maps.p.shape[1], maps.p.shape[2]
     most = 2 * (count + len(levels))
     work, score = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    # As far as the greatest miss reaches, see `spread`.
+    # Padding for the maximum miss in `spread`.
     far = 2 * int(3.0 * max(_MOST, maps.stated[0]) / maps.posting + 0.5) + 1
     weight, line = np.empty(far, np.float32), np.empty(cols + far, np.float32)
     cells = np.empty((most, 2), np.int64)

@@ -1,9 +1,4 @@
-"""Compiled flights to a site: guidance, the cost of other sites, and the way to the next event.
-
-The laws are those of the onboard computer (`PathGuidance`, `VerticalDescent`, `Strain`,
-`divert_cost`), the vehicle and the touchdown are those of `descent`. What navigation errs by is a
-drift: the lander takes itself to be off its true place by a constant velocity times the time flown.
-"""
+"""Compiled flights to a site: guidance, cost of diverts, and the next event."""
 
 from __future__ import annotations
 
@@ -18,16 +13,16 @@ from lunarsim.onboard.guidance._kernels import MASS, terms
 from lunarsim.onboard.guidance._reach_kernels import survey
 from lunarsim_envs.descent import _kernels as d
 
-# What stops a lane: nothing, a scan, a decision.
+# Events that stop a lane: none, a scan, a decision.
 NOTHING, SCAN, DECIDE = 0, 1, 2
 APPROACH, VERTICAL = 0, 1
-# Of a lane that waits while others of its block fly on.
+# State of a lane that waits while others of its block fly.
 _WAITING = 9
-# Sets the draws of drift apart from others.
+# Random stream of the drift.
 _DRIFT = np.uint64(0xA0761D6478BD642F)
-# Of `divert.divert_cost`.
+# Constant of `divert.divert_cost`.
 _TIMES, _SLOWNESS = 14, 8.0
-# Of `strain.Strain`.
+# Constants of `strain.Strain`.
 _LONGEST, _SLACK = 0.5, 0.02
 
 _survey = cast(Any, survey).compiled
@@ -36,15 +31,15 @@ _advance = cast(Any, d.advance).compiled
 
 
 class Law(NamedTuple):
-    """Guidance as kernels take it, SI.
+    """Guidance parameters, SI.
 
-    `powers` (2,) of the paths; `asked` (2, 3): velocity and acceleration at the end of the
-    approach; `above` (3,): its end over a site. `figures` (7,): see `guidance._kernels.measure`,
-    its mass unused. `rough`, `table`: samples of a path. `bounds`: greatest thrust over dry mass,
-    dry mass, exhaust velocity, reserve. `ends`: altitude and time-to-go where the approach ends.
-    `descent` (9,): frequency, damping, gain of speed, leans (2), heights (2), slip, slowest; then
-    the speed of the descent, downward negative. `window`: least and greatest altitude of decisions,
-    interval. `scans`: altitudes, falling. `cycle` in steps.
+    `powers` (2,): powers of the path. `asked` (2, 3): velocity and acceleration at the end of the
+    approach; `above` (3,): its position relative to the site. `figures` (7,): parameters of
+    `guidance._kernels.measure`; its mass is unused. `rough`, `table`: samples of a path. `bounds`
+    (4,): maximum thrust over dry mass, dry mass, exhaust velocity, reserve. `ends` (2,): altitude
+    and time-to-go at the end of the approach. `descent` (10,): frequency, damping, speed gain,
+    leans (2), heights (2), slip, slowest, vertical velocity. `window` (3,): minimum and maximum
+    altitude of decisions, interval. `scans`: altitudes, descending. `cycle`: number of steps.
     """
 
     powers: np.ndarray
@@ -67,12 +62,12 @@ class Law(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Where lanes fly to and how they stand (n, ...).
+    """Guidance state of all lanes (n, ...).
 
-    `site` (n, 3), local frame; `arrival`, `due` (next decision), `strained` (since when, NaN:
-    not), s; `phase`, `scanned` (scans so far), `event`; `decided`; `answer` (n, 7): acceleration as
-    the vehicle gives it, the one asked for, since when; `path` (n, 8): since when, duration and
-    terms of the path that is flown out; `slip` (n, 2): velocity of the drift, m/s.
+    `site` (n, 3): local frame, m. `arrival`, `due` (next decision), `strained` (start of a limit
+    violation, NaN: none): times, s. `phase`, `scanned` (number of scans), `event`, `decided`.
+    `answer` (n, 7): lagged acceleration, commanded acceleration, and its time. `path` (n, 8): start
+    time, duration and coefficients of the current path. `slip` (n, 2): drift velocity, m/s.
     """
 
     site: np.ndarray
@@ -90,7 +85,7 @@ class Course(NamedTuple):
 
 @kernel(exact=True)
 def believed(y, slip, time, out):
-    """Write position and velocity as the lander takes them to be (2, 3)."""
+    """Write the estimated position and velocity (2, 3)."""
     for k in range(3):
         out[0, k] = y[k]
         out[1, k] = y[3 + k]
@@ -101,7 +96,7 @@ def believed(y, slip, time, out):
 
 @kernel()
 def _slower(state, targets, first, likely, last, law, figures, out):
-    """Look for paths of more time to sites that none is found to (m, 4), side by side."""
+    """Search longer times-to-go for sites without an admissible path (m, 4)."""
     slow = 0
     at = np.empty(len(targets), np.int64)
     for n in range(len(targets)):
@@ -128,7 +123,7 @@ def _slower(state, targets, first, likely, last, law, figures, out):
 
 @kernel(exact=True)
 def _fastest(state, gap, law):
-    """Return the time, s, that no path over a gap, m, undercuts: see `admissible_times`."""
+    """Return a lower bound of the time over a distance, s, as `admissible_times`."""
     speed = np.sqrt(state[1, 0] ** 2 + state[1, 1] ** 2 + state[1, 2] ** 2)
     most = law.bounds[0] + law.figures[0]
     fastest = 2.0 * gap / (speed + np.sqrt(speed * speed + 2.0 * most * gap) + 1e-12)
@@ -137,17 +132,14 @@ def _fastest(state, gap, law):
 
 @kernel(exact=True)
 def _burnt(increment, mass, law):
-    """Return what an increment burns, kg; inf where the tanks do not hold it."""
+    """Return the propellant of a delta-v, kg; inf if the tanks do not hold it."""
     burnt = mass * -np.expm1(-increment / law.bounds[2])
     return burnt if burnt <= mass - law.bounds[1] - law.bounds[3] else np.inf
 
 
 @kernel()
 def reach(state, mass, sites, law, out):
-    """Write what it takes to fly to sites (m, 3): propellant, kg, and time-to-go, s (m, 4).
-
-    inf and NaN where a site is out of reach; see `divert.divert_cost`.
-    """
+    """Write propellant (kg) and time-to-go (s) to sites (m, 4); inf and NaN if out of reach."""
     m = len(sites)
     targets = np.empty((m, 3))
     first, last, likely = np.empty(m), np.empty(m), np.empty(m)
@@ -178,10 +170,7 @@ def reach(state, mass, sites, law, out):
 
 @kernel()
 def holds(state, mass, site, time, law):
-    """Tell whether a path to a site (3,) that takes so long, s, keeps all limits.
-
-    See `divert.divert_cost` with its `times`.
-    """
+    """Return whether a path to a site (3,) with a given time, s, is within all limits."""
     target, figures = np.empty((1, 3)), law.figures.copy()
     gap = 0.0
     for k in range(3):
@@ -196,7 +185,7 @@ def holds(state, mass, site, time, law):
 
 @kernel()
 def time_to(y, slip, time, site, law):
-    """Return the time-to-go to a site (3,), s; NaN out of reach."""
+    """Return the time-to-go to a site (3,), s; NaN if out of reach."""
     state, out = np.empty((2, 3)), np.empty((1, 4))
     believed(y, slip, time, state)
     reach(state, y[13], site.reshape((1, 3)), law, out)
@@ -205,10 +194,7 @@ def time_to(y, slip, time, site, law):
 
 @kernel(exact=True)
 def _approach(i, time, course, law, wanted, spare):
-    """Write the thrust acceleration of the approach (3,); see `PathGuidance.command`.
-
-    `spare` (7, 3): state as it is believed to be, and room.
-    """
+    """Write the thrust acceleration of the approach (3,), as `PathGuidance.command`."""
     state, ahead, x, target = spare[:2], spare[2:4], spare[4:6], spare[6]
     answer, path = course.answer[i], course.path[i]
     if law.lag > 0.0 and not np.isnan(answer[6]):
@@ -239,14 +225,14 @@ def _approach(i, time, course, law, wanted, spare):
 
 @kernel(exact=True)
 def leaning(height, full, descent):
-    """Return the tangent of the greatest lean at a height; see `VerticalDescent._leaning`."""
+    """Return the tangent of the maximum tilt at a height, as `VerticalDescent._leaning`."""
     share = min(max(height / full, 0.0), 1.0)
     return np.tan(descent[4] + share * (descent[3] - descent[4]))
 
 
 @kernel(exact=True)
 def vertical(state, end, descent, gravity, wanted):
-    """Write the thrust acceleration of the last metres (3,); see `VerticalDescent.command`."""
+    """Write the thrust acceleration of the vertical descent, as `VerticalDescent.command`."""
     frequency, damping, planned = descent[0], descent[1], descent[9]
     height = state[0, 2] - end[2]
     speed = np.hypot(state[1, 0], state[1, 1])
@@ -269,7 +255,7 @@ def vertical(state, end, descent, gravity, wanted):
 
 @kernel(exact=True)
 def _strains(i, wanted, mass, time, course, law):
-    """Tell whether commands have been beyond the limits for too long; see `Strain.lasts`."""
+    """Return whether commands exceed limits for too long, as `Strain.lasts`."""
     side = np.hypot(wanted[0], wanted[1])
     lean = np.arctan2(side, wanted[2])
     push = mass * np.hypot(side, wanted[2])
@@ -286,10 +272,7 @@ def _strains(i, wanted, mass, time, course, law):
 
 @kernel(exact=True)
 def guide(i, y, time, course, law, wanted, spare):
-    """Write what guidance asks a lane's vehicle for (3,), m/s^2; see `OnboardComputer.command`.
-
-    Tells whether another time-to-go is to be looked for: see `_longer`. `spare` (7, 3) is scratch.
-    """
+    """Write the commanded acceleration (3,), m/s^2; return whether to search a new time-to-go."""
     state = spare[:2]
     slip, site = course.slip[i], course.site[i]
     believed(y, slip, time, state)
@@ -310,7 +293,7 @@ def guide(i, y, time, course, law, wanted, spare):
 
 @kernel()
 def _longer(i, y, time, course, law):
-    """Take more time for a path that has been beyond the limits for too long, if it helps."""
+    """Use a longer time-to-go for a path that exceeds limits, if that helps."""
     longer = time_to(y, course.slip[i], time, course.site[i], law)
     if longer > course.arrival[i] - time:
         course.arrival[i] = time + longer
@@ -318,7 +301,7 @@ def _longer(i, y, time, course, law):
 
 @kernel(exact=True)
 def due(i, y, time, course, law):
-    """Return what stops a lane now: a scan, a decision or nothing."""
+    """Return the next event of a lane: a scan, a decision or none."""
     altitude = y[2] - course.site[i, 2] - law.stand
     done = course.scanned[i]
     if done < len(law.scans) and altitude <= law.scans[done]:
@@ -334,11 +317,7 @@ def due(i, y, time, course, law):
 
 @kernel(shared=True)
 def begin(share, mask, keys, begun, y, target, drift, control, heading, course, law):
-    """Set courses of the flights of `mask` (n,), which `descent._kernels.begin` has begun.
-
-    `drift` (2,) is the standard deviation of the drift's velocity, m/s; `control` as
-    `descent._kernels.Vehicle` has it.
-    """
+    """Initialise guidance for the started flights of `mask` (n,)."""
     wanted, attitude, spare = np.empty(3), np.empty(4), np.empty((7, 3))
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
@@ -357,11 +336,11 @@ def begin(share, mask, keys, begun, y, target, drift, control, heading, course, 
         course.answer[i, 6] = np.nan
         course.path[i, 0] = np.nan
         time = time_to(y[i], course.slip[i], 0.0, course.site[i], law)
-        # Nothing within the limits: flown all the same, twice the way over the speed.
+        # No admissible path: use twice the distance over the speed as time-to-go.
         way = np.sqrt(np.sum((course.site[i] + law.above - y[i, :3]) ** 2))
         speed = np.sqrt(np.sum(y[i, 3:6] ** 2))
         course.arrival[i] = time if np.isfinite(time) else max(2.0 * way / max(speed, 1.0), 5.0)
-        # The start has the attitude and the thrust that guidance asks for there.
+        # Start with the attitude and the thrust that guidance commands.
         if guide(i, y[i], 0.0, course, law, wanted, spare):
             _longer(i, y[i], 0.0, course, law)
         y[i, 14] = steer(wanted, y[i, 13], control[0], control[1], heading, control[2], attitude)
@@ -376,10 +355,7 @@ def begin(share, mask, keys, begun, y, target, drift, control, heading, course, 
 
 @kernel()
 def stretched(y, slip, time, site, stretch, law):
-    """Return the time-to-go to a site (3,), s, NaN out of reach, and whether it is the stretch's.
-
-    See `Outlook.time_to`; without a stretch, NaN, it is.
-    """
+    """Return the time-to-go to a site (3,), s, and whether the factor was applied."""
     left = time_to(y, slip, time, site, law)
     if np.isnan(stretch) or not np.isfinite(left):
         return left, np.isnan(stretch)
@@ -392,11 +368,7 @@ def stretched(y, slip, time, site, stretch, law):
 
 @kernel(shared=True)
 def decide(share, mask, time, y, sites, stretches, course, law, refused, unstretched):
-    """Carry out decisions of the lanes in `mask` (n,): a row of `sites` (n, 3), NaN keeps the site.
-
-    A stretch (n,) is one of the time-to-go, NaN leaves it as it is. Writes where a site was out of
-    reach, and where a stretch is not flown; see `OnboardComputer.apply`.
-    """
+    """Apply decisions (n, 3) in the lanes of `mask` (n,); NaN keeps the site."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -421,7 +393,7 @@ def decide(share, mask, time, y, sites, stretches, course, law, refused, unstret
 
 @kernel(shared=True)
 def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law):
-    """Fly every lane in flight that nothing stops to its next event, or to its end."""
+    """Fly every flying lane to its next event or its end."""
     wanted, spare = np.zeros((width, 3)), np.empty((7, 3))
     n = len(y)
     for b in range(share[0], (n + width - 1) // width, share[1]):
@@ -450,7 +422,7 @@ def fly(share, y, rate, width, dt, limit, vehicle, grounds, flights, course, law
                 if guide(i, y[i], time, course, law, wanted[i - low], spare):
                     _longer(i, y[i], time, course, law)
             if flying > 0:
-                # Of the types that lanes of descents give: no second one is compiled.
+                # Same argument types as for descents, so that no second version is compiled.
                 _advance(
                     (np.int64(0), np.int64(1)), y[low:high], rate[low:high], wanted, np.bool_(True),
                     law.cycle, dt, limit, width, own, grounds, here,

@@ -1,9 +1,4 @@
-"""Compiled maps of a pool's worlds, and what is shown of them.
-
-Maps are (n, rows, cols), row 0 south, in each lander's own frame, which has drifted off the true
-one by the time of the scan. `frame` (3,) of the pool is the centre of its cell (0, 0) and its
-posting.
-"""
+"""Compiled hazard maps of a pool's worlds (n, rows, cols), in each lander's local frame."""
 
 from __future__ import annotations
 
@@ -16,13 +11,13 @@ from lunarsim._jit import kernel
 from lunarsim_envs.descent._kernels import normal, uniform
 from lunarsim_envs.sites._flight_kernels import NOTHING
 
-# Sets the draws of maps apart from others.
+# Random stream of the maps.
 _ERRORS = np.uint64(0xE7037ED1A0B428DB)
 _DRAWS = 16
 
 
 class Pool(NamedTuple):
-    """True layers of each world (k, rows, cols): class, exact safety, height (m); and where."""
+    """True layers (k, rows, cols): class, safety, height (m); corner and posting (3,), m."""
 
     kind: np.ndarray
     safe: np.ndarray
@@ -31,13 +26,13 @@ class Pool(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """A mapper's errors; see `surrogate.Surrogate`.
+    """Error model of a mapper, from `surrogate.Surrogate`.
 
-    `tables` (worlds, scans, classes, nodes): p_safe by class, at even steps of a standard normal
-    number from `-most` to `most`. `noise` (grounds, scans, fields, m, m): such numbers in space,
-    periodic; `bank` (worlds,): of which ground.
-    `common` (worlds, scans): share of the variance that a whole map has in common. `kept`:
-    correlation of a map with the one before. `exact`: the truth instead.
+    `tables` (worlds, scans, classes, nodes): p_safe at evenly spaced normal scores from `-most` to
+    `most`. `noise` (grounds, scans, fields, m, m): periodic standard normal fields; `bank`
+    (worlds,): index of the ground for each world. `common` (worlds, scans): fraction of the
+    variance that is common to a complete map. `kept`: correlation of consecutive maps. `exact`:
+    whether maps are the truth.
     """
 
     tables: np.ndarray
@@ -50,11 +45,11 @@ class Errors(NamedTuple):
 
 
 class Maps(NamedTuple):
-    """Maps of lanes: corner (n, 2), m, posting, m; layers p_safe, seen and height (n, rows, cols).
+    """Maps of all lanes: corner (n, 2) and posting, m; p_safe, seen and height (n, rows, cols).
 
-    `aim` (n, rows, cols) is p_safe spread by the miss `aimed` (n,), m, NaN: not made yet; `stated`
-    (3,): miss without drift, m, of the drift's velocity, m/s, and time of the last descent, s.
-    `mapped` (n,): when, s.
+    `aim` (n, rows, cols) is p_safe averaged over the miss `aimed` (n,), m (NaN: not computed).
+    `stated` (3,): touchdown sigma, m, drift velocity sigma, m/s, and duration of the vertical
+    descent, s. `mapped` (n,): time of the last map, s.
     """
 
     corner: np.ndarray
@@ -70,7 +65,7 @@ class Maps(NamedTuple):
 
 @kernel(inline=True)
 def _told(tables, world, stage, kind, z, most):
-    """Return the p_safe of a class at a standard normal number."""
+    """Return the p_safe of a class at a normal score."""
     nodes = tables.shape[3]
     at = (min(max(z, -most), most) + most) * ((nodes - 1) / (2.0 * most))
     low = min(int(at), nodes - 2)
@@ -82,7 +77,7 @@ def _told(tables, world, stage, kind, z, most):
 
 @kernel()
 def axes_to(way, out):
-    """Write image x, image y and boresight (3, 3) of a camera that looks along a way (3,)."""
+    """Write image x, image y and boresight (3, 3) of a camera with a line of sight (3,)."""
     size = np.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
     for k in range(3):
         out[2, k] = way[k] / size
@@ -98,7 +93,7 @@ def axes_to(way, out):
 
 @kernel()
 def _place(noise, key, first, out):
-    """Draw which field of noise and where in it a map begins, turned which way (5,)."""
+    """Draw noise field, offset and orientation of a map (5,)."""
     fields, side = noise.shape[2], noise.shape[3]
     out[0] = min(int(uniform(key, first) * fields), fields - 1)
     out[1] = min(int(uniform(key, first + 1) * side), side - 1)
@@ -116,12 +111,7 @@ def _noise(noise, bank, scan, place, r, c):
 
 @kernel()
 def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes):
-    """Draw what a scan of a lane is to show, and return which of the scans it is.
-
-    Writes where in the noise the first and the last map lie, `places` (2, 5); mean and deviation of
-    a map's normal numbers, and the deviation of what is new in the last, `draw` (3,); and the axes
-    of the LiDAR, see `axes_to`.
-    """
+    """Draw the random numbers of a scan, and return its index."""
     level = np.empty(2)
     for k in range(2):
         _place(errors.noise, key, first + 5 * k, places[k])
@@ -133,7 +123,7 @@ def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes
     draw[0] = level[0] if stage == 0 else errors.kept * level[0] + draw[2] * level[1]
     draw[0] *= np.sqrt(common)
     draw[1] = np.sqrt(1.0 - common)
-    # Where the LiDAR is pointed, it truly looks.
+    # The LiDAR has no pointing error.
     way = np.empty(3)
     for k in range(3):
         way[k] = course.site[i, k] - y[k]
@@ -145,10 +135,7 @@ def drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes
 
 @kernel(inline=True)
 def told_at(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, draw, axes):
-    """Return p_safe and height that a scan gives a cell (r, c) of a map, at a true point.
-
-    p_safe is -1 where the cell is not in view, or nothing is known of it.
-    """
+    """Return p_safe (-1: not in view or unknown) and height that a scan gives a cell."""
     row = int(np.floor((true_y - pool.frame[1]) / pool.frame[2] + 0.5))
     col = int(np.floor((true_x - pool.frame[0]) / pool.frame[2] + 0.5))
     if not (0 <= row < pool.kind.shape[1] and 0 <= col < pool.kind.shape[2]):
@@ -175,7 +162,7 @@ def told_at(r, c, true_x, true_y, y, world, stage, pool, errors, view, places, d
 
 @kernel()
 def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
-    """Draw what a scan adds to the map of a lane."""
+    """Add a scan to the map of a lane."""
     places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
     stage = drawn_scan(i, key, first, y, time, world, course, errors, places, draw, axes)
     east, north = course.slip[i, 0] * time, course.slip[i, 1] * time
@@ -194,7 +181,7 @@ def _lay(i, key, first, y, time, world, course, maps, pool, errors, view):
 
 @kernel(shared=True)
 def scan(share, mask, keys, begun, y, time, world, course, maps, pool, errors, view):
-    """Let the lanes of `mask` (n,) take the scan that is due, and go on."""
+    """Take the due scans in the lanes of `mask` (n,)."""
     for i in range(share[0], len(y), share[1]):
         if not mask[i]:
             continue
@@ -205,13 +192,13 @@ def scan(share, mask, keys, begun, y, time, world, course, maps, pool, errors, v
 
 @kernel()
 def drawn_from(key, begun):
-    """Return from which key, and which draw on, the maps of a flight are drawn."""
+    """Return the random key and the first draw for the maps of a flight."""
     return np.uint64(key) ^ _ERRORS, (begun - 1) * _DRAWS
 
 
 @kernel()
 def taken(i, time, course, maps):
-    """Note that a lane has taken a scan; the site takes its height from the map."""
+    """Record a scan of a lane, and set the site's height from its map."""
     course.scanned[i] += 1
     course.event[i] = NOTHING
     maps.mapped[i] = time
@@ -224,7 +211,7 @@ def taken(i, time, course, maps):
 
 @kernel(shared=True)
 def took(share, mask, time, course, maps):
-    """Note that the lanes of `mask` (n,) have taken a scan that somebody else has mapped."""
+    """Record scans of the lanes of `mask` (n,) that were mapped elsewhere."""
     for i in range(share[0], len(mask), share[1]):
         if mask[i]:
             taken(i, time[i], course, maps)
@@ -232,7 +219,7 @@ def took(share, mask, time, course, maps):
 
 @kernel()
 def cell(i, x, y, maps):
-    """Return row and column of the cell of a lane's map that holds a point; may lie outside."""
+    """Return row and column of the map cell at a point; they may be out of range."""
     col = int(np.floor((x - maps.corner[i, 0]) / maps.posting + 0.5))
     row = int(np.floor((y - maps.corner[i, 1]) / maps.posting + 0.5))
     return row, col
@@ -240,7 +227,7 @@ def cell(i, x, y, maps):
 
 @kernel(shared=True)
 def shrink(share, mask, p, seen, out):
-    """Write mean p_safe and share seen of equal blocks of maps (n, 2, cells, cells)."""
+    """Write mean p_safe and observed fraction of equal blocks of maps (n, 2, cells, cells)."""
     rows, cols, cells = p.shape[1], p.shape[2], out.shape[2]
     total = np.zeros((cells, cells))
     for i in range(share[0], len(p), share[1]):
@@ -266,7 +253,7 @@ shrink_here = partial(cast(Any, shrink).compiled, (0, 1))
 
 @kernel(shared=True)
 def crop(share, p, seen, corner, posting, middle, spacing, out):
-    """Write p_safe and whether seen about points (n, 2), `spacing` metres apart (n, 2, m, m)."""
+    """Write p_safe and observed mask around points (n, 2), `spacing` m apart (n, 2, m, m)."""
     half = out.shape[2] // 2
     for i in range(share[0], len(p), share[1]):
         for a in range(out.shape[2]):

@@ -1,8 +1,4 @@
-"""Compiled choice of a site on a sparse lattice of cells, for a million descents.
-
-The cells are those of the maps that `_map_kernels` draws, every so-manieth of them, and are told
-the same of the scan; no map is kept.
-"""
+"""Compiled choice of a site on a sparse lattice of cells, for a million descents."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from lunarsim._jit import kernel
 from lunarsim_envs.sites._flight_kernels import NOTHING, time_to
 from lunarsim_envs.sites._map_kernels import drawn_from, drawn_scan, told_at
 
-# A site this safe will do; sites that are tried for reach.
+# p_safe of a site that is safe enough; number of sites tested for reach.
 _ENOUGH, _TRIES = 0.95, 6
 
 
@@ -20,7 +16,7 @@ _ENOUGH, _TRIES = 0.95, 6
 def _around(
     r, c, near, corner, posting, slip, time, y, world, stage, pool, errors, view, places, draw, axes
 ):
-    """Return the mean p_safe of a cell and four `near` cells from it, -1 not seen; its height."""
+    """Return mean p_safe of a cell and four neighbours (-1: not observed), and its height."""
     total, height, unseen = 0.0, 0.0, False
     for k in range(5):
         a = r + (near if k == 1 else -near if k == 2 else 0)
@@ -37,7 +33,7 @@ def _around(
 
 @kernel()
 def _nearer(p, far, best_p, best_far):
-    """Tell whether a site is to be preferred: the nearest that will do, else the safest."""
+    """Return whether a site is preferred: the nearest safe enough one, otherwise the safest."""
     if p >= _ENOUGH:
         return best_p < _ENOUGH or far < best_far
     return best_p < _ENOUGH and p > best_p
@@ -45,7 +41,7 @@ def _nearer(p, far, best_p, best_far):
 
 @kernel()
 def _fly_to_best(i, y, time, n, sites, p, far, course, law, told):
-    """Let a lane fly to the best of n sites that it can reach, if it can reach one."""
+    """Divert a lane to the best of n sites within reach, if there is one."""
     for _ in range(min(n, _TRIES)):
         best = 0
         for k in range(1, n):
@@ -69,15 +65,7 @@ def choose(
     share, mask, keys, begun, y, time, world, target, course, law, side, every, posting, pool,
     errors, view, told,
 ):  # fmt: skip
-    """Let the lanes of `mask` (n,) scan, and fly to the site that the lattice shows to be best.
-
-    Parameters
-    ----------
-    side, every, posting
-        Cells along a side of the map, between two sites, and their size, m.
-    told
-        Takes p_safe of the site that is flown to then (n,); NaN: nothing was seen.
-    """
+    """Scan in the lanes of `mask` (n,) and divert to the best site of the lattice."""
     count = (side - 1) // every + 1
     places, draw, axes = np.empty((2, 5), np.int64), np.empty(3), np.empty((3, 3))
     corner = np.empty(2)

@@ -1,10 +1,4 @@
-"""Compiled sites in reach that take the place of others out of it.
-
-See `candidates.candidate_sites` and `Reach`: where the safest sites are out of reach, all that are
-give way to sites proposed within it. What can be reached is told cell by cell of a grid of at most
-a hundred a side; here sixteen of its cells are surveyed at a time, only where a site would lie, and
-only where they are not proven to be out of reach together (see `_beyond_kernels`).
-"""
+"""Compiled search for reachable sites that replace candidates out of reach."""
 
 from __future__ import annotations
 
@@ -25,13 +19,13 @@ from lunarsim_envs.sites._cell_kernels import (
 )
 from lunarsim_envs.sites._flight_kernels import Law, reach
 
-# Of `reach.Reach`: cells a side at most; a tile has so many a side, and a block so many tiles.
+# Maximum cells per side, as in `reach.Reach`; cells per side of a tile; tiles per side of a block.
 _SIDE, _TILE, _BLOCK = 100, 4, 4
 
 
 @kernel()
 def beaten(aim, cells, cost, count, enough):
-    """Tell whether a site out of reach is safer than all in it; see `candidates._beaten`."""
+    """Return whether a site out of reach is safer than all within reach."""
     best, lost = 0.0, 0.0
     for n in range(count):
         p = aim[cells[n, 0], cells[n, 1]]
@@ -44,10 +38,7 @@ def beaten(aim, cells, cost, count, enough):
 
 @kernel()
 def _grid(rows, cols, corner, posting, out):
-    """Write west, south, posting, rows and columns of the grid of reach (5,).
-
-    Term by term as `Reach.under` and `Grid` have it: cells on an edge fall to the same side.
-    """
+    """Write west, south, posting, rows and columns of the reach grid (5,)."""
     ratio = max(1.0, max(rows, cols) / _SIDE)
     side = posting * ratio
     out[2] = side
@@ -59,9 +50,9 @@ def _grid(rows, cols, corner, posting, out):
 
 
 class Place(NamedTuple):
-    """A map and its grid of reach: see `_grid`; of the map corner, posting and heights; the site.
+    """A map (corner, posting, heights), its reach grid from `_grid`, and the current site.
 
-    `row` (rows,), `col` (cols,): of the grid of reach, in which those of the map lie.
+    `row` (rows,), `col` (cols,): reach-grid indices of the rows and columns of the map.
     """
 
     grid: np.ndarray
@@ -74,9 +65,9 @@ class Place(NamedTuple):
 
 
 class Flying(NamedTuple):
-    """How a lander flies: state (2, 3), mass, law, and what paths hang on, see `ways_of`.
+    """State of a lander (2, 3), mass, guidance law, and path coefficients from `ways_of`.
 
-    `speed`, m/s, and `most`, m/s^2, as `beyond` takes them; `figures`, with its mass.
+    `speed`, m/s, `most`, m/s^2, and `figures` are arguments of `beyond`.
     """
 
     state: np.ndarray
@@ -90,7 +81,7 @@ class Flying(NamedTuple):
 
 @kernel()
 def flying(state, mass, law):
-    """Return how a lander flies."""
+    """Return the state of a lander in the form that this module uses."""
     ways, figures = np.zeros((len(law.rough), 9)), law.figures.copy()
     ways_of(state, law, ways)
     figures[MASS] = mass
@@ -100,7 +91,7 @@ def flying(state, mass, law):
 
 @kernel(inner=True)
 def _at(k, row, col, side, place, site):
-    """Write where cell k of a square of the grid of reach lies (3,), a cell within the grid."""
+    """Write the position of cell k of a square of the reach grid (3,)."""
     grid, corner, posting = place.grid, place.corner, place.posting
     rows, cols = place.height.shape
     x = grid[0] + min(col + k % side, int(grid[4]) - 1) * grid[2]
@@ -114,7 +105,7 @@ def _at(k, row, col, side, place, site):
 
 @kernel(inner=True)
 def _lost(row, col, side, place, lander):
-    """Tell whether a square of the grid of reach is out of reach for certain; see `beyond`."""
+    """Return whether a square of the reach grid is out of reach for certain, by `beyond`."""
     low, high, site = np.full(3, np.inf), np.full(3, -np.inf), np.empty(3)
     for k in range(side * side):
         _at(k, row, col, side, place, site)
@@ -127,7 +118,7 @@ def _lost(row, col, side, place, lander):
 
 @kernel()
 def _survey(row, col, place, lander, out):
-    """Write which cells of a tile can be reached (16,), whose first cell is given."""
+    """Write which cells of a tile can be reached (16,)."""
     sites, cost = np.empty((_TILE * _TILE, 3)), np.empty((_TILE * _TILE, 4))
     for k in range(_TILE * _TILE):
         _at(k, row, col, _TILE, place, sites[k])
@@ -138,17 +129,14 @@ def _survey(row, col, place, lander, out):
 
 @kernel(inner=True)
 def _columns(count, corner, posting, low, side, out):
-    """Write in which cell along the grid of reach each cell along the map lies (count,)."""
+    """Write the cell of the reach grid for each cell along the map (count,)."""
     for c in range(count):
         out[c] = int(np.floor((corner + c * posting - low) / side + 0.5))
 
 
 @kernel()
 def _open(row, col, side, place, score, masked, most, reached):
-    """Take the cells out of reach in a square of the grid of reach out of a masked aim.
-
-    `reached` tells which of its cells are not, row by row; all are where it has none.
-    """
+    """Remove the unreachable cells in a square of the reach grid from a masked aim."""
     rows, cols = masked.shape
     ratio = place.grid[2] / place.posting
     for r in range(max(int(row * ratio) - 2, 0), min(int((row + side) * ratio) + 3, rows)):
@@ -164,10 +152,7 @@ def _open(row, col, side, place, score, masked, most, reached):
 
 @kernel()
 def _looked(r, c, place, tiles, blocks, lander, masked, score, most):
-    """Survey the tile of a cell if nobody has; tell whether it had not been.
-
-    First of a block of tiles: whether it is out of reach as a whole.
-    """
+    """Survey the tile of a cell if it is new; return whether it was."""
     row, col = place.row[r] // _TILE, place.col[c] // _TILE
     if tiles[row, col]:
         return False
@@ -196,10 +181,7 @@ def within(
     aim, corner, posting, height, site, state, mass, law, count, separation, levels, masked, score,
     cells,
 ):  # fmt: skip
-    """Write the cells in reach that `candidates._sites` proposes (m, 2), and return how many.
-
-    `masked`, `score` (rows, cols) are written over.
-    """
+    """Write the reachable candidate cells (m, 2), and return their number."""
     rows, cols = aim.shape
     grid, most, highest = np.empty(5), np.empty(rows, np.float32), np.empty(rows, np.float32)
     _grid(rows, cols, corner, posting, grid)
@@ -247,7 +229,7 @@ def within(
 
 @kernel()
 def in_their_stead(cells, cost, count, more, found):
-    """Put cells in reach in the place of those out of it, if there are any; return how many."""
+    """Replace unreachable candidates by reachable cells; return the number."""
     kept = 0
     new = np.ones(found, np.bool_)
     any_new = False

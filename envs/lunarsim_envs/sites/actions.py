@@ -1,6 +1,6 @@
-"""What an agent that chooses sites decides on: named parts, one whole number each.
+"""Build actions of ``Retarget-v0`` from named components, one integer each.
 
-A part of one's own is added by `register`, and named in an environment's `action`.
+`register` adds custom components, which can then be named in an environment's `action`.
 """
 
 from __future__ import annotations
@@ -16,71 +16,72 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim_envs.named_parts import check_new, check_shape, named_parts
 from lunarsim_envs.sites.parts import SITES
-from lunarsim_envs.sites.sights import Sights
+from lunarsim_envs.sites.sights import SiteInputs
 
 Array = NDArray[np.float64]
 Choice = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# What choices 1 and on of the part "stretch" stand for: see `Decision`. None is less than 1: the
-# cheapest path is mostly the fastest within the limits.
+# Factors on the time-to-go for choices 1 and above of "stretch" (see `Decision`). No factor is less
+# than 1, because the minimum-propellant path is usually the fastest one within the limits.
 STRETCHES = (1.0, 1.07, 1.15, 1.3)
 
 
-def _every(sights: Sights, count: int) -> Mask:
+def _every(sights: SiteInputs, count: int) -> Mask:
     return np.ones((len(sights.site), count), np.bool_)
 
 
 @dataclass(frozen=True)
-class ActionPart:
-    """One part of an action.
+class ActionComponent:
+    """One component of an action.
 
     Attributes
     ----------
-    name, meaning
-        As documents tell them.
+    name
+        Name by which `action` selects it.
     sets
-        Of a decision: the site, or the stretch of the time-to-go.
+        Quantity that it sets: "site", or "stretch" (factor on the time-to-go).
     count
-        Of choices; the first leaves what it sets as it is, and can always be had.
+        Number of choices. Choice 0 changes nothing and is always available.
+    meaning
+        Description, for the documentation.
     of
-        Returns what choices (n,) of all landers stand for: sites (n, 3), local frame, m, or
-        stretches (n,); NaN leaves them as they are. What it returns where a choice cannot be had is
-        not taken.
+        Function that converts the choices of all landers (n,) to sites (n, 3), local frame, m, or
+        to factors (n,). NaN changes nothing. Values of unavailable choices are ignored.
     open
-        Tells which choices can be had (n, count); left out: all.
+        Function that returns the available choices (n, count). Default: all.
     """
 
     name: str
     sets: Literal["site", "stretch"]
     count: int
     meaning: str
-    of: Callable[[Sights, Choice], Array]
-    open: Callable[[Sights], Mask] | None = None
+    of: Callable[[SiteInputs, Choice], Array]
+    open: Callable[[SiteInputs], Mask] | None = None
 
 
-PARTS: dict[str, ActionPart] = {}
-# What is decided on unless something else is asked for.
+PARTS: dict[str, ActionComponent] = {}
+# Default components of the action.
 DEFAULT_ACTION = ("site",)
 
 
-def register(part: ActionPart) -> None:
-    """Add a part.
+def register(part: ActionComponent) -> None:
+    """Register a component.
 
     Raises
     ------
     InputError
-        If there is one of its name, it sets something else, or leaves no choice.
+        If the name exists, `sets` is invalid, or there are fewer than two choices.
     """
     check_new(part.name, PARTS)
     if part.sets not in ("site", "stretch"):
-        raise InputError(f"{part.name}: sets", part.sets, "'site' or 'stretch'")
+        raise InputError(f"{part.name}: sets", part.sets, "must be 'site' or 'stretch'")
     if part.count < 2:
-        raise InputError(f"{part.name}: count", part.count, "at least 2 choices")
+        raise InputError(f"{part.name}: count", part.count, "must be at least 2")
     PARTS[part.name] = part
 
 
-def _sites(sights: Sights, chosen: Choice) -> Array:
+def _sites(sights: SiteInputs, chosen: Choice) -> Array:
     n, most = len(chosen), sights.position_of.shape[1]
     out = np.full((n, 3), np.nan)
     (moved,) = np.nonzero((chosen > 0) & (chosen <= most))
@@ -88,7 +89,7 @@ def _sites(sights: Sights, chosen: Choice) -> Array:
     return out
 
 
-def _sites_open(sights: Sights) -> Mask:
+def _sites_open(sights: SiteInputs) -> Mask:
     mask = np.zeros((len(sights.site), SITES + 1), np.bool_)
     mask[:, 0] = True
     n = min(SITES, sights.cost.shape[1])
@@ -97,20 +98,20 @@ def _sites_open(sights: Sights) -> Mask:
     return mask
 
 
-def _stretches(sights: Sights, chosen: Choice) -> Array:
+def _stretches(sights: SiteInputs, chosen: Choice) -> Array:
     return np.array([np.nan, *STRETCHES])[chosen]
 
 
 for _part in (
-    ActionPart(
+    ActionComponent(
         "site", "site", SITES + 1,
-        "0 keeps the present site, i flies to row i - 1 of the observation's `sites`",
+        "0 keeps the current site, i diverts to row i - 1 of the observation `sites`",
         _sites, _sites_open,
     ),
-    ActionPart(
+    ActionComponent(
         "stretch", "stretch", len(STRETCHES) + 1,
-        "0 leaves the time-to-go as it is, the cheapest for a new site; 1 and on make it "
-        f"{', '.join(f'{one:g}' for one in STRETCHES)} times the cheapest",
+        "0 keeps the time-to-go (minimum propellant for a new site); 1 and above set it to "
+        f"{', '.join(f'{one:g}' for one in STRETCHES)} times that of minimum propellant",
         _stretches,
     ),
 ):  # fmt: skip
@@ -118,18 +119,18 @@ for _part in (
 
 
 @dataclass(frozen=True)
-class Orders:
-    """What n landers are told.
+class SiteDecisions:
+    """Decisions of n landers.
 
     Attributes
     ----------
     site, stretch
-        Where to (n, 3), local frame, m, and time-to-go over the cheapest (n,); NaN leaves them as
-        they are.
+        New sites (n, 3), local frame, m, and factors on the time-to-go of the minimum-propellant
+        path (n,). NaN changes nothing.
     invalid
-        Where something was chosen that cannot be had (n,): all is left as it is.
+        Landers with an unavailable choice (n,); nothing changes for them.
     lost
-        Where a stretch was asked for beside that (n,).
+        Landers whose factor is ignored because another choice was unavailable (n,).
     """
 
     site: Array
@@ -139,7 +140,7 @@ class Orders:
 
 
 def _array(given: Any) -> NDArray[Any]:
-    """Return actions as an array; of no type that they may have where rows are of many lengths."""
+    """Return actions as an array; ragged actions give an invalid array."""
     try:
         return np.asarray(given)
     except ValueError:
@@ -147,17 +148,18 @@ def _array(given: Any) -> NDArray[Any]:
 
 
 class SiteActions:
-    """Actions made of parts: ``Discrete`` of one, ``MultiDiscrete`` of several.
+    """Action space of named components: ``Discrete`` for one, ``MultiDiscrete`` for several.
 
     Parameters
     ----------
     names
-        Of the parts.
+        Names of the components.
 
     Raises
     ------
     InputError
-        If a name is unknown or comes twice, there is none, or two parts set the same.
+        If a name is unknown or occurs twice, there are no names, or two components set the same
+        quantity.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -165,7 +167,9 @@ class SiteActions:
         sets = [part.sets for part in self.parts]
         for one in set(sets):
             if sets.count(one) > 1:
-                raise InputError("action", list(names), f"one part that sets the {one}")
+                raise InputError(
+                    "action", list(names), f"must have only one component that sets the {one}"
+                )
         self.counts = [part.count for part in self.parts]
         self.space: spaces.Discrete[Any] | spaces.MultiDiscrete[Any]
         if len(self.parts) == 1:
@@ -174,54 +178,54 @@ class SiteActions:
             self.space = spaces.MultiDiscrete(self.counts)
 
     def __reduce__(self) -> tuple[type[SiteActions], tuple[list[str]]]:
-        """Copy by names: what a part is computed by need not be copied itself."""
+        """Pickle the names only, because functions of components may not be picklable."""
         return SiteActions, ([part.name for part in self.parts],)
 
     @property
     def stretches(self) -> bool:
-        """Whether a stretch can be asked for."""
+        """Whether the action can set a factor on the time-to-go."""
         return any(part.sets == "stretch" for part in self.parts)
 
     def has(self, name: str) -> bool:
-        """Tell whether a part is among them."""
+        """Return whether a component is part of the action."""
         return any(part.name == name for part in self.parts)
 
     def alone(self, name: str, choice: int) -> Any:
-        """Return the action of one choice of a part that leaves to all others what they set."""
+        """Return the action with one choice of a component; other components change nothing."""
         chosen = np.array([choice * (part.name == name) for part in self.parts], np.int64)
         return chosen[0] if len(chosen) == 1 else chosen
 
     def choice(self, name: str, chosen: Choice) -> Choice:
-        """Return what is chosen (n,) of a part in actions (n, parts); 0 of one not among them."""
+        """Return the choices (n,) of a component in actions (n, parts); 0 if it is not included."""
         at = [k for k, part in enumerate(self.parts) if part.name == name]
         return np.asarray(chosen[:, at].sum(axis=1))
 
     def chosen(self, action: Any) -> Choice:
-        """Return the choices of one environment's action (1, parts).
+        """Return the choices in the action of a single environment (1, parts).
 
         Raises
         ------
         ValueError
-            If it is none.
+            If the action is invalid.
         """
         if len(self.parts) == 1:
             if not self.space.contains(action):
                 raise ValueError(
-                    f"action = {action!r}: must be an integer from 0 to {self.counts[0] - 1}"
+                    f"action: must be an integer from 0 to {self.counts[0] - 1}, got {action!r}."
                 )
             return np.array([[int(action)]])
         given = _array(action)
         if given.shape != (len(self.parts),) or given.dtype.kind not in "iu" or self._out(given):
-            raise ValueError(f"action = {action!r}: must be {self._bounds}")
+            raise ValueError(f"action: must be {self._bounds}, got {action!r}.")
         return given.astype(np.int64)[None]
 
     def all_chosen(self, actions: Any, count: int) -> Choice:
-        """Return the choices of the actions of so many environments (n, parts).
+        """Return the choices in the actions of `count` environments (n, parts).
 
         Raises
         ------
         ValueError
-            If they are none.
+            If the actions are invalid.
         """
         one = len(self.parts) == 1
         shape = (count,) if one else (count, len(self.parts))
@@ -229,40 +233,42 @@ class SiteActions:
         wanted = f"integers from 0 to {self.counts[0] - 1}" if one else f"times {self._bounds}"
         if given.shape != shape or given.dtype.kind not in "iu":
             raise ValueError(
-                f"actions of shape {given.shape} and type {given.dtype}: must be {count} {wanted}"
+                f"actions: must be {count} {wanted}, got shape {given.shape} and type "
+                f"{given.dtype}."
             )
         wide = given.reshape(count, len(self.parts))
         if self._out(wide):
             told = (wide.min(axis=0), wide.max(axis=0))
             low, high = (str(v[0] if one else v.tolist()) for v in told)
-            raise ValueError(f"actions from {low} to {high}: must be {count} {wanted}")
+            raise ValueError(f"actions: must be {count} {wanted}, got values from {low} to {high}.")
         return wide.astype(np.int64)
 
     @property
     def _bounds(self) -> str:
-        """What actions of several parts are, for messages."""
+        """Description of valid actions with several components, for messages."""
         told = (f"{part.name} from 0 to {part.count - 1}" for part in self.parts)
         return f"{len(self.parts)} integers, {', '.join(told)}"
 
     def _out(self, given: NDArray[Any]) -> bool:
         return bool(((given < 0) | (given >= np.array(self.counts))).any())
 
-    def masks(self, sights: Sights) -> Mask:
-        """Return which choices can be had, those of one part after those of the other (n, sum).
+    def masks(self, sights: SiteInputs) -> Mask:
+        """Return the available choices of all components, concatenated (n, sum).
 
-        A stretch can always be asked for: whether it is flown hangs on the site too.
+        Factors on the time-to-go are always available; whether they can be flown also depends on
+        the site.
         """
         return np.concatenate([self._open(part, sights) for part in self.parts], axis=1)
 
-    def _open(self, part: ActionPart, sights: Sights) -> Mask:
+    def _open(self, part: ActionComponent, sights: SiteInputs) -> Mask:
         if part.open is None:
             return _every(sights, part.count)
         mask = np.asarray(part.open(sights), dtype=np.bool_)
         check_shape(f"action: {part.name}: open", mask, (len(sights.site), part.count))
         return mask
 
-    def orders(self, chosen: Choice, sights: Sights) -> Orders:
-        """Return what choices (n, parts) stand for by what the landers are shown."""
+    def orders(self, chosen: Choice, sights: SiteInputs) -> SiteDecisions:
+        """Convert choices (n, parts) to decisions."""
         n = len(chosen)
         places = chosen + np.cumsum([0, *self.counts[:-1]])
         had = np.take_along_axis(self.masks(sights), places, axis=1)
@@ -273,8 +279,10 @@ class SiteActions:
             check_shape(f"action: {part.name}", value, told[part.sets].shape)
             told[part.sets] = value
         if (told["stretch"] <= 0.0).any() or np.isinf(told["stretch"]).any():
-            raise InputError("action: stretch", told["stretch"].tolist(), "positive finite, or NaN")
+            raise InputError(
+                "action: stretch", told["stretch"].tolist(), "must be positive and finite, or NaN"
+            )
         lost = invalid & np.isfinite(told["stretch"])
         for value in told.values():
             value[invalid] = np.nan
-        return Orders(told["site"], told["stretch"], invalid, lost)
+        return SiteDecisions(told["site"], told["stretch"], invalid, lost)

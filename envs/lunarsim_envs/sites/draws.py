@@ -1,4 +1,4 @@
-"""Maps that a surrogate draws the plain way, and how far their errors reach."""
+"""Draw surrogate maps in plain NumPy, and measure the correlation length of their errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.looks import Look, LookedFlight
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
 from lunarsim_envs.sites.surrogate import Surrogate
 
 Array = NDArray[np.float64]
@@ -16,17 +16,17 @@ Array = NDArray[np.float64]
 _LAGS = np.arange(0, 33)
 
 
-def judged(look: Look) -> NDArray[np.bool_]:
-    """Tell which sites the last scan of a look has judged, and of which the truth is known."""
+def is_evaluated(look: MapSample) -> NDArray[np.bool_]:
+    """Return the mask of cells with a p_safe from the last scan and with known truth."""
     return np.asarray(look.viewed & look.observed & (look.kind != hazard.UNKNOWN))
 
 
-def drawn_like(
+def draw_surrogate_maps(
     surrogate: Surrogate, flight: LookedFlight, rng: np.random.Generator
 ) -> list[NDArray[np.float32]]:
-    """Return maps that the surrogate draws in the place of a flight's, NaN where nothing is judged.
+    """Draw surrogate maps for the scans of a flight; NaN for cells outside `is_evaluated`.
 
-    The plain way, cell by cell as the kernel does it.
+    The computation is the same as in the kernel, cell by cell.
     """
     posting = flight.looks[0].posting
     errors = surrogate.errors(np.array([flight.safe_share]), posting)
@@ -47,15 +47,15 @@ def drawn_like(
         common = errors.common[0, look.stage]
         z = np.sqrt(common) * mean + np.sqrt(1.0 - common) * one
         p = np.full(look.kind.shape, np.nan, np.float32)
-        for c in np.unique(look.kind[judged(look)]):
-            own = judged(look) & (look.kind == c)
+        for c in np.unique(look.kind[is_evaluated(look)]):
+            own = is_evaluated(look) & (look.kind == c)
             p[own] = np.interp(z[own], steps, errors.tables[0, look.stage, c])
         out.append(p)
     return out
 
 
 def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
-    """Return the correlation of fields with themselves at so many cells, less their means."""
+    """Return the autocorrelation of fields (without their means) at lags in cells."""
     top, count = np.zeros(len(lags)), np.zeros(len(lags))
     for one in fields:
         if np.isnan(one).all():
@@ -71,9 +71,9 @@ def correlation(fields: Sequence[Array], lags: NDArray[np.int64]) -> Array:
     return np.asarray(mean / max(mean[0], 1e-12))
 
 
-def length_of(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> float:
-    """Return where the correlation of p_safe, less the mean of each class, falls to 1 / e, m."""
-    masks = [judged(look) for look in looks]
+def correlation_length(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> float:
+    """Return the correlation length of p_safe minus its class mean (fall to 1 / e), m."""
+    masks = [is_evaluated(look) for look in looks]
     total, count = np.zeros(hazard.COUNT), np.zeros(hazard.COUNT)
     for look, one, mask in zip(looks, maps, masks, strict=True):
         np.add.at(total, look.kind[mask], one[mask])

@@ -1,4 +1,4 @@
-"""Fits a surrogate to maps that a mapper drew in flight."""
+"""Fit a surrogate to maps from simulated flights."""
 
 from __future__ import annotations
 
@@ -15,39 +15,44 @@ from scipy.stats import rankdata
 from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.draws import correlation, drawn_like, judged, length_of
-from lunarsim_envs.sites.looks import Look, LookedFlight
-from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, stood_for
+from lunarsim_envs.sites.draws import (
+    correlation,
+    correlation_length,
+    draw_surrogate_maps,
+    is_evaluated,
+)
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
+from lunarsim_envs.sites.surrogate import LENGTHS, MOST, NODES, Surrogate, surrogate_tables
 
 Array = NDArray[np.float64]
 
-# Sites of a class that make a table of its own; others take that of their size.
+# Minimum number of sites for a separate table of a class; smaller classes share that of their size.
 _ENOUGH = 150
-# So often the lengths are put right by what is drawn with them.
+# Number of iterations that correct the correlation lengths.
 _ROUNDS = 3
-# Distances at which the correlation is fitted, in cells.
+# Lags at which the correlation is fitted, in cells.
 _LAGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32])
 
 
 def fitted(scenario: Scenario, grounds: Sequence[Sequence[LookedFlight]]) -> Surrogate:
-    """Return the surrogate of a scenario's mapper.
+    """Fit the surrogate of a scenario's mapper.
 
     Parameters
     ----------
     scenario
-        That was flown.
+        Scenario of the flights.
     grounds
-        Flights over each of some grounds, which differ by their share of safe sites.
+        Flights over several terrains, which differ in their fraction of safe sites.
 
     Raises
     ------
     InputError
-        If flights are missing, or took more than two scans.
+        If flights are missing, or have more than two scans.
     """
     looks = [[look for flight in ground for look in flight.looks] for ground in grounds]
     scans = 1 + max((look.stage for ground in looks for look in ground), default=-1)
     if not 1 <= scans <= 2:
-        raise InputError("scans", scans, "one or two a flight, in every flight")
+        raise InputError("scans", scans, "must be one or two in every flight")
     shares = np.array([np.mean([f.safe_share for f in ground]) for ground in grounds])
     order = np.argsort(shares)
     tables = np.zeros((len(grounds), scans, hazard.COUNT, NODES))
@@ -69,41 +74,41 @@ def fitted(scenario: Scenario, grounds: Sequence[Sequence[LookedFlight]]) -> Sur
         shares[order], tables, common, weights, np.ones(common.shape), _kept(scores),
         np.sqrt(np.nanmean(drift**2, axis=0)), float(np.mean([f.claimed for f in every])),
         np.array([_altitude(looks, stage) for stage in range(scans)]),
-        json.dumps(stood_for(scenario), sort_keys=True),
+        json.dumps(surrogate_tables(scenario), sort_keys=True),
     )  # fmt: skip
     return _stretched(plain, [grounds[ground] for ground in order])
 
 
 def _stretched(surrogate: Surrogate, grounds: Sequence[Sequence[LookedFlight]]) -> Surrogate:
-    """Return a surrogate whose patches are as long as the mapper's, on the grounds of its fit."""
+    """Return a surrogate with the correlation lengths of the mapper on the fitted terrains."""
     for _ in range(_ROUNDS):
         stretch = surrogate.stretch.copy()
         for g, ground in enumerate(grounds):
             rng = np.random.default_rng(g)
-            drawn = [drawn_like(surrogate, flight, rng) for flight in ground]
+            drawn = [draw_surrogate_maps(surrogate, flight, rng) for flight in ground]
             for scan in range(stretch.shape[1]):
                 looks = [look for f in ground for look in f.looks if look.stage == scan]
-                wanted = length_of(looks, [look.p_safe for look in looks])
-                found = length_of(looks, [one[scan] for one in drawn if len(one) > scan])
+                wanted = correlation_length(looks, [look.p_safe for look in looks])
+                found = correlation_length(looks, [one[scan] for one in drawn if len(one) > scan])
                 if np.isfinite(wanted) and np.isfinite(found):
                     stretch[g, scan] = np.clip(stretch[g, scan] * wanted / found, 0.5, 5.0)
         surrogate = replace(surrogate, stretch=stretch)
     return surrogate
 
 
-def _altitude(looks: Sequence[Sequence[Look]], stage: int) -> float:
+def _altitude(looks: Sequence[Sequence[MapSample]], stage: int) -> float:
     return float(np.mean([k.altitude for ground in looks for k in ground if k.stage == stage]))
 
 
-def quantile_tables(looks: Sequence[Look]) -> Array:
+def quantile_tables(looks: Sequence[MapSample]) -> Array:
     """Return p_safe of each class at the nodes (classes, nodes)."""
-    kind = np.concatenate([look.kind[judged(look)] for look in looks])
-    p = np.concatenate([look.p_safe[judged(look)] for look in looks]).astype(np.float64)
+    kind = np.concatenate([look.kind[is_evaluated(look)] for look in looks])
+    p = np.concatenate([look.p_safe[is_evaluated(look)] for look in looks]).astype(np.float64)
     share = ndtr(np.linspace(-MOST, MOST, NODES))
     sizes = hazard.size_class(kind)
     known = np.flatnonzero(np.bincount(sizes, minlength=len(hazard.SIZES) + 1) >= 1)
     if not len(known):
-        raise InputError("looks", len(looks), "at least one with a site whose truth is known")
+        raise InputError("looks", len(looks), "must include a site with known truth")
     out = np.empty((hazard.COUNT, NODES))
     for c in range(hazard.COUNT):
         size = int(hazard.size_class(np.array([c], np.uint8))[0])
@@ -115,9 +120,9 @@ def quantile_tables(looks: Sequence[Look]) -> Array:
     return out
 
 
-def normal_scores(looks: Sequence[Look]) -> list[Array]:
-    """Return the standard normal number of each site in its class (rows, cols), NaN elsewhere."""
-    masks = [judged(look) for look in looks]
+def normal_scores(looks: Sequence[MapSample]) -> list[Array]:
+    """Return the normal score of each site within its class (rows, cols); NaN elsewhere."""
+    masks = [is_evaluated(look) for look in looks]
     kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
     p = np.concatenate([look.p_safe[mask] for look, mask in zip(looks, masks, strict=True)])
     z = np.empty(len(p))
@@ -135,7 +140,7 @@ def normal_scores(looks: Sequence[Look]) -> list[Array]:
 
 
 def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
-    """Return how the lengths of Gaussian correlations are to be mixed (lengths,), sum 1."""
+    """Return the weights of the Gaussian correlation lengths (lengths,), which sum to 1."""
     wanted = correlation(fields, _LAGS)
     away = _LAGS * posting
     basis = np.stack(
@@ -148,12 +153,12 @@ def correlation_weights(fields: Sequence[Array], posting: float) -> Array:
 
 
 def _kept(scores: Sequence[Sequence[Array]]) -> float:
-    """Return the correlation of normal numbers between the first map and the second."""
+    """Return the correlation of normal scores between the first and the second map."""
     if len(scores) < 2:
         return 0.0
     first, second = scores
     if len(first) != len(second):
-        raise InputError("scans", (len(first), len(second)), "as many first as second ones")
+        raise InputError("scans", (len(first), len(second)), "must be the same number")
     pairs = np.concatenate([
         np.stack((a, b), axis=-1).reshape(-1, 2) for a, b in zip(first, second, strict=True)
     ])  # fmt: skip

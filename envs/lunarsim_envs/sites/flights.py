@@ -1,4 +1,4 @@
-"""One flight that an agent decides in: flown by the whole simulation, or by kernels."""
+"""Run one flight with site decisions, by the full simulation or by kernels."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from lunarsim.onboard.policies import Candidates, Decision, Observation
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.descent.options import changed_by, take
-from lunarsim_envs.rewards import touch_shares
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.sights import Sights, shrunk
+from lunarsim_envs.descent.options import apply_options, scenario_with_options
+from lunarsim_envs.rewards import touchdown_limit_ratios
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.sights import SiteInputs, downsample_maps
 
 Array = NDArray[np.float64]
 
 
 class SiteFlight(Protocol):
-    """A flight from one decision to the next."""
+    """A flight that stops at each decision."""
 
     simulation: Simulation | None
 
-    def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as the options of a reset say, from now on; see `options`."""
+    def apply_options(self, options: Mapping[str, Any]) -> None:
+        """Apply reset options to the next flights."""
         ...
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -39,54 +39,61 @@ class SiteFlight(Protocol):
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Fly to a site (3,), or on to the present one; to the next decision or the end.
+        """Apply a decision and fly to the next decision or the end.
 
-        `each` is called once a cycle, where there are any. For the stretch see `Decision`.
+        Parameters
+        ----------
+        site
+            New site (3,), local frame, m; None keeps the site.
+        each
+            Function called after every control cycle of the full simulation.
+        stretch
+            Factor on the time-to-go of the minimum-propellant path; None keeps the time-to-go.
         """
         ...
 
     @property
     def unstretched(self) -> bool:
-        """Whether the last decision asked for a stretch that is not flown."""
+        """Whether the factor on the time-to-go of the last decision was refused."""
         ...
 
     @property
     def seen(self) -> Observation:
-        """What a policy is shown now."""
+        """Current observation of a policy."""
         ...
 
     @property
-    def sights(self) -> Sights:
-        """The same as arrays."""
+    def sights(self) -> SiteInputs:
+        """Current observation as arrays."""
         ...
 
     @property
     def time(self) -> float:
-        """Since the start, s."""
+        """Time since the start, s."""
         ...
 
     @property
     def mass(self) -> float:
-        """True one, kg."""
+        """True mass, kg."""
         ...
 
     @property
     def verdict(self) -> tuple[bool, tuple[str, ...]] | None:
-        """Whether the flight ended safe, and what it failed; None while it lasts."""
+        """Whether the landing was safe, and the violated limits; None during the flight."""
         ...
 
     @property
     def touch(self) -> Array:
-        """How near its touchdown is to the limits (1, 3), see `touch_shares`; NaN without one."""
+        """Touchdown values over their limits (1, 3), by `touchdown_limit_ratios`; NaN in flight."""
         ...
 
     def close(self) -> None:
-        """Let go of the flight and of what it holds."""
+        """Release the flight and its resources."""
         ...
 
 
 class OnboardFlight:
-    """Flown by the whole simulation, with the mappers and the navigation of the scenario."""
+    """A flight in the full simulation, with mappers and navigation of the scenario."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = self._told = scenario
@@ -100,9 +107,9 @@ class OnboardFlight:
         assert self.simulation is not None
         return self.simulation
 
-    def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as options say, from now on."""
-        self._told = changed_by(options, self.scenario)
+    def apply_options(self, options: Mapping[str, Any]) -> None:
+        """Apply reset options to the next flights."""
+        self._told = scenario_with_options(options, self.scenario)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
@@ -113,7 +120,7 @@ class OnboardFlight:
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Carry out a decision and fly on."""
+        """Apply a decision and fly to the next one."""
         flown = self._flown
         before = len(flown.computer.telemetry)
         taken = flown.apply(Decision(site, "agent", stretch=stretch))
@@ -136,13 +143,13 @@ class OnboardFlight:
         return self._seen
 
     @property
-    def sights(self) -> Sights:
+    def sights(self) -> SiteInputs:
         """The same as arrays."""
         hazard_map = self.seen.hazard_map
         if self._small is None or self._small[0] is not hazard_map:
-            small = shrunk(hazard_map.p_safe[None], hazard_map.observed[None])
+            small = downsample_maps(hazard_map.p_safe[None], hazard_map.observed[None])
             self._small = (hazard_map, small)
-        return Sights.of(self.seen, self._small[1])
+        return SiteInputs.of(self.seen, self._small[1])
 
     @property
     def time(self) -> float:
@@ -168,44 +175,44 @@ class OnboardFlight:
         if t is None:
             return np.full((1, 3), np.nan)
         told = t.vertical_speed, t.horizontal_speed, t.tilt, t.rate, t.slope, t.roughness
-        return touch_shares(self._flown.lander, [told])
+        return touchdown_limit_ratios(self._flown.lander, [told])
 
     def close(self) -> None:
-        """Let go of the flight: its terrain's buffers on the graphics device go with it."""
+        """Release the simulation, including graphics buffers of its terrain."""
         self.simulation, self._seen, self._small = None, None, None
 
 
 class KernelFlight:
-    """Flown by kernels over a pool of worlds, a lane of its own."""
+    """A flight by kernels in a batch of one lane, over a pool of worlds."""
 
-    def __init__(self, lanes: SiteLanes) -> None:
+    def __init__(self, lanes: SiteDescentBatch) -> None:
         self.simulation: Simulation | None = None
         self.lanes = lanes
         self._one = np.ones(1, np.bool_)
-        self._small = shrunk(lanes.maps.p, lanes.maps.seen)
-        self._sights: Sights | None = None
+        self._small = downsample_maps(lanes.maps.p, lanes.maps.seen)
+        self._sights: SiteInputs | None = None
 
-    def take(self, options: Mapping[str, Any]) -> None:
-        """Let flights begin as options say, from now on."""
-        take(options, self.lanes, self._one)
+    def apply_options(self, options: Mapping[str, Any]) -> None:
+        """Apply reset options to the next flights."""
+        apply_options(options, self.lanes, self._one)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw a new flight and fly it to its first decision."""
         self._sights = None
         self.lanes.seed(self._one, rng.integers(2**64, size=1, dtype=np.uint64))
         self.lanes.begin(self._one)
-        self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+        self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
 
     def decide(
         self, site: Array | None, each: Callable[[], None], stretch: float | None = None
     ) -> None:
-        """Carry out a decision and fly on."""
+        """Apply a decision and fly to the next one."""
         goal = np.full((1, 3), np.nan) if site is None else np.asarray(site)[None]
         asked = None if stretch is None else np.array([stretch])
         self.lanes.decide(goal, self._one, asked)
         self._sights = None
         if self.lanes.mapped[0]:
-            self._small = shrunk(self.lanes.maps.p, self.lanes.maps.seen)
+            self._small = downsample_maps(self.lanes.maps.p, self.lanes.maps.seen)
         each()
 
     @property
@@ -216,13 +223,13 @@ class KernelFlight:
     @property
     def seen(self) -> Observation:
         """What a policy is shown now."""
-        return seen_by(self.lanes, 0)
+        return observation_of_lane(self.lanes, 0)
 
     @property
-    def sights(self) -> Sights:
+    def sights(self) -> SiteInputs:
         """The same as arrays."""
         if self._sights is None:
-            self._sights = sights_of(self.lanes, self._small)
+            self._sights = site_inputs(self.lanes, self._small)
         return self._sights
 
     @property
@@ -245,18 +252,18 @@ class KernelFlight:
     @property
     def touch(self) -> Array:
         """How near its touchdown is to the limits (1, 3)."""
-        return touch_shares(self.lanes.craft.dynamics.lander, self.lanes.told)
+        return touchdown_limit_ratios(self.lanes.craft.dynamics.lander, self.lanes.told)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there are no resources to release."""
 
 
-def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
-    """Return what the landers of all lanes are shown; `small` (n, 2, 48, 48) are their maps."""
+def site_inputs(lanes: SiteDescentBatch, small: NDArray[np.float32]) -> SiteInputs:
+    """Return the observation arrays of all lanes; `small` are downsampled maps (n, 2, 48, 48)."""
     place, velocity = lanes.believed
     course, found, maps = lanes.course, lanes.found, lanes.maps
     left = np.maximum(course.arrival - lanes.time, 0.0)
-    return Sights(
+    return SiteInputs(
         place, velocity, lanes.y[:, 6:10], course.site, left,
         lanes.y[:, 13] - lanes.figures[:, 3], found.position, found.p_safe, found.distance,
         found.propellant, found.number, found.here, maps.p, maps.seen, maps.corner, maps.posting,
@@ -264,8 +271,8 @@ def sights_of(lanes: SiteLanes, small: NDArray[np.float32]) -> Sights:
     )  # fmt: skip
 
 
-def seen_by(lanes: SiteLanes, lane: int) -> Observation:
-    """Return what a policy is shown of one lane."""
+def observation_of_lane(lanes: SiteDescentBatch, lane: int) -> Observation:
+    """Return the observation of a policy for one lane."""
     place, velocity = (one[lane] for one in lanes.believed)
     y, maps, found, course = lanes.y[lane], lanes.maps, lanes.found, lanes.course
     n = int(found.number[lane])

@@ -1,8 +1,8 @@
-"""What of the truth a mapper's errors hang on: how hazardous a site is, and how far from the edge.
+"""Classify true terrain by the two quantities on which mapper errors depend.
 
-A site is of one of a few classes: by the larger of its slope and roughness over their limits (the
-size of the hazard: at 1 and more the site is unsafe), and by the distance over the ground to the
-nearest site that is judged otherwise.
+The class of a site depends on its hazard size (the larger of slope and roughness over their limits;
+sites with 1 or more are unsafe), and on the horizontal distance to the nearest site of the other
+safety class (the edge).
 """
 
 from __future__ import annotations
@@ -17,29 +17,28 @@ from lunarsim.grid import Grid
 from lunarsim.models.lander import Lander
 from lunarsim.world.truth import Truth
 
-# Edges of the classes: of the size of the hazard, and of the distance to the edge, m (negative
-# on unsafe ground).
+# Class boundaries of hazard size, and of distance to the edge, m (negative on unsafe terrain).
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0])
 DISTANCES = np.array([-1.5, -0.9, -0.5, -0.25, 0.0, 0.25, 0.5, 0.9, 1.5, 2.5])
 COUNT = (len(SIZES) + 1) * (len(DISTANCES) + 1)
-# Stands for ground of which nothing is known.
+# Class of cells without known truth.
 UNKNOWN = 255
 
 
 @dataclass(frozen=True)
 class TruthLayers:
-    """Classes and exact safety of a world.
+    """Classes and true safety of a world.
 
     Attributes
     ----------
     grid
-        Places the cells, true frame.
+        Grid of the cells, true frame.
     kind
-        Class of each cell (rows, cols); `UNKNOWN` where the exact test has no verdict.
+        Class of each cell (rows, cols); `UNKNOWN` where the true safety is not defined.
     safe
-        Exact safety (rows, cols).
+        True safety (rows, cols).
     elevation
-        m (rows, cols).
+        Elevation (rows, cols), m.
     """
 
     grid: Grid
@@ -49,19 +48,19 @@ class TruthLayers:
 
     @classmethod
     def of(cls, truth: Truth) -> TruthLayers:
-        """Return the layers of a truth."""
+        """Compute the layers from the true safety maps of a world."""
         safety = truth.safety
         size = hazard_size(safety.slope, safety.roughness, truth.lander)
         to_unsafe = ndimage.distance_transform_edt(safety.safe)
         to_safe = ndimage.distance_transform_edt(~safety.safe)
-        # Between the centres of two cells lies the edge: half a cell from either.
+        # The edge is halfway between cell centres, so half a cell is subtracted.
         distance = np.where(safety.safe, to_unsafe - 0.5, 0.5 - to_safe) * safety.grid.posting
-        kind = kind_of(size, distance)
+        kind = hazard_class(size, distance)
         kind[~safety.observed] = UNKNOWN
         return cls(safety.grid, kind, safety.safe, truth.elevation)
 
     def at(self, xy: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """Return class and exact safety of true points (..., 2), of the cells nearest to them."""
+        """Return class and true safety of the cells nearest to points (..., 2), true frame, m."""
         grid = self.grid
         row, col = grid.cell(xy)
         inside = grid.contains(xy)
@@ -70,7 +69,7 @@ class TruthLayers:
         return kind, np.asarray(inside & self.safe[row, col])
 
     def height(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the elevation of the cells nearest to true points (..., 2), m; NaN off the map."""
+        """Return the elevation of the cells nearest to points (..., 2), m; NaN off the map."""
         row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
         row, col = np.clip(row, 0, self.grid.rows - 1), np.clip(col, 0, self.grid.cols - 1)
@@ -87,13 +86,13 @@ def hazard_size(
     )
 
 
-def kind_of(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
-    """Return the class of sites by the size of the hazard and the distance to the edge, m."""
+def hazard_class(size: ArrayLike, distance: ArrayLike) -> NDArray[np.uint8]:
+    """Return the class for a hazard size and a distance to the edge, m."""
     by_size = np.searchsorted(SIZES, size, side="right")
     by_distance = np.searchsorted(DISTANCES, distance, side="right")
     return np.asarray(by_size * (len(DISTANCES) + 1) + by_distance, dtype=np.uint8)
 
 
 def size_class(kind: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return which class of size each class belongs to, from 0."""
+    """Return the index of the hazard size of each class, from 0."""
     return np.asarray(kind, dtype=np.int64) // (len(DISTANCES) + 1)

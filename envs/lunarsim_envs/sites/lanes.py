@@ -1,4 +1,4 @@
-"""Landers side by side that choose their sites: guidance, perception and verdict in kernels."""
+"""Simulate many landers with site decisions: guidance, perception and touchdown in kernels."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from lunarsim.onboard.guidance.vertical import VerticalDescent
 from lunarsim.onboard.policies.candidates import _LEVELS
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle._kernels import WIDE
-from lunarsim_envs.descent.lanes import FLYING, Craft, Lanes
+from lunarsim_envs.descent.lanes import FLYING, DescentBatch, VehicleParams
 from lunarsim_envs.sites import _choice_kernels as choice
 from lunarsim_envs.sites import _flight_kernels as f
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.pool import SitePool
+from lunarsim_envs.sites.pool import SiteWorldPool
 from lunarsim_envs.sites.view import deciding_mapper, scan_altitudes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# What a lane and cycle take, microseconds; what a map of a lane does.
+# Compute time per lane and control cycle, and per lane and map, microseconds.
 _CYCLE, _MAP = 6.0, 2000.0
-# Of the site flown to before anything is looked at: not seen, out of reach, no miss.
+# Values of the current site before the first map: not observed, out of reach, no miss.
 _NOTHING = np.array([np.nan, np.inf, 0.0])
 
 
-def law_of(scenario: Scenario, craft: Craft) -> f.Law:
-    """Return a scenario's guidance as kernels take it.
+def kernel_guidance(scenario: Scenario, craft: VehicleParams) -> f.Law:
+    """Return the guidance of a scenario in the form that kernels use.
 
     Raises
     ------
     InputError
-        If it has parts that only the whole simulation flies.
+        If the scenario has parts that only the full simulation supports.
     """
     software = scenario.software()
     guidance, approach, window = software.guidance, software.approach, software.decisions
@@ -75,7 +75,7 @@ def law_of(scenario: Scenario, craft: Craft) -> f.Law:
 
 
 def samples(shape: PathShape, count: int) -> Array:
-    """Return share of the time that is left and its powers along a path (count + 1, 3)."""
+    """Return the remaining time fraction and its powers along a path (count + 1, 3)."""
     left = 1.0 - np.arange(count + 1) / count
     return np.column_stack((left, left**shape.low, left**shape.high))
 
@@ -84,56 +84,58 @@ def _refuse_others(scenario: Scenario, guidance: Any) -> None:
     plain = isinstance(guidance, PathLaw) and type(guidance).cost is PathLaw.cost
     if not plain or guidance.feedback(scenario.gravity_m_s2) is not None:
         kind = scenario.guidance.kind
-        raise InputError("guidance.kind", kind, "apollo or e-guidance: laws that kernels fly")
+        raise InputError("guidance.kind", kind, "must be apollo or e-guidance for kernels")
     for table in ("braking", "window", "descent", "variation", "prior_map"):
         if getattr(scenario, table) is not None:
-            raise InputError(table, "given", "left out: kernels do not fly it")
+            raise InputError(table, "given", "is not supported by kernels", "Omit it.")
     if not scenario.approach.make().free:
-        raise InputError("approach.time_to_go_s", "given", "left out: the cheapest is taken")
+        raise InputError(
+            "approach.time_to_go_s", "given", "is not supported by kernels", "Omit it."
+        )
 
 
-class SiteLanes(Lanes):
-    """Landers side by side, flown to sites that somebody chooses.
+class SiteDescentBatch(DescentBatch):
+    """A batch of landers that fly to selectable sites.
 
     Parameters
     ----------
     count
-        Of lanes n.
+        Number of lanes n.
     scenario
-        What flies.
+        Scenario of the flights.
     pool
-        Over which worlds.
+        Worlds with their true safety.
     errors
-        Of perception; see `surrogate`.
+        Error model of the perception, from `surrogate`.
     view
-        See `view.view_of`.
+        Field of view of the LiDAR, from `fov_and_footprint`.
     drift, claimed
-        Standard deviation of the velocity of the drift, east and north (2,), and what navigation
-        says of it, m/s.
+        True standard deviation of the drift velocity, east and north (2,), and the standard
+        deviation that navigation reports per axis, m/s.
     posting
-        Of the maps, m.
+        Cell size of the maps, m.
 
     Attributes
     ----------
     course, maps, found
-        See the kernels.
+        Guidance states, hazard maps and site candidates, defined in the kernels.
     refused, unstretched
-        Whether the site of the last decision of each was out of reach, and whether a stretch that
-        it asked for is not flown (n,).
+        Whether the site of the last decision was out of reach, and whether its factor on the
+        time-to-go was refused (n,).
     """
 
     levels: ClassVar[Array] = np.array(_LEVELS)
     keeps_maps: ClassVar[bool] = True
 
     def __init__(
-        self, count: int, scenario: Scenario, pool: SitePool, *, errors: m.Errors, view: Array,
+        self, count: int, scenario: Scenario, pool: SiteWorldPool, *, errors: m.Errors, view: Array,
         drift: Array, claimed: float, posting: float,
     ) -> None:  # fmt: skip
-        craft = Craft.of(scenario)
+        craft = VehicleParams.of(scenario)
         clock = scenario.simulation.make()
         super().__init__(count, craft, pool.grounds, guided=True, rate=1.0 / clock.cycle)
         self.pool, self.errors, self.view = pool, errors, view
-        self.law = law_of(scenario, craft)
+        self.law = kernel_guidance(scenario, craft)
         self.decisions = scenario.decisions.make()
         size = scenario.mappers[deciding_mapper(scenario)].make().size
         cells = max(1, round(size / posting)) if self.keeps_maps else 1
@@ -145,13 +147,13 @@ class SiteLanes(Lanes):
         ])  # fmt: skip
         self.course = _course(count)
         self.maps = _maps(count, cells, posting, stated)
-        # Twice: those in reach stay beside others that are proposed in the stead of the rest.
+        # Twice the number: reachable candidates, plus substitutes for those out of reach.
         self.found = _found(count, 2 * (self.decisions.candidates + len(self.levels)))
         self.refused, self.unstretched = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         self._control = self._vehicle.control
 
     def begin(self, mask: Mask) -> None:
-        """Draw a new flight in every lane of `mask` (n,), and fly it to its first decision."""
+        """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
         super().begin(mask)
         self._run(
             f.begin, 100.0 * self.count, mask, self._keys, self._begun, self.y,
@@ -164,23 +166,23 @@ class SiteLanes(Lanes):
         maps.height[mask] = np.nan
         maps.aimed[mask], maps.mapped[mask] = np.nan, 0.0
         self.refused[mask] = self.unstretched[mask] = False
-        # A flight that ends before its first decision is shown none of the one before.
+        # Clear the candidates of the last flight, because a flight may end before its first map.
         self.found.number[mask], self.found.here[mask] = 0, _NOTHING
         self.mapped = mask.copy()
         self._on(mask)
 
     def decide(self, sites: Array, mask: Mask, stretches: Array | None = None) -> None:
-        """Carry out decisions in the lanes of `mask`, and fly on to the next, or to the end.
+        """Apply decisions in the lanes of `mask` and fly to the next decision or the end.
 
         Parameters
         ----------
         sites
-            Where to land (n, 3), local frame; NaN keeps the site.
+            New sites (n, 3), local frame, m; NaN keeps the site.
         mask
-            Which lanes (n,).
+            Lanes that decide (n,).
         stretches
-            Time-to-go over that of the cheapest path (n,), see `Decision`; NaN, or None for all
-            lanes: as it comes.
+            Factors on the time-to-go of the minimum-propellant path (n,); NaN or None keeps the
+            time-to-go.
         """
         mask = mask & (self.ended == FLYING)
         asked = np.full(self.count, np.nan) if stretches is None else stretches
@@ -192,7 +194,7 @@ class SiteLanes(Lanes):
         self._on(mask)
 
     def _on(self, mask: Mask) -> None:
-        """Fly on, with scans on the way, and look at what there is to choose."""
+        """Fly to the next decision, with scans on the way, and evaluate the candidates."""
         while True:
             self._run(
                 f.fly, 10.0 * _CYCLE * self.count, self.y, self._rate, min(WIDE, self.count),
@@ -213,7 +215,7 @@ class SiteLanes(Lanes):
             )  # fmt: skip
 
     def _run(self, kernel: Any, microseconds: float, *given: Any) -> None:
-        """Run a kernel over the lanes; for one lane alone no thread is waited for."""
+        """Run a kernel over the lanes; a single lane runs without threads."""
         if self.count == 1:
             kernel.compiled((0, 1), *given)
             return
@@ -221,7 +223,7 @@ class SiteLanes(Lanes):
             kernel(*given)
 
     def scan(self, due: Mask) -> None:
-        """Let the lanes of `due` take the scan that is due."""
+        """Take the due scans in the lanes of `due` (n,) and update their maps."""
         self._run(
             m.scan, _MAP * self.count, due, self._keys, self._begun, self.y, self.time, self.world,
             self.course, self.maps, self.pool.layers, self.errors, self.view,
@@ -229,7 +231,7 @@ class SiteLanes(Lanes):
 
     @property
     def believed(self) -> tuple[Array, Array]:
-        """Position and velocity as the landers take them to be (n, 3), local frame."""
+        """Estimated position, m, and velocity, m/s, (n, 3) each, local frame."""
         slip, place = self.course.slip, self.y[:, :3].copy()
         velocity = self.y[:, 3:6].copy()
         place[:, :2] += slip * self.time[:, None]

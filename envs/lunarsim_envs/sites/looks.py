@@ -1,4 +1,4 @@
-"""Maps that a real mapper draws in flight, laid beside the truth: what a surrogate is fitted to."""
+"""Record maps of a real mapper in simulated flights with the truth, to fit a surrogate."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
-from lunarsim_envs.sites.view import in_view, scan_altitudes, view_of
+from lunarsim_envs.sites.view import fov_and_footprint, in_view, scan_altitudes
 
 Array = NDArray[np.float64]
 
-# Every so-manieth cell of a map along its side is looked at: its neighbours say much the same.
+# Sampling interval of map cells per axis; neighbouring cells are strongly correlated.
 EVERY = 2
-# Flown on after the last scan, s: so long drift is looked at besides.
+# Flight time after the last scan, to measure the drift, s.
 _AFTER = 4.0
 
 
 @dataclass(frozen=True)
-class Look:
-    """A map as it stood after a scan, and what is true under its cells.
+class MapSample:
+    """A map after a scan, with the truth at its cells.
 
     Attributes
     ----------
     stage
-        How many scans it was made of, less one.
+        Index of the last scan in the map, from 0.
     altitude
-        Of the lander above the site at the last one, m.
+        Altitude of the lander above the site at the last scan, m.
     posting
-        Of the cells here, m.
+        Spacing of the sampled cells, m.
     p_safe, observed
-        Of the map (rows, cols).
+        p_safe and observed mask of the map (rows, cols).
     kind
-        Class of the truth under each cell (rows, cols), see `hazard`; `hazard.UNKNOWN` where there
-        is none.
+        Class of the true terrain at each cell (rows, cols), from `hazard`; `hazard.UNKNOWN` where
+        it is not known.
     safe
-        Whether each cell is exactly safe (rows, cols).
+        True safety of each cell (rows, cols).
     viewed
-        Whether the last scan had each cell in view (rows, cols), by `view`.
+        Whether each cell is in the field of view of the last scan (rows, cols), from `view`.
     """
 
     stage: int
@@ -57,44 +57,43 @@ class Look:
 
 @dataclass(frozen=True)
 class LookedFlight:
-    """What one flight gives: its maps, and how the lander drifted over them.
+    """Maps and navigation drift of one flight.
 
     Attributes
     ----------
     looks
-        In their order.
+        Maps in time order.
     drift
-        Change of the error of place from the first scan to the end over the time between (2,),
-        east and north, m/s.
+        Mean rate of the position error from the first scan to the end, east and north (2,), m/s.
     claimed
-        Deviation that navigation gives the velocity at the first scan, an axis, m/s.
+        Velocity standard deviation that navigation reports at the first scan, per axis, m/s.
     safe_share
-        Of the ground that is exactly safe.
+        Truly safe fraction of the terrain.
     """
 
-    looks: tuple[Look, ...]
+    looks: tuple[MapSample, ...]
     drift: Array
     claimed: float
     safe_share: float
 
 
 def looked_flights(scenario: Scenario, seed: int, flights: Iterable[int]) -> Iterator[LookedFlight]:
-    """Fly flights of a campaign to their last scan, and yield what their mapper drew.
+    """Fly flights of a campaign to their last scan and yield their maps.
 
-    They keep their sites, and end some seconds after that scan.
+    The flights do not divert, and end 4 s after the last scan.
 
     Parameters
     ----------
     scenario
-        With a mapper that decides.
+        Scenario with a mapper.
     seed, flights
-        Root seed, and numbers of the flights.
+        Root seed, and indices of the flights.
     """
     scans = len(scan_altitudes(scenario))
     for flight in flights:
         simulation = Simulation(scenario, flight_seed(seed, flight), "no-divert")
         layers = TruthLayers.of(simulation.truth)
-        looks: list[Look] = []
+        looks: list[MapSample] = []
         first: tuple[float, Array] | None = None
         claimed = float("nan")
         name = simulation.computer.decisions_map
@@ -117,7 +116,7 @@ def looked_flights(scenario: Scenario, seed: int, flights: Iterable[int]) -> Ite
         yield LookedFlight(tuple(looks), drift, claimed, share)
 
 
-def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> Look:
+def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int) -> MapSample:
     mapper = simulation.computer.mapper
     assert mapper is not None
     drawn = mapper.hazard_map()
@@ -126,8 +125,10 @@ def _look(simulation: Simulation, layers: TruthLayers, error: Array, stage: int)
     kind, safe = layers.at(xy)
     pick = np.ix_(rows, cols)
     here, aim = simulation.state.position, simulation.site - error
-    viewed = in_view(xy, layers.height(xy), here, aim - here, view_of(simulation.scenario))
-    return Look(
+    viewed = in_view(
+        xy, layers.height(xy), here, aim - here, fov_and_footprint(simulation.scenario)
+    )
+    return MapSample(
         stage, simulation.altitude, EVERY * drawn.grid.posting, drawn.p_safe[pick].copy(),
         drawn.observed[pick].copy(), kind, safe, viewed,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Landers flown by kernels whose maps a real mapper draws from real scans."""
+"""Simulate many landers in kernels with maps from simulated scans and the Gaussian DEM."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.scenario import Scenario
 from lunarsim.vehicle import State
 from lunarsim_envs.sites import _map_kernels as m
-from lunarsim_envs.sites.lanes import Mask, SiteLanes
+from lunarsim_envs.sites.lanes import Mask, SiteDescentBatch
 from lunarsim_envs.sites.view import deciding_mapper
 
 Array = NDArray[np.float64]
 
 
-class MappedLanes(SiteLanes):
-    """As `SiteLanes`; scans are rays over the true ground, and a Gaussian DEM draws the maps.
+class MappedDescentBatch(SiteDescentBatch):
+    """A batch like `SiteDescentBatch`, with LiDAR scans of the true terrain and Gaussian DEM maps.
 
     Raises
     ------
     InputError
-        If the scenario's mapper that decides is another.
+        If decisions of the scenario use another kind of mapper.
     """
 
     def __init__(self, count: int, scenario: Scenario, *given: Any, **settings: Any) -> None:
@@ -41,19 +41,19 @@ class MappedLanes(SiteLanes):
         super().__init__(count, scenario, *given, **(settings | {"posting": part.posting}))
 
     def begin(self, mask: Mask) -> None:
-        """Draw a new flight in every lane of `mask` (n,), and fly it to its first decision."""
+        """Start a new flight in every lane of `mask` (n,) and fly to its first decision."""
         for lane in np.flatnonzero(mask):
             self._mappers[int(lane)] = None
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
-        """Let the lanes of `due` take the scan that is due."""
+        """Take the due scans in the lanes of `due` (n,) and update their maps."""
         for lane in np.flatnonzero(due):
             self._map(int(lane))
         m.took(due, self.time, self.course, self.maps)
 
     def _map(self, i: int) -> None:
-        """Let a lane scan, and draw its map."""
+        """Take a scan in one lane and update its map."""
         mapper = self._mappers[i]
         if mapper is None:
             mapper = self._mappers[i] = GaussianDemMapper(
@@ -85,17 +85,17 @@ class MappedLanes(SiteLanes):
 
     @property
     def lander(self) -> Any:
-        """The vehicle's figures."""
+        """Parameters of the vehicle."""
         return self.craft.dynamics.lander
 
 
 def gaussian_dem_of(scenario: Scenario) -> GaussianDemMapping:
-    """Return the settings of the Gaussian DEM that decides.
+    """Return the settings of the Gaussian DEM mapper that decisions use.
 
     Raises
     ------
     InputError
-        If another mapper does.
+        If decisions use another kind of mapper.
     """
     name = deciding_mapper(scenario)
     part = scenario.mappers[name].make()
@@ -103,6 +103,7 @@ def gaussian_dem_of(scenario: Scenario) -> GaussianDemMapping:
         kind = scenario.mappers[name].kind
         raise InputError(
             f"mappers.{name}.kind", kind,
-            "gaussian-dem; perception='onboard' flies any mapper",
+            "must be gaussian-dem for this perception",
+            "perception='onboard' supports all mappers.",
         )  # fmt: skip
     return part

@@ -1,4 +1,4 @@
-"""Very many descents: guidance, perception by a surrogate, vehicle and verdict in kernels."""
+"""Fly millions of descents in kernels, with a surrogate for perception."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.descent.lanes import LATE, LIMITS
 from lunarsim_envs.sites import _sparse_kernels as k
-from lunarsim_envs.sites.lanes import Mask, SiteLanes
+from lunarsim_envs.sites.lanes import Mask, SiteDescentBatch
 from lunarsim_envs.sites.perception import lanes_of
 
-# Lanes that fly side by side, which nothing depends on; cells between two sites of the lattice,
-# half a side of it, m.
+# Number of parallel lanes (results do not depend on it); spacing of the site lattice, cells; half
+# side of the lattice, m.
 LANES, _EVERY, _REACH = 4096, 8, 24.0
 
 
 @dataclass(frozen=True)
 class Tally:
-    """What came of flights.
+    """Summary of many flights.
 
     Attributes
     ----------
     flights, safe
-        Numbers.
+        Number of flights, and of safe landings.
     failed
-        Of each limit of `LIMITS`, and of the time limit.
+        Number of violations of each limit in `LIMITS` and of the time limit.
     seconds
-        Flown, all together, s.
+        Total flight time, s.
     propellant
-        Burnt by safe ones, all together, kg.
+        Total propellant used by safe landings, kg.
     told, told_safe
-        By tenths of the p_safe that the lander was told of its site: flights, and those of them
-        that landed safe.
+        Number of flights, and of safe landings, by tenths of the p_safe that the map predicted for
+        the site (10,).
     """
 
     flights: int
@@ -49,7 +49,7 @@ class Tally:
     told_safe: NDArray[np.int64]
 
     def __add__(self, other: Tally) -> Tally:
-        """Return the tally of both."""
+        """Add two summaries."""
         return Tally(
             self.flights + other.flights, self.safe + other.safe,
             {name: self.failed[name] + other.failed[name] for name in self.failed},
@@ -66,31 +66,34 @@ def batches(
     lanes: int = LANES,
     surrogate: Any = None,
 ) -> Iterator[Tally]:
-    """Yield what came of each batch of flights.
+    """Fly batches of flights and yield the summary of each.
 
-    Flight i is the same for any number of lanes and threads.
+    Flight i does not depend on the number of lanes and threads.
 
     Parameters
     ----------
     scenario
-        What flies; every scan is followed by a decision, the nearest site that will do.
+        Scenario of the flights. After every scan, the lander diverts to the nearest site that is
+        safe enough.
     flights, seed
-        How many, and their root seed.
+        Number of flights, and root seed.
     worlds
-        Of the pool.
+        Number of worlds in the pool.
     lanes
-        That fly side by side.
+        Number of parallel flights.
+    surrogate
+        `Surrogate` or the path of its file; None is the packaged one.
 
     Raises
     ------
     InputError
-        If there are none, or the scenario cannot be flown so.
+        If `flights` is less than 1, or kernels do not support the scenario.
     """
     if flights < 1:
-        raise InputError("--flights", flights, "at least 1")
+        raise InputError("--flights", flights, "must be at least 1")
     one = lanes_of(1, "surrogate", scenario, worlds, 0, surrogate)
-    many = SparseLanes(
-        min(lanes, flights), without_decisions(scenario), one.pool, errors=one.errors,
+    many = SparseDescentBatch(
+        min(lanes, flights), without_site_decisions(scenario), one.pool, errors=one.errors,
         view=one.view, drift=one.drift, claimed=float(one.maps.stated[1]),
         posting=one.maps.posting,
     )  # fmt: skip
@@ -104,24 +107,24 @@ def batches(
         yield many.tally(mask)
 
 
-class SparseLanes(SiteLanes):
-    """Lanes whose perception is a lattice of sites; they decide after every scan, and then only.
+class SparseDescentBatch(SiteDescentBatch):
+    """A batch with perception on a sparse lattice of sites and one decision after every scan.
 
     Attributes
     ----------
     said
-        p_safe of the site that each flies to (n,); NaN: it has not been seen.
+        Predicted p_safe of the current site (n,); NaN if it was not observed.
     """
 
     keeps_maps = False
 
     def begin(self, mask: Mask) -> None:
-        """Fly every lane of `mask` (n,) from its start to its end."""
+        """Fly a new flight in every lane of `mask` (n,) to its end."""
         self.said = np.full(self.count, np.nan)
         super().begin(mask)
 
     def scan(self, due: Mask) -> None:
-        """Let the lanes of `due` take the scan that is due."""
+        """Take the due scans in the lanes of `due` (n,) and choose their sites."""
         side = int(2.0 * _REACH / self.maps.posting) + 1
         self._run(
             k.choose, 200.0 * self.count, due, self._keys, self._begun, self.y, self.time,
@@ -130,7 +133,7 @@ class SparseLanes(SiteLanes):
         )  # fmt: skip
 
     def tally(self, mask: Mask) -> Tally:
-        """Return what came of the lanes of `mask` (n,)."""
+        """Return the summary of the lanes of `mask` (n,)."""
         safe = self.safe & mask
         failed = {
             name: int(((self.failed >> bit & 1).astype(bool) & mask).sum())
@@ -146,6 +149,6 @@ class SparseLanes(SiteLanes):
         )  # fmt: skip
 
 
-def without_decisions(scenario: Scenario) -> Scenario:
-    """Return a scenario whose window of decisions lies under the ground."""
+def without_site_decisions(scenario: Scenario) -> Scenario:
+    """Return a scenario without decisions: their altitude window is below the pads."""
     return scenario.changed(decisions={"first_altitude_m": 2e-4, "last_altitude_m": 1e-4})

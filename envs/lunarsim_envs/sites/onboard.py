@@ -1,4 +1,4 @@
-"""Scenarios in which the mapper of a perception decides, flown by the whole simulation."""
+"""Change scenarios so that decisions use the mapper of a given perception."""
 
 from __future__ import annotations
 
@@ -8,35 +8,37 @@ from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim_envs.sites.view import deciding_mapper
 
-# Kind of the mapper that draws the map of each perception; "onboard" is what the scenario has.
+# Kind of mapper of each perception.
 MAPPER_OF = {"shadows": "shadow", "quadtree": "quadtree", "fused": "fused"}
-# Mappers of a LiDAR's scans, any of which a fused map is made of.
+# LiDAR mappers that a fused map can use.
 _LIDAR = ("gaussian-dem", "quadtree")
-# Half side of a quadtree's landing zone over that of the lander's footprint, as in its paper.
+# Half side of the quadtree's landing zone over that of the footprint, from the quadtree paper.
 _ZONE = 1.35
-# Pictures a second of a camera that a scenario is given.
+# Image rate of an added camera, Hz.
 _PICTURES = 5.0
 
 
 def perceiving(scenario: Scenario, perception: str) -> Scenario:
-    """Return a scenario whose policy decides on the map of a perception.
+    """Return a scenario whose decisions use the mapper of a perception.
 
-    A scenario that has a mapper of its kind decides on that. Any other is given one: a quadtree in
-    the place of the mapper that decided, on the same scans and ground; a map of shadows in its
-    place, by the camera that there is or by one of its own, with navigation that tracks rocks; a
-    fused map of the two.
+    If the scenario has a mapper of this kind, decisions use it. Otherwise one is added:
+
+    - "quadtree" replaces the current mapper, with the same scans and map area.
+    - "shadows" replaces the current mapper; a camera is added if there is none, and navigation
+      tracks rocks.
+    - "fused" combines the current LiDAR mapper with a shadow mapper.
 
     Parameters
     ----------
     scenario
-        What flies.
+        Scenario to change.
     perception
-        A name of `MAPPER_OF`, or "onboard", which changes nothing.
+        A key of `MAPPER_OF`, or "onboard", which changes nothing.
 
     Raises
     ------
     InputError
-        If the scenario's other parts do not go with it.
+        If other parts of the scenario do not fit the mapper.
     """
     if perception == "onboard":
         return scenario
@@ -50,14 +52,14 @@ def perceiving(scenario: Scenario, perception: str) -> Scenario:
 
 
 def _named(scenario: Scenario, name: str) -> str:
-    """Return a name that no mapper and no sensor of the scenario has."""
+    """Return an unused name for a mapper or sensor."""
     while name in scenario.mappers or name in scenario.sensors:
         name += "_"
     return name
 
 
 def _ground(scenario: Scenario) -> dict[str, Any]:
-    """Return size and cells of the map that decides, as far as it says."""
+    """Return size and posting of the map that decisions use, if its mapper has them."""
     part = scenario.mappers[deciding_mapper(scenario)]
     return {key: getattr(part, key) for key in ("size_m", "posting_m") if hasattr(part, key)}
 
@@ -68,7 +70,7 @@ def _quadtree(scenario: Scenario) -> dict[str, Any]:
     if part.kind != "gaussian-dem":
         raise InputError(
             f"mappers.{before}.kind", part.kind,
-            "quadtree, or gaussian-dem, whose scans a quadtree then takes",
+            "must be quadtree or gaussian-dem for the perception 'quadtree'",
         )  # fmt: skip
     lander = scenario.vehicle.make()
     sites = {
@@ -91,7 +93,7 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
     if not reliefs:
         raise InputError(
             "mappers", sorted(part.kind for part in scenario.mappers.values()),
-            "one of kind gaussian-dem or quadtree, which a fused map is made of",
+            "must include gaussian-dem or quadtree for the perception 'fused'",
         )  # fmt: skip
     rocks = [name for name, part in scenario.mappers.items() if part.kind == "shadow"]
     given: dict[str, Any] = {"mappers": {}} if rocks else _camera(scenario)
@@ -102,7 +104,7 @@ def _fused(scenario: Scenario) -> dict[str, Any]:
 
 
 def _camera(scenario: Scenario) -> dict[str, Any]:
-    """Return what a scenario lacks to map rocks by their shadows, with that mapper."""
+    """Return the changes that add a shadow mapper with its camera and navigation."""
     cameras = [name for name, part in scenario.sensors.items() if part.kind == "camera"]
     camera = cameras[0] if cameras else _named(scenario, "camera")
     name = _named(scenario, "rocks")

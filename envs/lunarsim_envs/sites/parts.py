@@ -1,6 +1,6 @@
-"""What an agent that chooses sites is shown: named parts, one array each.
+"""Build observations of ``Retarget-v0`` from named components, one array each.
 
-A part of one's own is added by `register`, and named in an environment's `observation`.
+`register` adds custom components, which can then be named in an environment's `observation`.
 """
 
 from __future__ import annotations
@@ -15,32 +15,34 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim_envs.named_parts import check_new, check_shape, named_parts
-from lunarsim_envs.sites.sights import CROP_CELLS, MAP_CELLS, Sights
+from lunarsim_envs.sites.sights import CROP_CELLS, MAP_CELLS, SiteInputs
 
 Array = NDArray[Any]
 Shown = dict[str, NDArray[np.float32]]
 
-SITES = 20  # candidate sites that an agent may choose from
-# No distance (m), speed (m/s) or mass (kg) in a flight is larger: what would be is clipped.
+SITES = 20  # number of candidate sites in observations and actions
+# Bound of distances (m), speeds (m/s) and masses (kg) in observations; larger values are clipped.
 FAR = 5000.0
 
 
 @dataclass(frozen=True)
-class Part:
-    """One part of an observation.
+class SiteObservationComponent:
+    """One component of an observation.
 
     Attributes
     ----------
-    name, meaning
-        As documents tell them.
+    name
+        Name by which `observation` selects it.
     shape
-        Of it.
+        Shape for one lander.
     units
-        Of its last axis, or one for all.
+        Units along the last axis, or one unit for all.
     low, high
-        Bounds, as `numpy.broadcast_to` takes them for the shape.
+        Bounds that can be broadcast to the shape.
+    meaning
+        Description, for the documentation.
     of
-        Returns it for all landers (n, *shape).
+        Function that returns the values of all landers (n, *shape).
     """
 
     name: str
@@ -49,47 +51,49 @@ class Part:
     low: Any
     high: Any
     meaning: str
-    of: Callable[[Sights], Array]
+    of: Callable[[SiteInputs], Array]
 
     @property
     def space(self) -> spaces.Box:
-        """Of one lander."""
+        """Space of one lander."""
         low = np.broadcast_to(np.asarray(self.low, np.float32), self.shape).copy()
         high = np.broadcast_to(np.asarray(self.high, np.float32), self.shape).copy()
         return spaces.Box(low, high, self.shape, np.float32)
 
 
-PARTS: dict[str, Part] = {}
-# What is seen unless something else is asked for.
+PARTS: dict[str, SiteObservationComponent] = {}
+# Default components of the observation.
 DEFAULT = ("estimate", "hazard_map", "sites", "to_go")
 
 
-def register(part: Part) -> None:
-    """Add a part.
+def register(part: SiteObservationComponent) -> None:
+    """Register a component.
 
     Raises
     ------
     InputError
-        If there is one of its name, or its bounds leave no room.
+        If the name exists, the shape is empty, or the bounds are empty.
     """
     check_new(part.name, PARTS)
     space = part.space
     if not part.shape or not (space.low < space.high).all():
-        raise InputError(part.name, (part.shape, part.low, part.high), "a shape, and a range")
+        raise InputError(
+            part.name, (part.shape, part.low, part.high), "must have a shape and a range"
+        )
     PARTS[part.name] = part
 
 
-def _estimate(s: Sights) -> Array:
+def _estimate(s: SiteInputs) -> Array:
     return np.concatenate((s.position - s.site, s.velocity, s.attitude), axis=1)
 
 
-def _to_go(s: Sights) -> Array:
+def _to_go(s: SiteInputs) -> Array:
     altitude = s.position[:, 2] - s.site[:, 2]
     return np.stack((s.time_to_go, s.propellant, altitude), axis=1)
 
 
-def _rows(s: Sights, columns: Sequence[Array]) -> Array:
-    """Return a table of sites (n, 20, columns), zero where there is none."""
+def _rows(s: SiteInputs, columns: Sequence[Array]) -> Array:
+    """Return a table of sites (n, 20, columns); rows without a site are zero."""
     out = np.zeros((len(s.site), SITES, len(columns)))
     n = min(SITES, s.p_safe.shape[1])
     known = np.arange(n) < s.count[:, None]
@@ -98,108 +102,107 @@ def _rows(s: Sights, columns: Sequence[Array]) -> Array:
     return out
 
 
-def _away(s: Sights) -> Array:
+def _away(s: SiteInputs) -> Array:
     return s.position_of - s.site[:, None]
 
 
-def _sites(s: Sights) -> Array:
+def _sites(s: SiteInputs) -> Array:
     away, there = _away(s), np.isfinite(s.cost)
     cost = np.where(there, s.cost, FAR)
     return _rows(s, (away[..., 0], away[..., 1], away[..., 2], s.p_safe, cost, there))
 
 
-def _candidates(s: Sights) -> Array:
+def _candidates(s: SiteInputs) -> Array:
     away, there = _away(s), np.isfinite(s.cost)
     stay = np.where(np.isfinite(s.here[:, 1]), s.here[:, 1], 0.0)
     more = np.where(there, s.cost - stay[:, None], FAR)
     return _rows(s, (away[..., 0], away[..., 1], s.p_safe, more, s.distance, there))
 
 
-def _site(s: Sights) -> Array:
+def _site(s: SiteInputs) -> Array:
     p, cost, miss = s.here.T
     seen = np.isfinite(p)
     return np.stack((np.where(seen, p, 0.0), seen, np.minimum(cost, FAR), miss), axis=1)
 
 
-def _small(s: Sights) -> Array:
+def _small(s: SiteInputs) -> Array:
     return s.small
 
 
-def _crop(s: Sights) -> Array:
+def _crop(s: SiteInputs) -> Array:
     return s.crop
 
 
 for _part in (
-    Part(
+    SiteObservationComponent(
         "estimate", (10,), (*["m"] * 3, *["m/s"] * 3, *[""] * 4),
         [-FAR] * 6 + [-1.0] * 4, [FAR] * 6 + [1.0] * 4,
-        "position from the present site, velocity, attitude (scalar last), as navigation "
-        "estimates them, ENU", _estimate,
+        "estimated position relative to the current site, velocity and attitude (scalar last), ENU",
+        _estimate,
     ),
-    Part(
+    SiteObservationComponent(
         "hazard_map", (2, MAP_CELLS, MAP_CELLS), ("",), 0.0, 1.0,
-        "mean probability of safety and share seen in equal blocks of the hazard map; row 0 south, "
-        "column 0 west", _small,
+        "mean p_safe and observed fraction in equal blocks of the hazard map; row 0 south, column "
+        "0 west", _small,
     ),
-    Part(
+    SiteObservationComponent(
         "sites", (SITES, 6), ("m", "m", "m", "", "kg", ""),
         [-FAR, -FAR, -FAR, 0.0, 0.0, 0.0], [FAR, FAR, FAR, 1.0, FAR, 1.0],
-        "offset from the present site east, north, up, probability of safety, propellant to reach "
-        "it, 1 if available; rows without a site are zero", _sites,
+        "offset from the current site east, north, up, p_safe, propellant to reach it, 1 if "
+        "available; rows without a site are zero", _sites,
     ),
-    Part(
+    SiteObservationComponent(
         "to_go", (3,), ("s", "kg", "m"), 0.0, FAR,
-        "time-to-go, propellant left, altitude above the site", _to_go,
+        "time-to-go, remaining propellant, altitude above the site", _to_go,
     ),
-    Part(
+    SiteObservationComponent(
         "candidates", (SITES, 6), ("m", "m", "", "kg", "m", ""),
         [-FAR, -FAR, 0.0, -FAR, 0.0, 0.0], [FAR, FAR, 1.0, FAR, FAR, 1.0],
-        "offset from the present site east and north, probability of safety, propellant over that "
-        "of the present site, distance, 1 if available; the rows of the actions", _candidates,
+        "offset from the current site east and north, p_safe, propellant minus that of the current "
+        "site, distance, 1 if available; one row per divert action", _candidates,
     ),
-    Part(
+    SiteObservationComponent(
         "site", (4,), ("", "", "kg", "m"), [0.0, 0.0, 0.0, 0.0], [1.0, 1.0, FAR, FAR],
-        "of the present site: probability of safety, 1 if it has been seen, propellant to reach "
-        "it, expected miss", _site,
+        "current site: p_safe, 1 if observed, propellant to reach it, expected miss", _site,
     ),
-    Part(
+    SiteObservationComponent(
         "hazard_crop", (2, CROP_CELLS, CROP_CELLS), ("",), 0.0, 1.0,
-        "probability of safety and 1 where seen, a metre apart about the present site; row 0 "
-        "south, column 0 west", _crop,
+        "p_safe and observed mask around the current site, 1 m spacing; row 0 south, column 0 west",
+        _crop,
     ),
 ):  # fmt: skip
     register(_part)
 
 
-class ShownSites:
-    """An observation made of parts, a ``Dict``.
+class SiteObservationLayout:
+    """A ``Dict`` observation that consists of named components.
 
     Parameters
     ----------
     names
-        Of the parts.
+        Names of the components.
 
     Raises
     ------
     InputError
-        If a name is unknown or comes twice, or there is none.
+        If a name is unknown or occurs twice, or there are no names.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self.parts = named_parts("observation", names, PARTS)
         self._bounds = {part.name: (part.space.low, part.space.high) for part in self.parts}
 
-    def __reduce__(self) -> tuple[type[ShownSites], tuple[list[str]]]:
-        """Copy by names: what a part is computed by need not be copied itself."""
-        return ShownSites, ([part.name for part in self.parts],)
+    def __reduce__(self) -> tuple[type[SiteObservationLayout], tuple[list[str]]]:
+        """Pickle the names only, because functions of components may not be picklable."""
+        return SiteObservationLayout, ([part.name for part in self.parts],)
 
     @property
     def space(self) -> spaces.Dict:
-        """Of one lander."""
+        """Observation space of one lander."""
         return spaces.Dict({part.name: part.space for part in self.parts})
 
-    def of(self, sights: Sights) -> Shown:
-        """Return the observation of every lander, an array (n, ...) a part."""
+    def of(self, sights: SiteInputs) -> Shown:
+        """Return the observations of all landers, an array (n, ...) per component."""
         told = {}
         for part in self.parts:
             value = np.array(part.of(sights), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""How landers that choose their sites perceive: by choice, from the truth to the whole computer."""
+"""Create flights and batches of ``Retarget-v0`` for each kind of perception."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ import numpy as np
 
 from lunarsim.errors import InputError, suggestion
 from lunarsim.scenario import Scenario
-from lunarsim_envs.arguments import covers_of
-from lunarsim_envs.descent.worlds import with_covers
+from lunarsim_envs.arguments import checked_covers
+from lunarsim_envs.descent.worlds import scenarios_by_cover
 from lunarsim_envs.sites.flights import KernelFlight, OnboardFlight, SiteFlight
-from lunarsim_envs.sites.lanes import SiteLanes
-from lunarsim_envs.sites.mapped import MappedLanes, gaussian_dem_of
+from lunarsim_envs.sites.lanes import SiteDescentBatch
+from lunarsim_envs.sites.mapped import MappedDescentBatch, gaussian_dem_of
 from lunarsim_envs.sites.onboard import MAPPER_OF
-from lunarsim_envs.sites.pool import SitePool
-from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact
-from lunarsim_envs.sites.view import view_of
+from lunarsim_envs.sites.pool import SiteWorldPool
+from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate, exact_errors
+from lunarsim_envs.sites.view import fov_and_footprint
 
-# Flown by the whole simulation; by kernels.
-WHOLE = ("onboard", *MAPPER_OF)
+# Perceptions that the full simulation flies, and those that kernels fly.
+FULL_SIMULATION = ("onboard", *MAPPER_OF)
 KERNELS = ("truth", "surrogate", "gaussian-dem")
 PERCEPTIONS = ("onboard", *KERNELS, *MAPPER_OF)
-# Cells of maps that kernels draw, m.
+# Cell size of maps in kernels, m.
 _POSTING = 0.4
 
 
-def flight_of(
+def create_flight(
     perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
 ) -> SiteFlight:  # fmt: skip
-    """Return what flies one descent.
+    """Return the flight of a single environment.
 
     Raises
     ------
     InputError
-        If there is no such perception, or it cannot be had with this scenario.
+        If the perception is unknown, or does not support the scenario.
     """
-    if perception in WHOLE:
-        # It draws each world anew, of any cover.
-        with_covers(scenario, covers_of(covers))
+    if perception in FULL_SIMULATION:
+        # The full simulation generates worlds per flight; this call only checks the covers.
+        scenarios_by_cover(scenario, checked_covers(covers))
         return OnboardFlight(scenario)
     return KernelFlight(lanes_of(1, perception, scenario, worlds, world_seed, surrogate, covers))
 
@@ -49,49 +49,53 @@ def flight_of(
 def lanes_of(
     count: int, perception: str, scenario: Scenario, worlds: int, world_seed: int, surrogate: Any,
     covers: Sequence[float] = (),
-) -> SiteLanes:  # fmt: skip
-    """Return landers side by side.
+) -> SiteDescentBatch:  # fmt: skip
+    """Return a batch of landers flown by kernels.
 
     Parameters
     ----------
     count
-        Of lanes.
+        Number of lanes.
     perception
         One of `KERNELS`.
-    scenario, worlds, world_seed, covers
-        See `SitePool.of`.
+    scenario
+        Scenario of the flights.
+    worlds, world_seed
+        Number of worlds in the pool per cover, and root seed.
     surrogate
-        A `Surrogate` or the path of its file; None: the one that comes with the package.
+        `Surrogate` or the path of its file; None is the packaged one.
+    covers
+        Additional rock covers.
 
     Raises
     ------
     InputError
-        If it cannot be had.
+        If the perception is unknown, or kernels do not support the scenario.
     """
     if not isinstance(perception, str) or perception not in KERNELS:
         near = suggestion(str(perception), PERCEPTIONS)
-        if perception in WHOLE:
-            near = "truth, surrogate or gaussian-dem: the whole computer flies one at a time"
-        raise InputError("perception", perception, near)
+        if perception in FULL_SIMULATION:
+            near = "The full simulation flies only single environments."
+        raise InputError("perception", perception, f"must be one of {', '.join(KERNELS)}", near)
     if isinstance(surrogate, Surrogate):
         model = surrogate
     elif not isinstance(surrogate, str | Path | None):
-        raise InputError("surrogate", surrogate, "a Surrogate or the path of its file")
+        raise InputError("surrogate", surrogate, "must be a Surrogate or the path of its file")
     else:
         model = Surrogate.load(SHIPPED if surrogate is None else Path(surrogate))
-    view = view_of(scenario)
+    view = fov_and_footprint(scenario)
     if perception == "surrogate":
         model.check(scenario)
     elif perception == "gaussian-dem":
         gaussian_dem_of(scenario)
-    pool = SitePool.of(scenario, worlds, world_seed, covers_of(covers))
+    pool = SiteWorldPool.of(scenario, worlds, world_seed, checked_covers(covers))
     if perception == "truth":
-        return SiteLanes(
-            count, scenario, pool, errors=exact(), view=view, drift=np.zeros(2), claimed=0.0,
+        return SiteDescentBatch(
+            count, scenario, pool, errors=exact_errors(), view=view, drift=np.zeros(2), claimed=0.0,
             posting=_POSTING,
         )  # fmt: skip
-    errors = exact() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
-    kind = MappedLanes if perception == "gaussian-dem" else SiteLanes
+    errors = exact_errors() if perception == "gaussian-dem" else model.errors(pool.shares, _POSTING)
+    kind = MappedDescentBatch if perception == "gaussian-dem" else SiteDescentBatch
     return kind(
         count, scenario, pool, errors=errors, view=view, drift=model.drift,
         claimed=model.claimed, posting=_POSTING,

@@ -1,4 +1,4 @@
-"""A pool of worlds with what is true of them: made once, kept on disk, shared by all flights."""
+"""Generate and cache a pool of worlds with their true safety."""
 
 from __future__ import annotations
 
@@ -15,58 +15,60 @@ from lunarsim.errors import InputError
 from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.world import World
-from lunarsim_envs.descent.worlds import Worlds, with_covers
+from lunarsim_envs.descent.worlds import WorldPool, scenarios_by_cover
 from lunarsim_envs.sites._map_kernels import Pool
 from lunarsim_envs.sites.hazard import UNKNOWN, TruthLayers
 
-# Pools that a process remembers: those used last.
+# Number of pools that a process keeps in memory (least recently used are dropped).
 _REMEMBERED = 4
-_pools: OrderedDict[str, SitePool] = OrderedDict()
+_pools: OrderedDict[str, SiteWorldPool] = OrderedDict()
 
 
 @dataclass(frozen=True)
-class SitePool:
-    """Worlds of a scenario, and the truth about their sites.
+class SiteWorldPool:
+    """Worlds of a scenario with their true safety.
 
     Attributes
     ----------
     worlds
-        As sensors see them.
+        Worlds for sensor models.
     grounds
-        About where their targets lie, as landers meet them.
+        Terrain around the target areas, for touchdown.
     layers
-        Class, exact safety and height of all sites, as kernels take them.
+        Class, true safety and height of all cells, for kernels.
     shares
-        Share of the sites of each world that is exactly safe (k,).
+        Truly safe fraction of each world (k,).
     """
 
     worlds: tuple[World, ...]
-    grounds: Worlds
+    grounds: WorldPool
     layers: Pool
     shares: NDArray[np.float64]
 
     @classmethod
     def of(
         cls, scenario: Scenario, count: int, seed: int, covers: Sequence[float] = ()
-    ) -> SitePool:
-        """Return a pool; one that this process has used of late is not made again.
+    ) -> SiteWorldPool:
+        """Return a pool, from memory if this process has used it recently.
 
         Parameters
         ----------
         scenario
-            Of which terrain, rocks, vehicle, Sun and the scatter of targets count.
+            Scenario with terrain, rocks, vehicle, Sun and target area.
         count, seed
-            How many worlds, and their root seed: world k is that of flight k of a campaign with it.
+            Number of worlds per cover, and root seed. World k is that of flight k of a campaign
+            with this seed.
         covers
-            Of rocks, of each of which so many are drawn besides.
+            Additional rock covers.
 
         Raises
         ------
         InputError
-            If there are none, they take too much memory, or targets may lie off the map.
+            If the count is less than 1, the worlds need too much memory, or the target area is not
+            inside the map.
         """
         if count < 1:
-            raise InputError("worlds", count, "at least 1")
+            raise InputError("worlds", count, "must be at least 1")
         tables = ("terrain", "rocks", "vehicle", "target", "sun", "gravity_m_s2")
         held = scenario.to_dict()
         key = repr(([held.get(name) for name in tables], count, seed, tuple(covers)))
@@ -78,13 +80,13 @@ class SitePool:
         return _pools[key]
 
 
-def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SitePool:
+def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) -> SiteWorldPool:
     worlds: list[World] = []
     layers: list[TruthLayers] = []
     cache = opened(standard_folder())
 
     def drawn() -> Iterator[World]:
-        for one in with_covers(scenario, covers):
+        for one in scenarios_by_cover(scenario, covers):
             for k in range(count):
                 grounds = Grounds(flight_seed(seed, k), {}, cache)
                 world, truth = grounds.world_and_truth(one)
@@ -92,7 +94,7 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
                 layers.append(TruthLayers.of(truth))
                 yield world
 
-    grounds = Worlds.about(scenario, count, drawn(), covers)
+    grounds = WorldPool.about(scenario, count, drawn(), covers)
     grid = layers[0].grid
     frame = np.array([grid.x0, grid.y0, grid.posting])
     pool = Pool(
@@ -100,4 +102,4 @@ def _made(scenario: Scenario, count: int, seed: int, covers: Sequence[float]) ->
         np.stack([one.elevation for one in layers]), frame,
     )  # fmt: skip
     shares = np.array([one.safe[one.kind != UNKNOWN].mean() for one in layers])
-    return SitePool(tuple(worlds), grounds, pool, shares)
+    return SiteWorldPool(tuple(worlds), grounds, pool, shares)

@@ -1,4 +1,4 @@
-"""Maps of a surrogate beside those of the mapper it stands for, on the same ground."""
+"""Compare maps of a surrogate with maps of its mapper on the same terrain."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim_envs.sites import hazard
-from lunarsim_envs.sites.draws import drawn_like, judged, length_of
-from lunarsim_envs.sites.looks import Look, LookedFlight
+from lunarsim_envs.sites.draws import correlation_length, draw_surrogate_maps, is_evaluated
+from lunarsim_envs.sites.looks import LookedFlight, MapSample
 from lunarsim_envs.sites.surrogate import Surrogate
 
 Array = NDArray[np.float64]
 
-# A site is told to be safe from here on, and unsafe below the other.
+# Classification thresholds: safe at or above the first p_safe, unsafe below the second.
 TOLD_SAFE, TOLD_UNSAFE = 0.9, 0.5
 _SIZES = np.append(hazard.SIZES, np.inf)
 _RESAMPLED = 500
 
 
 @dataclass(frozen=True)
-class Quality:
-    """Figures of maps: names and values, in one order."""
+class MapQuality:
+    """Quality metrics of maps: names and values (n,) in the same order."""
 
     names: tuple[str, ...]
     values: Array
 
 
-def quality(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> Quality:
-    """Return calibration, missed and false rates and length of correlation of maps."""
-    masks = [judged(look) for look in looks]
+def quality(looks: Sequence[MapSample], maps: Sequence[NDArray[np.float32]]) -> MapQuality:
+    """Return calibration error, false rates and correlation length of maps."""
+    masks = [is_evaluated(look) for look in looks]
     p = np.concatenate([one[mask] for one, mask in zip(maps, masks, strict=True)])
     safe = np.concatenate([look.safe[mask] for look, mask in zip(looks, masks, strict=True)])
     kind = np.concatenate([look.kind[mask] for look, mask in zip(looks, masks, strict=True)])
@@ -39,24 +39,25 @@ def quality(looks: Sequence[Look], maps: Sequence[NDArray[np.float32]]) -> Quali
     size = np.append(0.0, _SIZES)[hazard.size_class(kind)]
     for low, high in ((1.0, 1.25), (1.25, 1.5), (1.5, np.inf)):
         own = ~safe & (size >= low) & (size < high)
-        told = f"unsafe, {low:g} to {high:g} of the limit, told safe"
+        told = f"unsafe, {low:g} to {high:g} of the limit, classified safe"
         named[told] = _share(p[own] >= TOLD_SAFE)
     for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 1.0)):
         own = safe & (size >= low) & (size < high)
-        named[f"safe, {low:g} to {high:g} of the limit, told unsafe"] = _share(p[own] < TOLD_UNSAFE)
+        name = f"safe, {low:g} to {high:g} of the limit, classified unsafe"
+        named[name] = _share(p[own] < TOLD_UNSAFE)
     edge = kind.astype(int) % (len(hazard.DISTANCES) + 1)
     for words, own in (
-        ("unsafe, over 0.5 m inside, told safe", ~safe & (edge <= 2)),
-        ("unsafe, at the edge, told safe", ~safe & (edge > 2)),
+        ("unsafe, over 0.5 m from the edge, classified safe", ~safe & (edge <= 2)),
+        ("unsafe, at the edge, classified safe", ~safe & (edge > 2)),
     ):
         named[words] = _share(p[own] >= TOLD_SAFE)
     for words, own in (
-        ("safe, over 0.9 m from the edge, told unsafe", safe & (edge >= 8)),
-        ("safe, at the edge, told unsafe", safe & (edge < 8)),
+        ("safe, over 0.9 m from the edge, classified unsafe", safe & (edge >= 8)),
+        ("safe, at the edge, classified unsafe", safe & (edge < 8)),
     ):
         named[words] = _share(p[own] < TOLD_UNSAFE)
-    named["length of correlation, m"] = length_of(looks, maps)
-    return Quality(tuple(named), np.array(list(named.values())))
+    named["correlation length (m)"] = correlation_length(looks, maps)
+    return MapQuality(tuple(named), np.array(list(named.values())))
 
 
 def _share(told: NDArray[np.bool_]) -> float:
@@ -64,7 +65,7 @@ def _share(told: NDArray[np.bool_]) -> float:
 
 
 def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float:
-    """Return the mean gap between what is told and how often it is so, over tenths."""
+    """Return the expected calibration error over tenths of p_safe."""
     tenth = np.minimum((p * 10).astype(int), 9)
     gap = 0.0
     for k in range(10):
@@ -75,17 +76,17 @@ def _calibration_error(p: NDArray[np.float32], safe: NDArray[np.bool_]) -> float
 
 
 @dataclass(frozen=True)
-class Beside:
-    """One figure of the mapper and of the surrogate.
+class MetricComparison:
+    """One metric for the mapper and for the surrogate.
 
     Attributes
     ----------
     name
-        Of the figure.
+        Name of the metric.
     mapper, low, high
-        Of the mapper's maps, and the 95 % interval that resampling flights gives.
+        Value for the mapper's maps, and its 95 % interval from resampled flights.
     surrogate
-        The same figure of the maps that the surrogate drew on the same ground.
+        Value for the surrogate's maps on the same terrain.
     """
 
     name: str
@@ -96,26 +97,26 @@ class Beside:
 
     @property
     def within(self) -> bool:
-        """Whether the surrogate's lies in the interval."""
+        """Whether the surrogate's value is within the interval."""
         return bool(self.low <= self.surrogate <= self.high)
 
 
 def beside(
     surrogate: Surrogate, flights: Sequence[LookedFlight], scan: int, rng: np.random.Generator
-) -> list[Beside]:
-    """Return the figures of a scan of all flights, mapper and surrogate beside each other."""
+) -> list[MetricComparison]:
+    """Return the metrics of one scan of all flights, for mapper and surrogate."""
     looks = [look for f in flights for look in f.looks if look.stage == scan]
     maps = [look.p_safe for look in looks]
-    drawn = [drawn_like(surrogate, f, rng)[scan] for f in flights if len(f.looks) > scan]
+    drawn = [draw_surrogate_maps(surrogate, f, rng)[scan] for f in flights if len(f.looks) > scan]
     real, made = quality(looks, maps), quality(looks, drawn)
     again = []
     for _ in range(_RESAMPLED // 10):
         pick = rng.integers(len(looks), size=len(looks))
         again.append(quality([looks[k] for k in pick], [maps[k] for k in pick]).values)
-    # Few flights spread less than many of their like do: the interval is widened by that.
+    # Small-sample correction of the bootstrap standard deviation.
     spread = np.nanstd(again, axis=0) * 1.96 * np.sqrt(len(looks) / max(len(looks) - 1, 1))
     low, high = real.values - spread, real.values + spread
     return [
-        Beside(n, *map(float, row))
+        MetricComparison(n, *map(float, row))
         for n, *row in zip(real.names, real.values, low, high, made.values, strict=True)
     ]

@@ -1,4 +1,4 @@
-"""What landers that choose their sites are shown, side by side: the stuff of observations."""
+"""Collect the inputs of observations and actions of ``Retarget-v0`` as arrays."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from lunarsim_envs.sites import _map_kernels as m
 
 Array = NDArray[np.float64]
 
-# Cells along a side of the map as a whole, and about the site; distance of the latter, m.
+# Cells per side of the downsampled map and of the crop around the site; spacing of the crop, m.
 MAP_CELLS, CROP_CELLS, CROP_SPACING = 48, 33, 1.0
 
 
 @dataclass(frozen=True)
-class Sights:
-    """Of n landers, local frames, SI.
+class SiteInputs:
+    """Onboard information of n landers, local frames, SI.
 
     Attributes
     ----------
     position, velocity, attitude
-        As navigation estimates them (n, 3), (n, 3), (n, 4).
+        Estimated states (n, 3), (n, 3), (n, 4).
     site
-        Flown to now (n, 3).
+        Current site (n, 3).
     time_to_go, propellant
-        To the end of the approach, s; left, kg (n,).
+        Time to the end of the approach, s, and remaining propellant, kg (n,).
     position_of, p_safe, distance, cost
-        Sites to choose from (n, m, 3), probability of a safe landing, distance from the site flown
-        to, propellant to reach them, inf out of reach (n, m).
+        Candidate sites (n, m, 3); their p_safe, distance from the current site, and propellant to
+        reach them, inf out of reach (n, m).
     count
-        How many of them there are (n,).
+        Number of candidates (n,).
     here
-        p_safe at the site flown to (NaN: not seen), propellant to reach it, expected miss (n, 3).
+        Current site: p_safe (NaN if not observed), propellant to reach it, expected miss (n, 3).
     p, seen, corner, posting
-        Maps (n, rows, cols), the centres of their cells (0, 0) (n, 2), side of a cell.
+        Maps of p_safe and of observed cells (n, rows, cols), centres of cells (0, 0) (n, 2), and
+        cell size.
     small
-        Mean p_safe and share seen of equal blocks (n, 2, 48, 48).
+        Mean p_safe and observed fraction in equal blocks (n, 2, 48, 48).
     """
 
     position: Array
@@ -60,8 +61,8 @@ class Sights:
     small: NDArray[np.float32]
 
     @classmethod
-    def of(cls, observation: Observation, small: NDArray[np.float32]) -> Sights:
-        """Return what one policy is shown, and its map in blocks (1, 2, 48, 48)."""
+    def of(cls, observation: Observation, small: NDArray[np.float32]) -> SiteInputs:
+        """Convert the observation of one policy; `small` is its map in blocks (1, 2, 48, 48)."""
         o, c, e = observation, observation.candidates, observation.estimate
         grid = o.hazard_map.grid
 
@@ -78,15 +79,15 @@ class Sights:
 
     @property
     def crop(self) -> NDArray[np.float32]:
-        """p_safe and whether seen about the site flown to, a metre apart (n, 2, 33, 33)."""
+        """p_safe and observed mask around the current site, 1 m spacing (n, 2, 33, 33)."""
         out = np.empty((len(self.site), 2, CROP_CELLS, CROP_CELLS), np.float32)
         p = np.ascontiguousarray(self.p, dtype=np.float32)
         m.crop(p, self.seen, self.corner, self.posting, self.site, CROP_SPACING, out)
         return out
 
 
-def shrunk(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return mean p_safe and share seen of equal blocks of maps (n, 2, 48, 48)."""
+def downsample_maps(p: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return mean p_safe and observed fraction in equal blocks of maps (n, 2, 48, 48)."""
     out = np.zeros((len(p), 2, MAP_CELLS, MAP_CELLS))
     every = np.ones(len(p), np.bool_)
     given = every, np.ascontiguousarray(p, dtype=np.float32), seen, out

@@ -1,10 +1,10 @@
-"""A statistical stand-in for a mapper: what it says of sites, given what is true of them.
+"""Statistical surrogate of a mapper: p_safe maps drawn from the true terrain.
 
-Of each class of sites (see `hazard`), of each scan and of grounds with a share of safe sites the
-distribution of the mapper's p_safe is kept as it was seen in flight. A map is drawn by a Gaussian
-copula: a field of standard normal numbers, correlated in space as the mapper's own were, says which
-quantile of its class each site is given. So calibration, missed and false rates follow from the
-tables, and errors come in patches as the mapper's do.
+For each site class (see `hazard`), scan and fraction of safe terrain, tables store the distribution
+of the mapper's p_safe in simulated flights. A Gaussian copula draws the maps: a standard normal
+field with the spatial correlation of the mapper's errors selects the quantile of each site in its
+class. Calibration and false rates therefore follow from the tables, and errors occur in patches as
+those of the mapper.
 """
 
 from __future__ import annotations
@@ -29,45 +29,45 @@ from lunarsim_envs.sites.view import deciding_mapper
 Array = NDArray[np.float64]
 
 _FORMAT = "lunarsim surrogate 1"
-# The one that comes with the package.
+# File of the packaged surrogate.
 SHIPPED = Path(__file__).parent / "gaussian_dem.npz"
-# Standard normal numbers of the nodes of tables: evenly from -MOST to MOST.
+# Nodes of the tables: evenly spaced normal scores from -MOST to MOST.
 MOST, NODES = 3.2, 33
-# Lengths of the Gaussian correlations that are mixed, m; the first stands for none at all.
+# Correlation lengths of the Gaussian mixture, m; the first means uncorrelated noise.
 LENGTHS = np.array([0.0, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8])
-# Fields of noise, and cells along a side of each.
+# Number of noise fields, and cells per side.
 _FIELDS, _SIDE = 6, 256
 
 
 @dataclass(frozen=True)
 class Surrogate:
-    """Errors of a mapper.
+    """Error model of a mapper.
 
     Attributes
     ----------
     shares
-        Share of safe sites of the grounds that it was fitted on (grounds,), rising.
+        Safe fraction of the fitted terrains, ascending (grounds,).
     tables
-        p_safe (grounds, scans, classes, nodes).
+        Quantiles of p_safe (grounds, scans, classes, nodes).
     common
-        Share of the variance of the normal numbers that a whole map has in common
+        Fraction of the variance of normal scores that is common to a complete map
         (grounds, scans).
     weights
-        Of the correlations in space by `LENGTHS` (grounds, scans, lengths), that sum to 1.
+        Weights of the correlation `LENGTHS` (grounds, scans, lengths), which sum to 1.
     stretch
-        By which those lengths are stretched (grounds, scans): patches of low p_safe are longer than
-        a Gaussian copula of the normal numbers' own correlation makes them.
+        Factor on the correlation lengths (grounds, scans). Patches of low p_safe are longer than a
+        Gaussian copula with the correlation of the normal scores gives.
     kept
-        Correlation of the normal numbers of a map with those of the scan before.
+        Correlation of normal scores between consecutive scans.
     drift
-        Standard deviation of the velocity at which the lander drifts over its map, east and north
-        (2,), m/s.
+        Standard deviation of the drift velocity of the lander over its map, east and north (2,),
+        m/s.
     claimed
-        What navigation says of it, an axis, m/s.
+        Standard deviation of velocity that navigation reports, per axis, m/s.
     altitudes
-        Of the scans, m.
+        Altitudes of the scans, m.
     made_for
-        Tables of the scenario that it stands for, as JSON.
+        Scenario tables for which the surrogate holds, as JSON.
     """
 
     shares: Array
@@ -82,7 +82,7 @@ class Surrogate:
     made_for: str
 
     def save(self, path: Path) -> None:
-        """Write it as ``.npz``, tables in half precision."""
+        """Write the surrogate to a ``.npz`` file, with tables in half precision."""
         held: dict[str, Any] = {
             name: getattr(self, name)
             for name in (
@@ -101,17 +101,17 @@ class Surrogate:
 
     @classmethod
     def load(cls, path: Path) -> Surrogate:
-        """Read what `save` wrote.
+        """Read a surrogate written by `save`.
 
         Raises
         ------
         InputError
-            If the file is something else.
+            If the file is not a surrogate, or its arrays are inconsistent.
         """
         try:
             held = read_arrays(path)
             if str(held["format"]) != _FORMAT:
-                raise ValueError(f"its format is {held['format']}")
+                raise ValueError(f"the format is {held['format']}")
             made = cls(
                 held["shares"], held["tables"].astype(np.float64), held["common"], held["weights"],
                 held["stretch"], float(held["kept"]), held["drift"],
@@ -120,33 +120,35 @@ class Surrogate:
             made._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "surrogate", str(path), f"a file of scenarios/learning/fit_surrogate.py ({error})"
+                "surrogate",
+                str(path),
+                f"must be a file from scenarios/learning/fit_surrogate.py ({error})",
             ) from None
         return made
 
     def _check(self) -> None:
         shape = (len(self.shares), len(self.altitudes), hazard.COUNT, NODES)
         if self.tables.shape != shape or self.common.shape != shape[:2]:
-            raise ValueError(f"tables of shape {self.tables.shape}, not {shape}")
+            raise ValueError(f"tables have shape {self.tables.shape}, not {shape}")
         if not ((self.tables >= 0.0) & (self.tables <= 1.0)).all():
-            raise ValueError("probabilities that are none")
+            raise ValueError("tables have values outside 0 to 1")
         if self.stretch.shape != shape[:2] or not (self.stretch > 0.0).all():
-            raise ValueError("lengths that are none")
+            raise ValueError("stretch has a wrong shape or values that are not positive")
         wide = (*shape[:2], len(LENGTHS))
         if self.weights.shape != wide or np.abs(self.weights.sum(axis=2) - 1.0).max() > 1e-6:
-            raise ValueError("weights that do not sum to 1")
+            raise ValueError("weights have a wrong shape or do not sum to 1")
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse a scenario whose mapper it does not stand for.
+        """Check that the surrogate holds for the mapper and sensor of a scenario.
 
-        One that takes only the first of the scans will do.
+        Scenarios with only the first scans are accepted.
 
         Raises
         ------
         InputError
-            Naming the table that differs.
+            Naming the scenario table that differs.
         """
-        mine, theirs = json.loads(self.made_for), stood_for(scenario)
+        mine, theirs = json.loads(self.made_for), surrogate_tables(scenario)
         taken = theirs["tasking"].get("altitudes_m", [])
         if taken and taken == mine["tasking"]["altitudes_m"][: len(taken)]:
             mine["tasking"]["altitudes_m"] = taken
@@ -154,8 +156,9 @@ class Surrogate:
             if mine[name] != theirs[name]:
                 raise InputError(
                     f"perception: [{name}]", theirs[name],
-                    f"that of the surrogate, {mine[name]}; fit another by "
-                    "scenarios/learning/fit_surrogate.py, or perception='gaussian-dem'",
+                    f"must be the same as for the surrogate, {mine[name]}",
+                    "Fit a surrogate by scenarios/learning/fit_surrogate.py, or use "
+                    "perception='gaussian-dem'.",
                 )  # fmt: skip
 
     def _noise(self, posting: float) -> NDArray[np.float32]:
@@ -163,15 +166,14 @@ class Surrogate:
         return noise(*held, self.weights.shape, posting)
 
     def errors(self, shares: Array, posting: float) -> Errors:
-        """Return what kernels draw maps from.
+        """Return the error model in the form that kernels use.
 
         Parameters
         ----------
         shares
-            Share of safe sites of each world (k,): tables lie between those of the nearest
-            grounds.
+            Safe fraction of each world (k,); tables are interpolated between the fitted terrains.
         posting
-            Of the maps, m.
+            Cell size of the maps, m.
         """
         at = np.clip(np.interp(shares, self.shares, np.arange(len(self.shares))), 0, None)
         low = np.minimum(at.astype(int), max(len(self.shares) - 2, 0))
@@ -189,8 +191,8 @@ class Surrogate:
         )  # fmt: skip
 
 
-def stood_for(scenario: Scenario) -> dict[str, Any]:
-    """Return the tables of a scenario that its maps hang on, besides the ground."""
+def surrogate_tables(scenario: Scenario) -> dict[str, Any]:
+    """Return the scenario tables, except terrain, on which the maps depend."""
     held, name = scenario.to_dict(), deciding_mapper(scenario)
     mapper = held["mappers"][name]
     sensor = mapper["sensor"]
@@ -204,10 +206,11 @@ def stood_for(scenario: Scenario) -> dict[str, Any]:
 def noise(
     weights: bytes, stretch: bytes, shape: tuple[int, int, int], posting: float
 ) -> NDArray[np.float32]:
-    """Return periodic fields of standard normal numbers (grounds, scans, fields, side, side).
+    """Return periodic standard normal fields (grounds, scans, fields, side, side).
 
-    Their correlation at a distance is that of the mixture of `LENGTHS`, stretched (grounds, scans),
-    by weight (grounds, scans, lengths); both are given as bytes.
+    Their spatial correlation is a mixture of Gaussians with the lengths `LENGTHS` times `stretch`
+    (grounds, scans) and `weights` (grounds, scans, lengths). Both are passed as bytes, so that the
+    result can be cached.
     """
     mixed = np.frombuffer(weights).reshape(shape)
     longer = np.frombuffer(stretch).reshape(shape[:2])
@@ -224,14 +227,14 @@ def noise(
                 wanted += weight * np.exp(-0.5 * square / length**2)
         spectrum = np.sqrt(np.maximum(np.fft.rfft2(wanted).real, 0.0))
         fields = np.fft.irfft2(seen[scan] * spectrum, s=(_SIDE, _SIDE))
-        # The mean of a field is a whole map's own, which `common` tells.
+        # The mean is removed, because `common` models the variance between maps.
         fields -= fields.mean(axis=(1, 2), keepdims=True)
         out[g, scan] = fields / fields.std(axis=(1, 2), keepdims=True)
     return out
 
 
-def exact() -> Errors:
-    """Return what draws the truth."""
+def exact_errors() -> Errors:
+    """Return the error model of perfect perception."""
     return Errors(
         np.zeros((1, 1, 1, 2), np.float32), MOST, np.zeros((1, 1, 1, 1, 1), np.float32),
         np.zeros(1, np.int64), np.zeros((1, 1)), 0.0, True,

@@ -1,4 +1,4 @@
-"""What of the ground a flash LiDAR that looks at a site has in view."""
+"""Compute which terrain is in the field of view of a flash LiDAR pointed at a site."""
 
 from __future__ import annotations
 
@@ -12,70 +12,70 @@ from lunarsim.sensors.lidar import FlashLidar
 Array = NDArray[np.float64]
 
 
-def view_of(scenario: Scenario) -> Array:
-    """Return tangent of half the field of view and the room that a footprint takes, m (2,).
+def fov_and_footprint(scenario: Scenario) -> Array:
+    """Return tangent of half the field of view, and footprint radius, m (2,).
 
-    Of the LiDAR of the mapper that decides.
+    They are those of the LiDAR of the mapper that decisions use.
 
     Raises
     ------
     InputError
-        If it maps something else than a flash LiDAR's scans.
+        If the sensor of this mapper is not a flash LiDAR.
     """
     name = deciding_mapper(scenario)
     sensor = scenario.mappers[name].make().sensor
     lidar = scenario.sensors[sensor].make()
     if not isinstance(lidar, FlashLidar):
-        raise InputError(f"sensors.{sensor}.kind", type(lidar).__name__, "a flash LiDAR")
+        raise InputError(f"sensors.{sensor}.kind", type(lidar).__name__, "must be flash-lidar")
     lander = scenario.vehicle.make()
     return np.array([lidar.half_width, lander.leg_radius + 0.5 * lander.pad_diameter])
 
 
 def deciding_mapper(scenario: Scenario) -> str:
-    """Return the name of the mapper whose map decides.
+    """Return the name of the mapper that decisions use.
 
     Raises
     ------
     InputError
-        If the scenario has none.
+        If the scenario has no mapper.
     """
     if not scenario.mappers:
-        raise InputError("mappers", {}, "at least one table [mappers.NAME] to decide on")
+        raise InputError("mappers", {}, "must have at least one table [mappers.NAME]")
     return scenario.decisions.make().map or next(iter(scenario.mappers))
 
 
 def scan_altitudes(scenario: Scenario) -> Array:
-    """Return the altitudes at which the mapper's sensor measures, falling, m.
+    """Return the altitudes at which the mapper's sensor measures, descending, m.
 
     Raises
     ------
     InputError
-        If it is tasked otherwise.
+        If the tasking of the sensor is not "at-altitudes" with boresight "site".
     """
     sensor = scenario.mappers[deciding_mapper(scenario)].make().sensor
     tasking = scenario.tasking.get(sensor)
     if tasking is None or tasking.kind != "at-altitudes":
         kind = None if tasking is None else tasking.kind
-        raise InputError(f"tasking.{sensor}.kind", kind, "at-altitudes")
+        raise InputError(f"tasking.{sensor}.kind", kind, "must be at-altitudes")
     made = tasking.make()
     if made.boresight != "site":
-        raise InputError(f"tasking.{sensor}.boresight", made.boresight, "site")
+        raise InputError(f"tasking.{sensor}.boresight", made.boresight, "must be site")
     return np.array(sorted(made.altitudes, reverse=True))
 
 
 def in_view(
     xy: Array, height: Array, here: Array, boresight: Array, view: Array
 ) -> NDArray[np.bool_]:
-    """Tell which sites have their whole footprint in view (...,).
+    """Return the mask of sites whose complete footprint is in view (...,).
 
     Parameters
     ----------
     xy, height
-        The sites (..., 2) and (...,), m.
+        Horizontal position (..., 2) and height (...,) of the sites, m.
     here, boresight
-        Where the LiDAR is (3,), m, and where it looks (3,), of any length; image x is level.
+        Position (3,), m, and boresight (3,) of the LiDAR; image x is horizontal.
     view
-        See `view_of`.
+        Field of view and footprint radius, from `fov_and_footprint`.
     """
     out = boresight / np.linalg.norm(boresight)
     across = np.array([out[1], -out[0], 0.0])

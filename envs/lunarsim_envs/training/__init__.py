@@ -1,1 +1,1 @@
-"""What trains agents: native batches as Stable-Baselines3 takes them. Needs the extra ``rl``."""
+"""Train agents, with vector environments adapted to Stable-Baselines3; needs the extra ``rl``."""

@@ -1,4 +1,4 @@
-"""The learning curve as a figure."""
+"""Plot the learning curve."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from lunarsim.viz.style import COLOURS, new_figure, save
 
 
 def draw_curve(curve: list[dict[str, float]], path: Path) -> None:
-    """Draw shares of flights that landed, and what those on target burnt, over steps.
+    """Plot landing fractions, and propellant of on-target landings, over training steps.
 
     Parameters
     ----------
     curve
-        Rows of `guidance.Run.curve`.
+        Rows from `guidance.Run.curve`.
     path
         PNG file to write.
     """
@@ -23,15 +23,16 @@ def draw_curve(curve: list[dict[str, float]], path: Path) -> None:
     figure = new_figure(7.0, 5.0)
     shares, burnt = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for name, label, colour in (
-        ("safe", "landed safe", COLOURS[5]), ("on_target", "safe within 10 m", COLOURS[0])
+        ("safe", "Safe landings", COLOURS[5]),
+        ("on_target", "Safe landings within 10 m", COLOURS[0]),
     ):  # fmt: skip
         shares.plot(steps, [row[name] for row in curve], color=colour, label=label)
     shares.axhline(0.95, color="#8c8c8c", linewidth=0.8, linestyle="--")
-    shares.set(ylim=(-0.02, 1.02), ylabel="share of 300 flights")
+    shares.set(ylim=(-0.02, 1.02), ylabel="Fraction of 300 flights")
     shares.legend(loc="lower right")
-    shares.set_title("Flights from seeds that the training has not")
+    shares.set_title("Evaluation on held-out seeds")
     burnt.plot(steps, [row["propellant_kg"] for row in curve], color=COLOURS[1])
-    burnt.set(xlabel="steps of the environment, millions", ylabel="propellant, kg")
+    burnt.set(xlabel="Environment steps (millions)", ylabel="Propellant (kg)")
     for axes in (shares, burnt):
         axes.grid(alpha=0.3)
     save(figure, path)

@@ -1,4 +1,4 @@
-"""The scaling that a network begins with, in PyTorch; `agents.network` does the same in NumPy."""
+"""Scale network inputs in PyTorch, as `agents.network` does in NumPy."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
-class TwoScales(BaseFeaturesExtractor):  # type: ignore[misc]
-    """Each number at two scales: over `far`, and the inverse hyperbolic sine of it over `near`.
+class TwoScaleFeatures(BaseFeaturesExtractor):  # type: ignore[misc]
+    """Scale each input x in two ways: x / far and asinh(x / near).
 
-    The second tells a metre from two at the ground and saturates nowhere.
+    The second feature resolves small values near the terrain and never saturates.
 
     Parameters
     ----------
     observation_space
-        Of ``Guidance-v0`` or ``Control-v0``, numbers (size,).
+        Observation space of ``Guidance-v0`` or ``Control-v0`` (size,).
     far, near
         Scales (size,), in the units of the observation.
     """

@@ -1,7 +1,7 @@
-"""Training of an agent of ``Guidance-v0`` that can be broken off and gone on with.
+"""Train an agent of ``Guidance-v0`` by PPO, with checkpoints that allow exact resumption.
 
-What is gone on with is, bit for bit, what would have come without the break: the agent and its
-optimiser, the flights in the air and every generator are kept.
+A resumed training gives bitwise the same result as an uninterrupted one. Checkpoints contain the
+agent, its optimiser, the flights in progress and all random generators.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from stable_baselines3 import PPO
 from lunarsim.errors import InputError
 from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.agents.network import Network
-from lunarsim_envs.training.features import TwoScales
-from lunarsim_envs.training.lanes_vec_env import LanesVecEnv
+from lunarsim_envs.training.features import TwoScaleFeatures
+from lunarsim_envs.training.lanes_vec_env import Sb3VecEnv
 from lunarsim_envs.training.settings import Training, scales
 
 ENV = "lunarsim_envs:lunarsim/Guidance-v0"
-# Flights of a look at how far the agent is, and their seeds, which no training has.
+# Number of evaluation flights, and their seed, which no training uses.
 _LOOKED_AT, _LOOK_SEED = 300, 10**9
 
 
-def batch_of(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """Return so many lanes of what is trained on."""
+def create_batch_env(settings: Training, count: int) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+    """Create the vector environment of the training with `count` lanes."""
     return gymnasium.make_vec(
         ENV, num_envs=count, vectorization_mode="vector_entry_point", autoreset_mode="SameStep",
         weights=settings.weights, changes=settings.changes,
     )  # fmt: skip
 
 
-def network_of(model: PPO) -> Network:
-    """Return the agent as NumPy flies it."""
+def policy_network(model: PPO) -> Network:
+    """Convert the policy of a PPO model to a NumPy network."""
     flown = model.get_env().batch.unwrapped.descents
     parts = tuple(part.name for part in flown.shown.parts)
     policy = model.policy
@@ -60,14 +60,14 @@ def network_of(model: PPO) -> Network:
 
 @dataclass(frozen=True)
 class Look:
-    """How far an agent is: shares of flights from seeds that no training has.
+    """Result of an evaluation on held-out seeds.
 
     Attributes
     ----------
     on_target, safe
-        Safe within 10 m of the target, and safe.
+        Fraction of safe landings within 10 m of the target, and of all safe landings.
     propellant
-        Mean of those on target, kg; NaN of none.
+        Mean propellant of on-target landings, kg; NaN if there are none.
     """
 
     on_target: float
@@ -76,8 +76,8 @@ class Look:
 
 
 def look(network: Network, settings: Training) -> Look:
-    """Fly an agent once from seeds that no training has."""
-    batch = batch_of(settings, _LOOKED_AT)
+    """Evaluate an agent on held-out seeds."""
+    batch = create_batch_env(settings, _LOOKED_AT)
     observation, _ = batch.reset(seed=_LOOK_SEED)
     waiting = np.ones(_LOOKED_AT, np.bool_)
     safe, on_target = np.zeros(_LOOKED_AT, np.bool_), np.zeros(_LOOKED_AT, np.bool_)
@@ -95,26 +95,26 @@ def look(network: Network, settings: Training) -> Look:
 
 
 class Run:
-    """A training in a folder of its own.
+    """A training run with its folder.
 
     Parameters
     ----------
     settings
-        Of the training.
+        Settings of the training.
     out
-        Folder: new, or of a training with the same settings, which is gone on with.
+        Folder: a new one, or one with a training with the same settings, which is then continued.
 
     Attributes
     ----------
     done
-        Updates so far.
+        Number of updates so far.
     curve
-        A row every few updates; see `advance`.
+        Learning curve, one row per evaluation, filled by `look`.
 
     Raises
     ------
     InputError
-        If the folder holds a training with other settings.
+        If the folder has a training with other settings.
     """
 
     def __init__(self, settings: Training, out: Path) -> None:
@@ -125,7 +125,7 @@ class Run:
         out.mkdir(parents=True, exist_ok=True)
         kept = out / "settings.json"
         if kept.exists() and Training.load(kept) != settings:
-            raise InputError("--out", str(out), "a new folder, or one with the same settings")
+            raise InputError("--out", str(out), "must be a new folder, or have the same settings")
         if (out / "checkpoint" / "state.json").exists():
             self._resume()
         else:
@@ -134,28 +134,28 @@ class Run:
 
     def _new(self) -> PPO:
         s = self.settings
-        batch = batch_of(s, s.lanes)
+        batch = create_batch_env(s, s.lanes)
         descents = batch.unwrapped.descents  # type: ignore[attr-defined]
-        env = LanesVecEnv(batch, s.starts(descents.lanes.craft.start))
+        env = Sb3VecEnv(batch, s.starts(descents.lanes.craft.start))
         env.seed(s.seed)
         far, near = scales(tuple(part.name for part in descents.shown.parts))
         model = PPO(
             "MlpPolicy", env, n_steps=s.horizon, batch_size=s.batch, n_epochs=s.epochs,
             gamma=s.discount, gae_lambda=s.trace, seed=s.seed, device="cpu",
             policy_kwargs={
-                "features_extractor_class": TwoScales,
+                "features_extractor_class": TwoScaleFeatures,
                 "features_extractor_kwargs": {"far": far, "near": near},
                 "net_arch": [s.width, s.width], "log_std_init": s.spread,
             },
         )  # fmt: skip
-        # Flights that climb away teach nothing: it begins a little below hovering.
+        # The initial action is slightly less than hover thrust: climbing flights teach nothing.
         sinking = [0.0, 0.0, s.bears * descents.lanes.craft.dynamics.gravity]
         with torch.no_grad():
             model.policy.action_net.bias[:] = torch.as_tensor(descents.actions.action(sinking))
         return model
 
     def advance(self) -> None:
-        """Fly all lanes for a while and update the agent."""
+        """Collect a rollout in all lanes and update the agent."""
         begun, s = time.perf_counter(), self.settings
         rate = s.learning_rate(self.done)
         self.model.lr_schedule = lambda _: rate
@@ -166,8 +166,8 @@ class Run:
         self.seconds += time.perf_counter() - begun
 
     def look(self) -> Look:
-        """Look how far the agent is, and note it in the curve."""
-        seen = look(network_of(self.model), self.settings)
+        """Evaluate the agent and append the result to the learning curve."""
+        seen = look(policy_network(self.model), self.settings)
         row: dict[str, float] = {"update": self.done, "steps": int(self.model.num_timesteps)}
         row |= {"seconds": round(self.seconds, 1), "on_target": seen.on_target}
         row |= {"safe": seen.safe, "propellant_kg": seen.propellant}
@@ -175,7 +175,7 @@ class Run:
         return seen
 
     def checkpoint(self) -> None:
-        """Keep all that the training goes on from; the last one stays until this one is whole."""
+        """Write a checkpoint; the previous one is kept until the new one is complete."""
         new, there = self.out / "checkpoint.part", self.out / "checkpoint"
         shutil.rmtree(new, ignore_errors=True)
         new.mkdir()
@@ -187,14 +187,14 @@ class Run:
         write_text_whole(new / "state.json", json.dumps(state, indent=1))
         shutil.rmtree(there, ignore_errors=True)
         new.rename(there)
-        network_of(self.model).save(self.out / "agent.npz")
+        policy_network(self.model).save(self.out / "agent.npz")
 
     def _resume(self) -> None:
-        """Go on from the last checkpoint."""
+        """Continue from the last checkpoint."""
         there = self.out / "checkpoint"
         kept = pickle.loads((there / "flights.pickle").read_bytes())
         self.model = PPO.load(
-            there / "model.zip", env=LanesVecEnv(kept["batch"]), device="cpu", force_reset=False
+            there / "model.zip", env=Sb3VecEnv(kept["batch"]), device="cpu", force_reset=False
         )
         torch.set_rng_state(torch.from_numpy(kept["generators"]["torch"]))
         np.random.set_state(kept["generators"]["numpy"])  # noqa: NPY002
@@ -205,16 +205,16 @@ class Run:
 def train(
     settings: Training, out: Path, looks: int, tell: Callable[[Run, Look], None]
 ) -> Run:  # fmt: skip
-    """Train to the end, with a look and a checkpoint every so many updates.
+    """Train to the end, with regular evaluations and checkpoints.
 
     Parameters
     ----------
     settings, out
-        See `Run`.
+        Settings and folder of the `Run`.
     looks
-        Updates between two.
+        Number of updates between two evaluations.
     tell
-        Is called after each look.
+        Function called after each evaluation.
     """
     torch.set_num_threads(1)
     run = Run(settings, out)

@@ -1,4 +1,4 @@
-"""A native batch as Stable-Baselines3 takes it."""
+"""Adapt vector environments to the interface of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from lunarsim.errors import InputError
 
-_SHARED = "a change of the batch itself: its lanes share all that they are"
+_SHARED = "is not supported for single lanes, which share one environment"
 
 
 def _of(shown: Any, lane: Any) -> Any:
-    """Return what one lane is shown."""
+    """Return the observation of one lane."""
     if isinstance(shown, dict):
         return {name: part[lane] for name, part in shown.items()}
     return shown[lane]
 
 
-class LanesVecEnv(VecEnv):  # type: ignore[misc]
-    """Lanes of a native batch; nothing here goes through lanes one by one.
+class Sb3VecEnv(VecEnv):  # type: ignore[misc]
+    """Present a vector environment to Stable-Baselines3 without a loop over lanes.
 
     Parameters
     ----------
     batch
-        Of any of the environments, with ``autoreset_mode="SameStep"``. One of ``Retarget-v0`` has
-        the masks that MaskablePPO asks for, also of actions of several parts.
+        Vector environment with ``autoreset_mode="SameStep"``. For ``Retarget-v0``, the masks that
+        MaskablePPO needs are available, also with several action components.
     starts
-        Options of a reset, each for an equal share of the lanes, in their order; left out: all
-        lanes start as the scenario says.
+        Reset options, each for an equal share of the lanes, in order. Default: all lanes start as
+        in the scenario.
 
     Raises
     ------
     ValueError
-        If it resets its lanes otherwise.
+        If the vector environment has another autoreset mode.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
     ) -> None:  # fmt: skip
         mode = batch.metadata.get("autoreset_mode")
         if mode is not gymnasium.vector.AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode = {mode}: must be 'SameStep'")
+            raise ValueError(f"autoreset_mode: must be 'SameStep', got {mode}.")
         self.batch, self.starts = batch, tuple(starts)
         self.render_mode = None
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] | None = None
 
     def reset(self) -> Any:
-        """Begin new flights in all lanes: with what `seed` and `set_options` said before."""
+        """Start new episodes in all lanes, with the values of `seed` and `set_options`."""
         seeds: Any = None if self._seeds[0] is None else list(self._seeds)
         told = self._told()
         self._reset_seeds()
@@ -65,13 +65,15 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         return observation
 
     def _told(self) -> list[tuple[dict[str, Any], list[int]]]:
-        """Return options of a reset, those of `set_options` over `starts`, and lanes of each."""
+        """Return pairs of reset options (`set_options` overrides `starts`) and their lanes."""
         given = self._options
         if len(given) != self.num_envs or not all(isinstance(one, dict) for one in given):
-            raise InputError("set_options", given, f"options by name, or {self.num_envs} of such")
+            raise InputError(
+                "set_options", given, f"must be a dictionary, or {self.num_envs} dictionaries"
+            )
         alike: dict[tuple[int, int], list[int]] = {}
         for lane, own in enumerate(given):
-            # One set of options for all lanes is one object; those without any go together too.
+            # Lanes with the same options object, or without options, are reset together.
             key = lane * len(self.starts) // self.num_envs, id(own) if own else 0
             alike.setdefault(key, []).append(lane)
         told = []
@@ -82,11 +84,11 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         return told
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Note the actions (n, size)."""
+        """Store the actions (n, size)."""
         self._actions = actions
 
     def step_wait(self) -> Any:
-        """Fly on; only lanes whose flight has ended have something to tell beside."""
+        """Step all lanes; only lanes whose episode has ended have a non-empty info."""
         observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         over = terminated | truncated
         told: list[dict[str, Any]] = [{}] * self.num_envs
@@ -101,33 +103,33 @@ class LanesVecEnv(VecEnv):  # type: ignore[misc]
         return observation, reward.astype(np.float32), over, told
 
     def close(self) -> None:
-        """Close the batch."""
+        """Close the vector environment."""
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the batch, once for each lane."""
+        """Return an attribute of the vector environment, repeated for each lane."""
         value = getattr(self.batch, attr_name, None if attr_name == "render_mode" else ...)
         if value is ...:
             raise AttributeError(attr_name)
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse, with an `InputError`: lanes have nothing of their own."""
+        """Raise an `InputError`, because lanes have no attributes of their own."""
         raise InputError("set_attr", attr_name, _SHARED)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Return the masks of actions of lanes; refuse others, with an `InputError`."""
+        """Return the action masks of lanes; raise an `InputError` for other methods."""
         if method_name == "action_masks" and hasattr(self.batch, method_name):
             masks = getattr(self.batch, method_name)()
             return [masks[lane] for lane in self._get_indices(indices)]
         raise InputError("env_method", method_name, _SHARED)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return false, once for each lane."""
+        """Return false for each lane."""
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return none: a batch draws nothing."""
+        """Return None for each lane, because vector environments do not render."""
         return [None] * self.num_envs

@@ -1,4 +1,4 @@
-"""What a training of ``Guidance-v0`` is told: everything that its result hangs on."""
+"""Define the settings of a training of ``Guidance-v0``; they determine its result."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lunarsim.whole_files import write_text_whole
 from lunarsim_envs.descent.observations import PARTS
 from lunarsim_envs.descent.rewards import DescentWeights
 
-# Scales of each number of a part: over `far` all that comes is about 1; by `near` it is told apart
-# near the target. See `features.TwoScales`.
+# Input scales (far, near) of each observation component for `TwoScaleFeatures`: typical magnitude
+# of a flight, and resolution near the target.
 SCALES: dict[str, tuple[float, float]] = {
     "position": (600.0, 3.0), "velocity": (40.0, 1.0), "attitude": (1.0, 0.1), "rate": (0.5, 0.1),
     "thrust": (4.0, 1.0), "propellant": (400.0, 400.0),
@@ -24,37 +24,37 @@ SCALES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Training:
-    """Settings of a training by proximal policy optimisation.
+    """Settings of a training by proximal policy optimisation (PPO).
 
     Attributes
     ----------
     steps
-        Of the environment, all lanes together.
+        Number of environment steps, all lanes together.
     seed
-        Of everything.
+        Root seed of the training.
     lanes, horizon
-        Flights side by side, and actions of each between two updates.
+        Number of parallel flights, and steps of each between two updates.
     batch, epochs
-        Samples of a gradient step, and passes over what was flown.
+        Minibatch size, and number of passes over each rollout.
     discount, trace
-        Of the return, and of the advantage (lambda).
+        Discount factor of the return, and lambda of the advantage estimate.
     rate_first, rate_last
-        Learning rate, which falls linearly.
+        Initial and final learning rate; it decreases linearly.
     spread, spread_last
-        Logarithm of the standard deviation of actions at first, and the most that is left of it at
-        the end; between them that falls linearly. Actions that scatter turn the lander faster than
-        a safe touchdown allows: what is never flown calmly never learns to land.
+        Initial and final bound of the log standard deviation of actions; it decreases linearly.
+        With large random actions, the lander rotates faster than a safe touchdown allows, so the
+        agent never experiences a safe landing.
     width
-        Of the two hidden layers.
+        Width of the two hidden layers.
     bears
-        Share of the weight that the first actions bear, on average.
+        Mean initial thrust over the weight.
     position_sigma, velocity_sigma
-        Dispersion of the start an axis, m and m/s.
+        Dispersion of the start, 1 sigma per axis, m and m/s.
     nearest, shares
-        Lanes start at so many different shares of the way, the nearest at this one; the last five
-        at the whole.
+        Smallest start distance as a fraction of the full distance, and number of different start
+        distances. The last five start at the full distance.
     safe, crash, propellant, miss, severity, excess, shaping
-        `DescentWeights`; the discount of shaping is `discount`.
+        Reward weights, defined in `DescentWeights`; shaping uses `discount`.
     """
 
     steps: int = 15_000_000
@@ -87,18 +87,20 @@ class Training:
         for field in fields(self):
             value = getattr(self, field.name)
             if not np.isfinite(value):
-                raise InputError(field.name, value, "a finite number")
+                raise InputError(field.name, value, "must be a finite number")
         for name in ("steps", "lanes", "horizon", "batch", "epochs", "width", "shares"):
             if getattr(self, name) < 1:
-                raise InputError(name, getattr(self, name), "at least 1")
+                raise InputError(name, getattr(self, name), "must be at least 1")
         if self.lanes < self.shares:
-            raise InputError("lanes", self.lanes, f"at least {self.shares}, one for each start")
+            raise InputError(
+                "lanes", self.lanes, f"must be at least {self.shares}, one per start distance"
+            )
         if not 0.0 < self.nearest <= 1.0:
-            raise InputError("nearest", self.nearest, "above 0, at most 1")
+            raise InputError("nearest", self.nearest, "must be above 0 and at most 1")
 
     @property
     def weights(self) -> DescentWeights:
-        """Of the reward."""
+        """Reward weights."""
         return DescentWeights(
             safe=self.safe, crash=self.crash, propellant=self.propellant, miss=self.miss,
             severity=self.severity, excess=self.excess, shaping=self.shaping,
@@ -107,7 +109,7 @@ class Training:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Of the scenario."""
+        """Scenario changes."""
         return {
             "start.position_sigma_m": self.position_sigma,
             "start.velocity_sigma_m_s": self.velocity_sigma,
@@ -115,29 +117,30 @@ class Training:
 
     @property
     def updates(self) -> int:
-        """How many times the agent is updated."""
+        """Number of updates of the agent."""
         return -(-self.steps // (self.lanes * self.horizon))
 
     def _falls(self, first: float, last: float, done: int) -> float:
-        """Return what goes linearly from `first` to `last` over the updates."""
+        """Interpolate linearly from `first` to `last` over the updates."""
         return first + (last - first) * min(done / max(self.updates - 1, 1), 1.0)
 
     def learning_rate(self, done: int) -> float:
-        """Return the learning rate after so many updates."""
+        """Return the learning rate after `done` updates."""
         return self._falls(self.rate_first, self.rate_last, done)
 
     def most_spread(self, done: int) -> float:
-        """Return the most that the logarithm of the standard deviation may be by then."""
+        """Return the bound of the log standard deviation of actions after `done` updates."""
         return self._falls(self.spread, self.spread_last, done)
 
     def starts(self, planned: np.ndarray) -> list[dict[str, Any]]:
-        """Return options of a reset, from near the target to the whole way.
+        """Return reset options with start distances from near the target to the full distance.
 
         Parameters
         ----------
         planned
-            Position and velocity and their standard deviations (8,), SI; see `lanes.Craft`. At a
-            share of the way the position is that share, speed its root: as if it braked evenly.
+            Position, velocity and their standard deviations (8,), SI (`VehicleParams.start`). At a
+            fraction f of the distance, the speed is multiplied by sqrt(f), as for a constant
+            deceleration.
         """
         whole = max(self.shares - 5, 1)
         found = []
@@ -153,16 +156,16 @@ class Training:
         return found
 
     def save(self, path: Path) -> None:
-        """Write it as JSON."""
+        """Write the settings to a JSON file."""
         write_text_whole(path, json.dumps(asdict(self), indent=1))
 
     @classmethod
     def load(cls, path: Path) -> Training:
-        """Read what `save` wrote."""
+        """Read settings written by `save`."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
 
 
 def scales(parts: tuple[str, ...]) -> tuple[list[float], list[float]]:
-    """Return the scales far and near of every number of an observation of these parts."""
+    """Return the scales far and near of every value of an observation."""
     each = [SCALES[name] for name in parts for _ in range(PARTS[name].size)]
     return [far for far, _ in each], [near for _, near in each]

@@ -1,8 +1,8 @@
-"""Training of a network that chooses sites, by the cross-entropy method.
+"""Train a network that chooses sites, by the cross-entropy method.
 
-A population of networks flies the same flights; the best of them give mean and deviation of the
-next population (Rubinstein and Kroese, "The Cross-Entropy Method", Springer 2004, ch. 5). All
-flights of a generation fly side by side, a lane each, every lane by its own network.
+All networks of a population fly the same flights. The best networks define mean and standard
+deviation of the next population (Rubinstein and Kroese, "The Cross-Entropy Method", Springer 2004,
+ch. 5). All flights of a generation run in parallel, one lane each with its own network.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lunarsim_envs.agents.site_network import FEATURES, SiteNetwork, features
 from lunarsim_envs.descent.lanes import FLYING
-from lunarsim_envs.sites.flights import sights_of
-from lunarsim_envs.sites.lanes import SiteLanes
+from lunarsim_envs.sites.flights import site_inputs
+from lunarsim_envs.sites.lanes import SiteDescentBatch
 from lunarsim_envs.sites.parts import SITES
 from lunarsim_envs.sites.sights import MAP_CELLS
 
@@ -25,20 +25,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SiteTraining:
-    """Settings.
+    """Settings of the training.
 
     Attributes
     ----------
     hidden
-        Width of the layer.
+        Width of the hidden layer.
     population, elite, flights, generations
-        Networks a generation, how many of them give the next, flights of each, generations.
+        Networks per generation, number of best networks for the update, flights per network, and
+        number of generations.
     price
-        Cost of a kilogram, where a safe landing is worth 1.
+        Penalty per kilogram of propellant; a safe landing is worth 1.
     spread
         Standard deviation of the first population.
     kept
-        Share of mean and deviation that is kept from one generation to the next.
+        Smoothing factor: weight of the old mean and standard deviation in an update.
     seed
         Root seed.
     """
@@ -55,27 +56,27 @@ class SiteTraining:
 
 
 def start(hidden: int) -> SiteNetwork:
-    """Return a network that trades log-odds of safety against propellant, as `fuel-aware` does."""
+    """Return an initial network that imitates `fuel-aware`: log-odds of safety vs. propellant."""
     linear = np.zeros(len(FEATURES))
-    # A log-odd is worth 1, a kilogram 0.25, a change of site 0.7.
+    # Score: 1 per unit of log-odds, -0.25 per kilogram, +0.7 for keeping the site.
     linear[0], linear[1], linear[3] = 5.0, -0.5, 0.7
     k = len(FEATURES)
     return SiteNetwork(linear, np.zeros((hidden, k)), np.zeros(hidden), np.zeros(hidden))
 
 
-def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
-    """Fly every lane once by a network of its own; return whether safe and propellant (n, 2).
+def flown(lanes: SiteDescentBatch, keys: NDArray[np.uint64], weights: Array, hidden: int) -> Array:
+    """Fly every lane once with its own network; return safety (0 or 1) and propellant (n, 2).
 
     Parameters
     ----------
     lanes
-        n of them.
+        Batch of n landers.
     keys
-        Of the flights (n,).
+        Random keys of the flights (n,).
     weights
-        Of the networks (n, size), see `SiteNetwork.flat`.
+        Weights of the networks (n, size), in the order of `SiteNetwork.flat`.
     hidden
-        Width of their layers.
+        Width of the hidden layers.
     """
     k, n = len(FEATURES), lanes.count
     linear, inner, bias, outer = np.split(weights, np.cumsum([k, hidden * k, hidden]), axis=1)
@@ -86,7 +87,7 @@ def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: in
     small = np.zeros((n, 2, MAP_CELLS, MAP_CELLS), np.float32)
     rows = np.arange(n)
     while (lanes.ended == FLYING).any():
-        sights = sights_of(lanes, small)
+        sights = site_inputs(lanes, small)
         x, good = features(sights)
         scores = np.einsum("nok,nk->no", x, linear)
         layer = np.tanh(np.einsum("nok,nhk->noh", x, inner) + bias[:, None])
@@ -101,19 +102,21 @@ def flown(lanes: SiteLanes, keys: NDArray[np.uint64], weights: Array, hidden: in
 
 
 def train(
-    lanes: SiteLanes, settings: SiteTraining, told: Callable[[int, float, float, float], None]
+    lanes: SiteDescentBatch,
+    settings: SiteTraining,
+    told: Callable[[int, float, float, float], None],
 ) -> SiteNetwork:
-    """Return the trained network.
+    """Train a network and return it.
 
     Parameters
     ----------
     lanes
-        population x flights of them.
+        Batch with population x flights landers.
     settings
-        How.
+        Settings of the training.
     told
-        Called after every generation with its number, the share of safe landings and the propellant
-        (kg) of its elite, and the mean deviation of the weights.
+        Function called after every generation with its number, the fraction of safe landings and
+        the mean propellant (kg) of the best networks, and the mean standard deviation of weights.
     """
     s = settings
     rng = np.random.default_rng(s.seed)

@@ -435,7 +435,7 @@ def test_a_large_raster_is_described_by_its_header(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     done = CliRunner().invoke(main, ["terrain", "info", str(path)])
     assert "30000 x 30000" in done.output
-    assert "give --window" in done.output
+    assert "use --window" in done.output
     info = read_info(path, window=(0, 600, 0, 30_000))
     assert info.z_range == (0.0, 7.0)
     assert info.statistics.posts == 600 * 30_000
