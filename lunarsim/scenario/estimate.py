@@ -32,7 +32,7 @@ _BYTES_PER_CELL, _BYTES_PER_PIXEL = 100.0, 60.0
 _REMEDIES = {
     "size_m": "Use a smaller value, or a larger posting_m or detail_m",
     "posting_m": "Use a larger value, or a part of the raster: terrain.dtm_window",
-    "path": "Use a part of the raster: terrain.dtm_window",
+    "path": "Use a part of the raster (terrain.dtm_window) or a smaller file",
     "min_diameter_m": "Use a larger value, or a smaller cover",
     "sizes_m": "Use smaller values or fewer levels",
     "width": "Use a smaller value, or a smaller height",
@@ -88,6 +88,8 @@ def estimate(scenario: Any) -> Estimate:
         # One level at a time is drawn; all are kept.
         drawn = _BYTES_PER_POST * max(levels, default=0.0)
         memory["surroundings.sizes_m"] = drawn + _BYTES_PER_POST_KEPT * sum(levels)
+        with contextlib.suppress(InputError):
+            memory["surroundings.path"] = _BYTES_PER_POST_READ * around.posts_read()
     for name, part in scenario.mappers.items():
         table = part.table.model_dump()
         if table.get("size_m") and table.get("posting_m"):

@@ -80,6 +80,18 @@ class Surroundings:
         for size, posting in zip(self.sizes, self.postings, strict=True):
             check_side("surroundings.sizes", size, posting, _MOST_POSTS, "posts")
 
+    def posts_read(self) -> int:
+        """Return the number of posts of the raster, from the file's header; 0 without a raster.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be opened.
+        """
+        from lunarsim.world.terrain.dtm import read_size  # noqa: PLC0415  (rasterio loads slowly)
+
+        return read_size(self.path, posting=self.dtm_posting).posts if self.path else 0
+
     def build(self, terrain: Terrain, moon: CentralGravity, streams: Streams) -> Surrounded:
         """Return the ground of one flight; what is drawn comes from its streams."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from lunarsim.campaign.engines import engine_of, ray_cluster
 from lunarsim.campaign.engines.inline import InlineEngine
@@ -20,6 +22,7 @@ from lunarsim.campaign.results import load_results
 from lunarsim.campaign.run import run
 from lunarsim.campaign.spec import CampaignSpec
 from lunarsim.errors import InputError
+from lunarsim.parts.allowed import VARIABLE
 from tests.campaign.surrogate import plan
 from tests.worlds import TINY_FLIGHT
 
@@ -143,3 +146,31 @@ def test_flights_that_fail_on_ray_are_rows(tmp_path, monkeypatch):
     ran = run(failing, engine_of("ray", 2, None, 1.0), tmp_path / "c")
     assert (ran.state, ran.flown, ran.failed) == ("complete", 10, 3)
     assert time.monotonic() - began < 120.0
+
+
+@pytest.mark.slow
+def test_a_permission_given_here_holds_on_a_node_started_without_it(tmp_path, monkeypatch):
+    """The nodes of a cluster do not inherit the variables of the process that submits."""
+    from ray.cluster_utils import Cluster
+
+    (tmp_path / "own_policy.py").write_text(
+        "from lunarsim.onboard.policies.library import Safest\n\n\nclass Mine(Safest):\n    pass\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    scenario = TINY_FLIGHT | {"policy": {"kind": "own_policy:Mine"}}
+    spec = {"scenario": scenario, "flights": 2, "seed": 1}
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(spec))
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    words = ["campaign", "run", "s.toml", "--engine", "ray", "--address", cluster.address]
+    try:
+        for extra, status in (([], 2), (["--allow-module", "own_policy"], 0)):
+            done = subprocess.run(
+                [sys.executable, "-m", "lunarsim", *words, "--out", "c", *extra],
+                check=False, capture_output=True, text=True, cwd=tmp_path, timeout=300,
+            )  # fmt: skip
+            assert done.returncode == status, done.stderr
+    finally:
+        cluster.shutdown()
+    assert load_results(tmp_path / "c").manifest["state"] == "complete"

@@ -8,6 +8,7 @@ import tomli_w
 from click.testing import CliRunner
 
 from lunarsim.cli import main
+from lunarsim.errors import InputError
 from lunarsim.scenario import Scenario
 from lunarsim.scenario.estimate import estimate
 from tests.security import fuzz
@@ -130,3 +131,13 @@ def test_flights_without_end_are_refused(tmp_path, flights):
         done = call(*command)
         assert done.exit_code == 2, (command, done.output)
         assert "flights" in done.stderr or "--episodes" in done.stderr
+
+
+def test_the_estimate_counts_a_raster_around_the_terrain(rasters):
+    around = {"sizes_m": [2000.0], "postings_m": [10.0], "rms_slopes_deg": [1.0]}
+    for extra, memory in (({}, 0.0), ({"path": "coarse.tif"}, 32.0 * 400**2)):
+        tables = TINY_FLIGHT | {"moon": {}, "surroundings": around | extra}
+        assert estimate(Scenario.from_dict(tables, rasters)).memory["surroundings.path"] == memory
+    tables["surroundings"]["path"] = "large.tif"
+    with pytest.raises(InputError, match=r"surroundings\.path.*16 GiB is the limit"):
+        Scenario.from_dict(tables, rasters)

@@ -28,9 +28,9 @@ _INSTALL = (
     "rendering needs OpenGL 3.3 through EGL; on Debian or Ubuntu: "
     "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
 )
-_NARROW = (
-    "rendering with vectors of 128 bits ends the process inside Mesa (seen with 22.3); "
-    "set LP_NATIVE_VECTOR_WIDTH=256"
+_WRONG_WIDTH = (
+    "llvmpipe renders with vectors of 128 or 512 bits here, which can end the process inside Mesa "
+    "(seen with 22.3); set LP_NATIVE_VECTOR_WIDTH=256"
 )
 _here = threading.local()
 _render_thread = DaemonThreads(1, "lunarsim-render")
@@ -64,8 +64,8 @@ def gl_context() -> moderngl.Context:
     Raises
     ------
     RenderingError
-        Where EGL or OpenGL is missing, or Mesa renders with vectors of 128 bits; it says what to
-        install or to set.
+        Where EGL or OpenGL is missing, or llvmpipe renders with vectors of another width than 256
+        bits; it says what to install or to set.
     """
     if not getattr(_here, "is_render_thread", False):
         raise RuntimeError("OpenGL runs on one thread only: decorate its caller on_render_thread.")
@@ -74,8 +74,8 @@ def gl_context() -> moderngl.Context:
     except Exception as error:  # moderngl raises plain Exception subclasses of many kinds
         raise RenderingError(f"{_INSTALL} ({error})") from error
     renderer = context.info["GL_RENDERER"]
-    if renderer.startswith("llvmpipe") and "128 bits" in renderer:
-        raise RenderingError(_NARROW)
+    if renderer.startswith("llvmpipe") and "256 bits" not in renderer:
+        raise RenderingError(_WRONG_WIDTH)
     context.gc_mode = "context_gc"
     os.register_at_fork(after_in_child=forks.mark_unsafe)
     return context

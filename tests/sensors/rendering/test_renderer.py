@@ -396,9 +396,10 @@ def test_processes_render_side_by_side_and_alike():
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
 
 
-def test_vectors_that_end_the_process_are_refused(tmp_path):
-    """Processors without AVX have them too. Other drivers than llvmpipe ignore the variable."""
-    env = os.environ | {"LP_NATIVE_VECTOR_WIDTH": "128", "LIBGL_ALWAYS_SOFTWARE": "1"}
+@pytest.mark.parametrize("bits", ["128", "512"])
+def test_vectors_that_end_the_process_are_refused(tmp_path, bits):
+    """Processors without AVX have 128 bits too. Other drivers than llvmpipe ignore the variable."""
+    env = os.environ | {"LP_NATIVE_VECTOR_WIDTH": bits, "LIBGL_ALWAYS_SOFTWARE": "1"}
     words = [
         "-m",
         "lunarsim",
