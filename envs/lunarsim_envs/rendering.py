@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from lunarsim.evaluation.map_words import map_words
+from lunarsim.simulation.map_words import map_words
 from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ _REACH = 2.2
 _BROKEN = COLOURS[1]
 
 
-def draw_footprint(flight: Flight, world: World, path: Path) -> None:
+def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Figure:
     """Draw the ground at touchdown as it lies above the pads, and the figures against the limits.
 
     The plane is the one of the two that three pads can stand on through which ground reaches
@@ -65,7 +66,9 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     map_axes(left, f"ground under the lander, true frame{told}")
     _limits(right, touchdown, lander)
     figure.suptitle(end_of(flight))
-    save(figure, path)
+    if path is not None:
+        save(figure, path)
+    return figure
 
 
 def _pads(lander: Lander, touchdown: Touchdown) -> Array:
