@@ -46,7 +46,7 @@ _MODULES = {
     "build_world": "lunarsim.simulation.worlds",
     "FlightFigures": "lunarsim.viz.flight",
     "plot_flight": "lunarsim.viz.flight",
-    "load_terrain": "lunarsim.world.terrain.dtm",
+    "load_dtm": "lunarsim.world.terrain.dtm",
     "Heightfield": "lunarsim.world.terrain.heightfield",
     "Terrain": "lunarsim.world.terrain.terrain",
 }

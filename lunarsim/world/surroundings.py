@@ -111,11 +111,11 @@ class Surroundings:
 
 def _measured(settings: Surroundings) -> Heightfield:
     """Return the raster of the first level; height 0 is at its centre, which is the origin."""
-    from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
+    from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert settings.path is not None
     try:
-        z = load_terrain(
+        z = load_dtm(
             settings.path, posting=settings.dtm_posting, unit=settings.dtm_unit,
             nodata=settings.dtm_nodata,
         )  # fmt: skip

@@ -42,7 +42,7 @@ from lunarsim.safety import (
     stochastic_safety,
 )
 from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
-from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain.dtm import load_dtm
 
 DATA = Path(__file__).parents[1] / "data"
 METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
@@ -73,7 +73,7 @@ def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0
 
 def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
     """Eq. 20: a plane with rocks of 0.2 to 1 m plus c times the measured relief, at 0.1 m."""
-    relief = load_terrain(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
+    relief = load_dtm(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
     west, east, south, north = relief.bounds
     grid = Grid.centred((0.0, 0.0), east - west, POSTING, north - south)
     rng = np.random.default_rng(seed)

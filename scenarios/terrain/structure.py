@@ -23,7 +23,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.viz.style import COLOURS, new_figure, save
 from lunarsim.world.grounds.measured import MeasuredGround
 from lunarsim.world.terrain import Heightfield
-from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain.dtm import load_dtm
 
 LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 
@@ -61,7 +61,7 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
 
 def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
     """Return the relief as filed, smoothed within its steps and refined, and with the detail."""
-    filed = load_terrain(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
+    filed = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
     return {
         "as filed": filed.scaled(ground.relief_scale),
         "refined": replace(ground, detail=False).relief(),

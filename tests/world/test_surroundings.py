@@ -128,9 +128,9 @@ def test_the_world_casts_onto_the_map_first(ground):
 def test_a_raster_is_the_first_level():
     path = "scenarios/data/moon_shackleton_ridge_lola_40m.tif"
     ground = _about(path=__import__("pathlib").Path(path), dtm_posting=40.0)
-    from lunarsim.world.terrain.dtm import load_terrain
+    from lunarsim.world.terrain.dtm import load_dtm
 
-    raw = load_terrain(path, posting=40.0)
+    raw = load_dtm(path, posting=40.0)
     rows, cols = raw.z.shape
     # 25 posts east and 10 south of its middle, before it fades out.
     post = raw.grid.posting

@@ -100,10 +100,10 @@ class MeasuredGround(Roughness):
 
 def _measured(ground: MeasuredGround) -> Heightfield:
     """Return what the raster holds, scaled."""
-    from lunarsim.world.terrain.dtm import load_terrain  # noqa: PLC0415  (rasterio loads slowly)
+    from lunarsim.world.terrain.dtm import load_dtm  # noqa: PLC0415  (rasterio loads slowly)
 
     assert ground.path is not None
-    measured = load_terrain(
+    measured = load_dtm(
         ground.path, posting=ground.dtm_posting, window=ground.dtm_window, unit=ground.dtm_unit,
         nodata=ground.dtm_nodata,
     )  # fmt: skip

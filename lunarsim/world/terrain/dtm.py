@@ -91,7 +91,7 @@ def read_info(
     """Describe a raster, or a window of it, without loading it into memory.
 
     Heights are read for statistics only if a window is given or the raster has at most 20 million
-    posts. For the parameters see `load_terrain`.
+    posts. For the parameters see `load_dtm`.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def read_size(
 ) -> DtmSize:
     """Return the size of a terrain from the header of its file.
 
-    For the parameters see `load_terrain`.
+    For the parameters see `load_dtm`.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def read_size(
         return DtmSize(int(part.width) * int(part.height), width, height)
 
 
-def load_terrain(
+def load_dtm(
     path: str | Path,
     *,
     posting: float | None = None,

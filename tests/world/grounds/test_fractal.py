@@ -7,7 +7,7 @@ import pytest
 
 from lunarsim.scenario import Scenario
 from lunarsim.world.grounds.fractal import FractalGround
-from lunarsim.world.terrain.dtm import load_terrain
+from lunarsim.world.terrain.dtm import load_dtm
 from tests.conftest import ROOT
 
 # Rosenburg et al. (2011): Hurst exponents, and slopes (deg) carried to 1 m; measured: polar.
@@ -38,7 +38,7 @@ def test_presets_fill_what_is_left_out(preset):
 def test_polar_ground_is_as_rough_as_the_ridge_beside_shackleton():
     """Median slopes of posts 40 to 160 m apart, and what they come to at 1 m."""
     file = ROOT / "scenarios" / "data" / "moon_shackleton_ridge_lola_40m.tif"
-    z = load_terrain(file, posting=40.0).z.astype(float)
+    z = load_dtm(file, posting=40.0).z.astype(float)
     steps = np.array([1, 2, 3, 4])
     slopes = [
         np.median(np.hypot(z[:-k, k:] - z[:-k, :-k], z[k:, :-k] - z[:-k, :-k])) / (40.0 * k)

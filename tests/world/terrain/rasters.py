@@ -160,7 +160,7 @@ class Case:
     refused
         Words of the error; empty if the raster is read.
     options
-        Of `load_terrain`.
+        Of `load_dtm`.
     """
 
     driver: str = "GTiff"
