@@ -1,8 +1,8 @@
-"""The last stage of the fused map, fitted to flights of the study of all eyes.
+"""Fit the calibration stage of the fused map to flights of the all-sensor study.
 
-The quadtree maps the same returns as the Gaussian DEM: it is a feature of that stage, never a
-factor. Fields are fitted to that no map is judged on: each row's own fields are judged by a fit to
-the other rows.
+The quadtree maps the same LiDAR returns as the Gaussian DEM. It is therefore a feature of the
+calibration stage and never an independent factor. The fit uses fields on which no map is
+evaluated; the fields of each row are evaluated with a fit to the other rows.
 
 python scenarios/all_eyes.py --fields 3 --seed 11 --json out/fit.json
 python scenarios/eyes_calibration.py out/fit.json --out out/fused.json
@@ -27,12 +27,12 @@ from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
 
 Array = np.ndarray[Any, Any]
 
-# Fits without a second map, and with it.
+# Fits without a second map and with it.
 FITS = ("none", "without the quadtree", "with the quadtree")
 
 
 def counts_of(flights: list[dict[str, Any]]) -> Array:
-    """Return counts of sites, pooled (safe or not, fused, quadtree), see `eyes_flights.joint`."""
+    """Return pooled site counts (safe, fused, quadtree), see `eyes_flights.joint`."""
     shape = (2, len(ODDS) - 1, len(ODDS))
     pooled = np.zeros(shape)
     for flight in flights:
@@ -41,8 +41,8 @@ def counts_of(flights: list[dict[str, Any]]) -> Array:
     return pooled
 
 
-def kinds() -> tuple[Array, Array, Array]:
-    """Return the fused map's probability, the quadtree's, and whether it saw them (kinds,)."""
+def probability_bins() -> tuple[Array, Array, Array]:
+    """Return fused probability, quadtree probability and observed flag per count."""
     middle = expit(0.5 * (ODDS[1:] + ODDS[:-1]))
     p, q = np.meshgrid(middle, np.append(middle, 0.5), indexing="ij")
     seen = np.ones(p.shape, np.bool_)
@@ -50,9 +50,9 @@ def kinds() -> tuple[Array, Array, Array]:
     return p.ravel(), q.ravel(), seen.ravel()
 
 
-def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
-    """Return C fitted to counts; sites whose footprints overlap count as one."""
-    p, q, seen = kinds()
+def fit_calibration(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibration:
+    """Fit C to counts; sites whose footprints overlap count as one."""
+    p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
     return FusedCalibration.fit(
@@ -61,8 +61,8 @@ def fitted(counts: Array, with_quadtree: bool, lander: Lander) -> FusedCalibrati
 
 
 def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]:
-    """Return the mean squared error of C over sites, and how far it is off on the mean."""
-    p, q, seen = kinds()
+    """Return the Brier score of C and its bias (mean C minus safe fraction)."""
+    p, q, seen = probability_bins()
     unsafe, safe = counts.reshape(2, -1)
     c = calibration.probability(p.astype(np.float32), q, seen).astype(np.float64)
     n = max(counts.sum(), 1.0)
@@ -75,33 +75,38 @@ def loss_of(calibration: FusedCalibration, counts: Array) -> tuple[float, float]
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File for the fit to all rows.")  # fmt: skip
+              help="Output file of the fit to all rows.")  # fmt: skip
 def main(file: Path, out: Path | None) -> None:
-    """Fit C to the flights in FILE and print what it is worth on rows left out."""
+    """Fit C to the flights in FILE and evaluate it on held-out rows."""
     try:
         flights = list(json.loads(file.read_text(encoding="utf-8"))["flights"].values())
         rows = {row: [f for f in flights if f["row"] == row] for row in (f["row"] for f in flights)}
         all_counts = {row: counts_of(mine) for row, mine in rows.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise click.BadParameter(
-            f"{file} is no file of flights ({error!r})", param_hint="FILE"
+            f"{file} is not a file of flights ({error!r})", param_hint="FILE"
         ) from None
     if len(all_counts) < 2:
         raise click.BadParameter(
-            f"{file} holds flights of one row: each is judged by a fit to others", param_hint="FILE"
+            f"{file} must hold flights of two rows or more: each is evaluated by a fit to the "
+            f"others",
+            param_hint="FILE",
         )
     console, lander = plain_console(140), Lander()
-    table = Table(title="Squared error, and mean of C less what is safe, each row by the others")
+    table = Table(title="Brier score and bias (mean C minus safe fraction), leave-one-row-out")
     table.add_column("row")
     for name in FITS:
         table.add_column(name, justify="right")
     try:
         for row, mine in all_counts.items():
             rest = np.sum([c for other, c in all_counts.items() if other != row], axis=0)
-            fits = [FusedCalibration(), *(fitted(rest, second, lander) for second in (False, True))]
+            fits = [
+                FusedCalibration(),
+                *(fit_calibration(rest, second, lander) for second in (False, True)),
+            ]
             words = (loss_of(c, mine) for c in fits)
             table.add_row(row, *(f"{square:.4f}, {off:+.4f}" for square, off in words))
-        whole = fitted(np.sum(list(all_counts.values()), axis=0), True, lander)
+        whole = fit_calibration(np.sum(list(all_counts.values()), axis=0), True, lander)
     except InputError as error:
         raise click.ClickException(str(error)) from None
     console.print(table)

@@ -1,4 +1,4 @@
-"""Figures of the study of all eyes: of one map over fields, and of the fused one against others."""
+"""Compute and plot the map metrics of the all-sensor study."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ Counts = dict[str, Any]
 Flight = dict[str, Any]
 
 PRECISION = 0.99
-# The fused map may find so much less safe ground than the best single one, and than the eye that is
-# left when the other fails; at 1000 m it may call so much of the LiDAR's share of large hazards
-# safe.
+# Aims: recall loss of the fused map relative to the best single map, and relative to the remaining
+# sensor after a failure; ratio of large-rock area called safe to that of the LiDAR map, at 1000 m.
 LESS_THAN_BEST, LESS_THAN_LEFT, OF_LARGE, FROM = 0.01, 0.02, 0.5, "1000"
 COLOURS = {
     "dem": "tab:blue", "quadtree": "tab:cyan", "rocks": "tab:orange", "alone": "tab:blue",
@@ -31,12 +30,12 @@ COLOURS = {
 
 
 def recall_of(judged: list[Counts]) -> float:
-    """Return the recall at precision `PRECISION` of maps, their cells pooled."""
+    """Return the recall of pooled maps at precision `PRECISION`."""
     return curve_of(judged).recall_at(PRECISION)
 
 
 def curve_of(judged: list[Counts]) -> PrecisionRecall:
-    """Return the counts of maps, pooled."""
+    """Return the precision-recall curve of pooled maps."""
     return PrecisionRecall(*(_pooled(judged, name) for name in ("unsafe", "safe")))
 
 
@@ -45,7 +44,7 @@ def _pooled(judged: list[Counts], name: str) -> np.ndarray:
 
 
 def figures_of(judged: list[Counts]) -> dict[str, float]:
-    """Return the figures of one map over the fields; hazards are missed at p > 0.5."""
+    """Return the metrics of one map over the fields; a hazard is missed at p > 0.5."""
     curve = curve_of(judged)
     quality: MapQuality = curve.at_half()
     unsafe = quality.false_safe + quality.rejected
@@ -67,10 +66,10 @@ def figures_of(judged: list[Counts]) -> dict[str, float]:
 
 
 def large_share(judged: list[Counts], recall: float) -> float:
-    """Return the share of ground with a large rock under the lander among ground called safe.
+    """Return the fraction of terrain called safe with a large rock underneath.
 
-    At the highest threshold that finds so much of the safe ground; NaN where no threshold does, or
-    where none is asked for.
+    The threshold is the highest one with the given recall. NaN if no threshold reaches it or if the
+    recall is zero.
     """
     curve, large = curve_of(judged), _pooled(judged, "large")
     found = np.cumsum(curve.safe[::-1])
@@ -83,34 +82,34 @@ def large_share(judged: list[Counts], recall: float) -> float:
 
 
 def best_single(flights: list[Flight], altitude: str) -> str:
-    """Return the map of one mapper with the greatest pooled recall at the precision."""
+    """Return the single-mapper map with the highest pooled recall at `PRECISION`."""
     of = {n: recall_of([f["maps"][altitude][n] for f in flights]) for n in SINGLE}
     return max(of, key=lambda name: of[name])
 
 
-def gained(flights: list[Flight], altitude: str, other: str) -> list[float]:
-    """Return by how much the fused map's recall exceeds another's, field by field."""
+def recall_gains(flights: list[Flight], altitude: str, other: str) -> list[float]:
+    """Return the recall of the fused map minus that of another map, per field."""
     pairs = ((f["maps"][altitude]["fused"], f["maps"][altitude][other]) for f in flights)
     return [recall_of([a]) - recall_of([b]) for a, b in pairs]
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """The fused map against others at one altitude of a row.
+class FusedMapComparison:
+    """The fused map compared with others at one altitude of a row.
 
     Attributes
     ----------
     row, altitude
-        Where.
+        Row name and altitude (m).
     best, gain
-        The best single map, and the differences of recall to it, field by field.
+        Best single map; recall of the fused map minus that of the best one, per field.
     over_form
-        The same against the map made like it of the Gaussian DEM alone.
+        Recall gain over the fused form with the Gaussian DEM only, per field.
     left
-        The same against the map of the eye that is left; empty: none has failed, or not yet.
+        Recall gain over the map of the remaining sensor, per field; empty if none has failed.
     large_dem, large_fused
-        Share of ground with a large rock among ground called safe, at the recall of the LiDAR's map
-        at p > 0.5.
+        Fraction of terrain called safe with a large rock under the lander, at the recall of the
+        LiDAR map at p > 0.5.
     """
 
     row: str
@@ -124,32 +123,32 @@ class Comparison:
 
     @property
     def missed(self) -> list[str]:
-        """What of the study's aims it misses, in words; empty: nothing."""
+        """Names of the study aims that are not met; empty if all are."""
         out = []
         if np.mean(self.gain) < -LESS_THAN_BEST:
             out.append(f"worse than {MAPS[self.best]}")
         if self.left and np.mean(self.left) < -LESS_THAN_LEFT:
-            out.append("worse than the eye that is left")
+            out.append("worse than the remaining sensor")
         if self.altitude == FROM and self.large_fused > OF_LARGE * self.large_dem:
             out.append("large hazards")
         return out
 
 
-def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
-    """Return the fused map against others, row by row and altitude by altitude."""
+def comparisons(flights: list[Flight], dead_below: float) -> list[FusedMapComparison]:
+    """Compare the fused map with the others for each row and altitude."""
     out = []
     for row, mine in by_row(flights).items():
         left = ROWS[row].left if row in ROWS else ""
-        for altitude in common(mine):
+        for altitude in common_altitudes(mine):
             best = best_single(mine, altitude)
             failed = left and float(altitude) < dead_below
             dem, fused = ([f["maps"][altitude][n] for f in mine] for n in ("dem", "fused"))
             recall = curve_of(dem).at_half().recall
             out.append(
-                Comparison(
+                FusedMapComparison(
                     row, altitude, best,
-                    gained(mine, altitude, best), gained(mine, altitude, "alone"),
-                    gained(mine, altitude, left) if failed else [],
+                    recall_gains(mine, altitude, best), recall_gains(mine, altitude, "alone"),
+                    recall_gains(mine, altitude, left) if failed else [],
                     large_share(dem, recall), large_share(fused, recall),
                 )
             )  # fmt: skip
@@ -157,36 +156,36 @@ def comparisons(flights: list[Flight], dead_below: float) -> list[Comparison]:
 
 
 def by_row(flights: list[Flight]) -> dict[str, list[Flight]]:
-    """Return flights by the row that they are of, in their order."""
+    """Group flights by row, in order."""
     rows = dict.fromkeys(f["row"] for f in flights)
     return {row: [f for f in flights if f["row"] == row] for row in rows}
 
 
-def common(flights: list[Flight]) -> list[str]:
-    """Return the altitudes that all flights were judged at."""
+def common_altitudes(flights: list[Flight]) -> list[str]:
+    """Return the altitudes at which all flights were evaluated."""
     return [a for a in flights[0]["maps"] if all(a in f["maps"] for f in flights)]
 
 
-# --- printed and drawn -----------------------------------------------------------------------
+# --- tables and figures -----------------------------------------------------------------------
 
 _COLUMNS = {
     "precision": "precision", "recall": "recall",
-    "recall_at_precision": f"recall at {PRECISION}", "missed_hazard": "hazard missed",
+    "recall_at_precision": f"recall at {PRECISION}", "missed_hazard": "hazards missed",
     "missed_objects": "objects missed", "ece": "ECE", "skill": "skill", "claimed": "claimed",
-    "observed": "seen",
+    "observed": "observed",
 }  # fmt: skip
 
 
 def show(flights: list[Flight], dead_below: float, console: Console) -> None:
-    """Print the figures of each row, altitude and map, and the fused map against others."""
+    """Print the map metrics of each row and altitude, and the fused map comparison."""
     for row, mine in by_row(flights).items():
-        caption = f"of the fields pooled; by field: mean recall at {PRECISION}"
+        caption = f"All fields pooled; per field: mean recall at precision {PRECISION}"
         table = Table(title=f"{row}: {len(mine)} fields", caption=caption)
-        table.add_column("altitude", justify="right")
+        table.add_column("altitude (m)", justify="right")
         table.add_column("map")
-        for heading in (*_COLUMNS.values(), "by field"):
+        for heading in (*_COLUMNS.values(), "per field"):
             table.add_column(heading, justify="right")
-        for altitude in common(mine):
+        for altitude in common_altitudes(mine):
             for name, words in MAPS.items():
                 maps = [one["maps"][altitude][name] for one in mine]
                 f, each = figures_of(maps), np.mean([recall_of([one]) for one in maps])
@@ -195,21 +194,24 @@ def show(flights: list[Flight], dead_below: float, console: Console) -> None:
         console.print(table)
         spent = {n: float(np.median([one["ms"][n] for one in mine])) for n in MAPS}
         words = ", ".join(f"{MAPS[n]} {ms:.0f}" for n, ms in spent.items())
-        console.print(f"ms a map drawn, all that it took counted: {words}")
+        console.print(f"Computing time per map, median (ms): {words}")
         refused: dict[str, int] = {}
         for flight in mine:
             for why, count in flight["refused"].items():
                 refused[why] = refused.get(why, 0) + count
-        told = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
-        console.print(f"pictures that did not count: {told or 'none'}")
+        counts_text = ", ".join(f"{why} {count}" for why, count in sorted(refused.items()))
+        console.print(f"Rejected images: {counts_text or 'none'}")
     _show_comparison(comparisons(flights, dead_below), console)
 
 
-def _show_comparison(found: list[Comparison], console: Console) -> None:
-    table = Table(title=f"Fused less others, recall at {PRECISION}, by field")
+def _show_comparison(found: list[FusedMapComparison], console: Console) -> None:
+    table = Table(
+        title=f"Recall of the fused map minus others, at precision {PRECISION}, per field"
+    )
     for heading in (
-        "row", "altitude", "best single", "fused less it", "less DEM alone", "less the eye left",
-        f"{LARGE} m, DEM", "fused", "misses",
+        "row", "altitude (m)", "best single", "minus best single", "minus DEM only",
+        "minus remaining sensor",
+        f"rocks over {LARGE} m: DEM", "fused", "aims not met",
     ):  # fmt: skip
         table.add_column(heading)
     for c in found:
@@ -225,13 +227,13 @@ def _show_comparison(found: list[Comparison], console: Console) -> None:
     ):  # fmt: skip
         means = [float(np.mean(gain)) for gain in gains]
         console.print(
-            f"mean over rows and altitudes of fused less {words}: {np.mean(means):+.3f}; "
-            f"least {min(means):+.3f}"
+            f"Mean over rows and altitudes, fused minus {words}: {np.mean(means):+.3f}; "
+            f"minimum {min(means):+.3f}"
         )
 
 
 def draw(flights: list[Flight], path: Path) -> None:
-    """Draw a panel a row: how much safe ground each map finds on the way down."""
+    """Plot the recall of each map against altitude, one panel per row."""
     from matplotlib import pyplot as plt
 
     rows = by_row(flights)
@@ -243,7 +245,7 @@ def draw(flights: list[Flight], path: Path) -> None:
     for axis in axes.flat[len(rows) :]:
         axis.set_visible(False)
     for axis, (row, mine) in zip(axes.flat, rows.items(), strict=False):
-        altitudes = common(mine)
+        altitudes = common_altitudes(mine)
         for name, words in MAPS.items():
             found = [recall_of([f["maps"][a][name] for f in mine]) for a in altitudes]
             axis.plot(
@@ -253,11 +255,11 @@ def draw(flights: list[Flight], path: Path) -> None:
             )  # fmt: skip
         axis.set_xticks(range(len(altitudes)), altitudes)
         axis.set_title(row, fontsize=10)
-        axis.set_xlabel("altitude, m")
+        axis.set_xlabel("Altitude (m)")
         axis.set_ylim(-0.03, 1.03)
         axis.grid(alpha=0.3)
     for axis in axes[:, 0]:
-        axis.set_ylabel("safe ground found,\n1 in 100 called safe wrong")
+        axis.set_ylabel("Recall at precision 0.99")
     lines, words = axes.flat[0].get_legend_handles_labels()
     if len(rows) < axes.size:
         axes.flat[len(rows)].set_visible(True)

@@ -1,7 +1,7 @@
-"""Flights of the study of all eyes: rows, descents, and what each map is worth on the way.
+"""Fly the descents of the all-sensor study and evaluate the maps on the way.
 
-Every flight carries all mappers at once, so that their maps are made of the same returns and
-pictures of the same ground; all are judged on the same cells at the same moments.
+Every flight runs all mappers at once, so their maps use the same returns and images of the same
+terrain. All maps are evaluated on the same cells at the same times.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ Array = NDArray[np.float64]
 
 HERE = Path(__file__).parent
 SIZE, POSTING = 60.0, 0.25
-# Half side of the quadtree's landing zone over that of the lander's footprint, as in its paper.
+# Ratio of the half side of the quadtree landing zone to that of the lander footprint (its paper).
 ZONE = 1.35
 DROPPED = 0.5
 DEAD_BELOW = 400.0
-# A large rock has at least this diameter, m.
+# Minimum diameter of a large rock, m.
 LARGE = 0.7
-# Log odds between which sites are counted by two maps.
+# Log-odds bins of the joint site counts of two maps.
 ODDS = np.linspace(-8.0, 8.0, 33)
-# The last but one is made like the fused map, of the Gaussian DEM alone: what the form is worth
-# without the camera.
+# "alone" has the form of the fused map but only the Gaussian DEM as input: it separates the effect
+# of the form from that of the camera.
 MAPS = {
     "dem": "Gaussian DEM", "quadtree": "quadtree", "rocks": "shadows", "alone": "fused, DEM alone",
     "fused": "fused",
@@ -69,19 +69,19 @@ WORLDS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class FusionStudyRow:
     """A row of the study.
 
     Attributes
     ----------
     world
-        Its name; rows of the same one share it.
+        Name of the world; rows with the same world share it.
     drops
-        Whether half of the LiDAR's returns are lost.
+        Whether half of the LiDAR returns are lost.
     dead
-        Sensors that measure no more below `DEAD_BELOW`.
+        Sensors that stop measuring below `DEAD_BELOW`.
     left
-        The map of the eye that is left then; empty: none has failed altogether.
+        Map of the sensor that remains after a failure; empty if no sensor fails completely.
     """
 
     world: str
@@ -90,22 +90,22 @@ class Row:
     left: str = ""
 
 
-ROWS: dict[str, Row] = {
-    "level, rocks": Row("level"),
-    "HiRISE, c = 0.2": Row("HiRISE 0.2"),
-    "HiRISE, c = 0.5": Row("HiRISE 0.5"),
-    "cratered highland": Row("highland"),
-    "15 % cover": Row("15 % cover"),
-    "Sun at 5 deg": Row("Sun 5 deg"),
-    "LiDAR with 50 % drop-outs": Row("level", drops=True),
-    "cameras dead from 400 m on": Row("level", dead=("narrow", "wide"), left="dem"),
-    "LiDAR dead from 400 m on": Row("level", dead=("flash",), left="rocks"),
+ROWS: dict[str, FusionStudyRow] = {
+    "level, rocks": FusionStudyRow("level"),
+    "HiRISE, c = 0.2": FusionStudyRow("HiRISE 0.2"),
+    "HiRISE, c = 0.5": FusionStudyRow("HiRISE 0.5"),
+    "cratered highland": FusionStudyRow("highland"),
+    "15 % cover": FusionStudyRow("15 % cover"),
+    "Sun at 5 deg": FusionStudyRow("Sun 5 deg"),
+    "LiDAR with 50 % drop-outs": FusionStudyRow("level", drops=True),
+    "cameras dead from 400 m on": FusionStudyRow("level", dead=("narrow", "wide"), left="dem"),
+    "LiDAR dead from 400 m on": FusionStudyRow("level", dead=("flash",), left="rocks"),
 }
 
 
 @dataclass(frozen=True)
-class Task:
-    """One flight: a row's name, a field, the root seed, and where maps are judged, m."""
+class FusionFlightTask:
+    """One flight: row, field, root seed, and altitudes of map evaluation, m."""
 
     row: str
     field: int
@@ -114,22 +114,22 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Name of its row and field."""
+        """Key of the row and field in the result file."""
         return f"{self.row} | {self.field}"
 
 
 def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
-    """Return the descent over a world, all mappers on board, a flash at every altitude judged."""
+    """Return the descent over a world with all mappers and a flash at every altitude."""
     base = Scenario.load(HERE / "all_eyes.toml").changed(**WORLDS[world])
     lander = base.vehicle.make()
     half = lander.leg_radius + 0.5 * lander.pad_diameter
-    # On the way of the scenario's own start, and as fast as a fall from there.
+    # On the trajectory of the scenario, with the speed scaled as in a fall from the start.
     highest = max(altitudes)
     top = max(1.2 * highest, highest + 40.0)
     start = base.start.make()
     share = top / start.position[2]
     rocks = base.expected_rocks
-    # The least rock that is too high for the lander.
+    # Height ratio of rocks: gives the minimum diameter that exceeds the roughness limit.
     ratio = {"hemisphere": 0.5, "cube": 1.0}.get(rocks.shape, rocks.height_ratio[0])
     return base.changed(
         start={
@@ -147,7 +147,7 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
                 "kind": "quadtree", "sensor": "flash", "size_m": SIZE, "posting_m": POSTING,
                 "sites": {"zone_m": ZONE * half, "roughness_limit_m": lander.roughness_limit},
             },
-            # Judged as it is at the altitude, not as it was for the last decision.
+            # Evaluated as it is at the altitude, not as it was for the last decision.
             "fused": {"interval_s": 0.0},
             "alone": {"kind": "fused", "of": ["dem"], "interval_s": 0.0},
         },
@@ -156,12 +156,12 @@ def scenario_of(world: str, altitudes: tuple[float, ...]) -> Scenario:
 
 @lru_cache(maxsize=1)
 def world_of(world: str, seed: int) -> World:
-    """Return a world."""
+    """Build the world of a seed; the last one is cached."""
     return build_world(scenario_of(world, (100.0,)), Streams(seed))
 
 
-def fly(task: Task) -> dict[str, Any]:
-    """Fly once; return what each map was worth at each altitude, as JSON has it."""
+def fly(task: FusionFlightTask) -> dict[str, Any]:
+    """Fly once; return the counts of each map at each altitude for JSON."""
     row = ROWS[task.row]
     seed = flight_seed(task.seed, task.field)
     scenario = scenario_of(row.world, task.altitudes)
@@ -169,8 +169,8 @@ def fly(task: Task) -> dict[str, Any]:
     mappers = simulation.computer.mappers
     if row.drops:
         for name in ("dem", "quadtree"):
-            mappers[name].update = dropping(mappers[name].update)  # type: ignore[method-assign]
-    clock = Clock({name: mappers[name] for name in MAPS})
+            mappers[name].update = with_dropouts(mappers[name].update)  # type: ignore[method-assign]
+    clock = MapperTimer({name: mappers[name] for name in MAPS})
     judged: dict[str, Any] = {}
     waiting = sorted(task.altitudes, reverse=True)
     while waiting and not simulation.done:
@@ -186,13 +186,13 @@ def fly(task: Task) -> dict[str, Any]:
             "refused": {fault.name: count for fault, count in refused.items()}}  # fmt: skip
 
 
-class Clock:
-    """Counts the time that each mapper works: what it asks of another is the other's.
+class MapperTimer:
+    """Measure the computing time of each mapper, without the mappers that it calls.
 
     Parameters
     ----------
     mappers
-        By name.
+        Mappers by name.
     """
 
     def __init__(self, mappers: dict[str, HazardMapper]) -> None:
@@ -202,7 +202,7 @@ class Clock:
         for name, mapper in mappers.items():
             for method in ("update", "refresh", "hazard_map", "evidence"):
                 setattr(mapper, method, self._timed(name, getattr(mapper, method)))
-            judged = partial(_judged_surface, mapper, mapper.surface)
+            judged = partial(_evaluated_surface, mapper, mapper.surface)
             setattr(mapper, "surface", self._timed(name, judged))  # noqa: B010
 
     def _timed(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
@@ -211,7 +211,7 @@ class Clock:
             try:
                 given = method(*args)
                 if isinstance(given, HazardMap):
-                    # Kept, so that no other is given its number.
+                    # Hold a reference, so that no other array receives the same id.
                     self._drawn[name][id(given.p_safe)] = given.p_safe
                 return given
             finally:
@@ -222,42 +222,42 @@ class Clock:
         return call
 
     def mean_ms(self) -> dict[str, float]:
-        """Return the time of all that a mapper did, over the number of maps that it drew, ms."""
+        """Return the total time of each mapper divided by its number of maps, ms."""
         return {n: 1e3 * s / max(len(self._drawn[n]), 1) for n, s in self._seconds.items()}
 
 
-def _judged_surface(mapper: HazardMapper, surface: Callable[[], Surface]) -> Surface:
-    """Return the ground of a mapper, judged while its own time is counted, whoever asks for it."""
+def _evaluated_surface(mapper: HazardMapper, surface: Callable[[], Surface]) -> Surface:
+    """Evaluate the map within the time of its own mapper, then return its surface."""
     mapper.hazard_map()
     return surface()
 
 
-def dropping(update: Callable[..., None]) -> Callable[..., None]:
-    """Return the method of a mapper, given scans of which half of the returns are lost."""
+def with_dropouts(update: Callable[..., None]) -> Callable[..., None]:
+    """Return a mapper method that receives scans with half of the returns lost."""
 
     def taken(scan: LidarScan, estimate: Any) -> None:
-        # Drawn by the scan's own time: all mappers lose the same returns.
+        # Seeded with the scan time: all mappers lose the same returns.
         lost = np.random.default_rng(round(1e3 * scan.time)).random(scan.range.shape) < DROPPED
         update(replace(scan, range=np.where(lost, np.nan, scan.range)), estimate)
 
     return taken
 
 
-# --- what maps are worth ---------------------------------------------------------------------
+# --- map evaluation ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Ground:
-    """The truth under a map.
+class MapTruth:
+    """True terrain safety under a map.
 
     Attributes
     ----------
     xy, safe
-        Places (n, 2), local frame, m, and whether they are safe (n,).
+        Positions (n, 2), local frame, m, and whether they are safe (n,).
     under_large
-        Whether a rock of `LARGE` or more lies under the lander there (n,).
+        Whether a rock of diameter `LARGE` or more lies under the lander there (n,).
     objects
-        Middles of rocks that stand higher than the lander's limit (k, 2), local frame, m.
+        Centers of rocks higher than the roughness limit (k, 2), local frame, m.
     """
 
     xy: Array
@@ -266,8 +266,8 @@ class Ground:
     objects: Array
 
 
-def ground_under(simulation: Simulation) -> Ground:
-    """Return the truth on the cells of the Gaussian DEM."""
+def ground_under(simulation: Simulation) -> MapTruth:
+    """Return the true safety on the cells of the Gaussian DEM."""
     lander, terrain = simulation.lander, simulation.world.terrain
     grid = simulation.computer.mappers["dem"].hazard_map().grid
     error = simulation.navigation_error
@@ -278,16 +278,18 @@ def ground_under(simulation: Simulation) -> Ground:
     diameter = 2.0 * np.sqrt(rocks.a * rocks.b)
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     near = grid.contains(middles)
-    high = near & (rises(terrain) >= lander.roughness_limit)
-    return Ground(
+    high = near & (rock_heights(terrain) >= lander.roughness_limit)
+    return MapTruth(
         xy, truth.safe[truth.observed],
-        reached(xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint),
+        has_rock_in_footprint(
+            xy, middles[diameter >= LARGE], 0.5 * diameter[diameter >= LARGE], footprint
+        ),
         middles[high],
     )  # fmt: skip
 
 
-def rises(terrain: Any) -> Array:
-    """Return how far the middle of each rock stands above the ground about it (n,), m."""
+def rock_heights(terrain: Any) -> Array:
+    """Return the height of each rock above the surrounding terrain (n,), m."""
     rocks = terrain.rocks
     middles = np.column_stack((rocks.x, rocks.y))
     around = 0.25 * np.pi * np.arange(8)
@@ -297,8 +299,10 @@ def rises(terrain: Any) -> Array:
     return np.asarray(terrain.elevation(middles) - np.nanmedian(about, axis=1))
 
 
-def reached(xy: Array, middles: Array, radius: Array, footprint: float) -> NDArray[np.bool_]:
-    """Tell at which places (n, 2) some rock (k, 2) reaches into a footprint (n,), m."""
+def has_rock_in_footprint(
+    xy: Array, middles: Array, radius: Array, footprint: float
+) -> NDArray[np.bool_]:
+    """Return whether any rock (k, 2) reaches into the footprint at each position (n,)."""
     out = np.zeros(len(xy), np.bool_)
     if len(middles):
         found = cKDTree(xy).query_ball_point(middles, radius + footprint)
@@ -307,25 +311,25 @@ def reached(xy: Array, middles: Array, radius: Array, footprint: float) -> NDArr
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare all maps as they stand with the truth."""
+    """Compare all current maps with the truth."""
     ground = ground_under(simulation)
     drawn = {name: simulation.computer.mappers[name].hazard_map() for name in MAPS}
-    found = {name: judged(one, ground) for name, one in drawn.items()}
+    found = {name: count_sites(one, ground) for name, one in drawn.items()}
     found["fused"]["joint"] = joint(drawn["fused"], drawn["quadtree"], ground)
     return found
 
 
-def joint(fused: HazardMap, second: HazardMap, ground: Ground) -> list[Any]:
-    """Return counts of sites by two maps' probabilities (safe or not, fused, second).
+def joint(fused: HazardMap, second: HazardMap, ground: MapTruth) -> list[Any]:
+    """Return joint site counts by the probabilities of two maps (safe, fused, second).
 
-    Between `ODDS`; the last of the second's columns is of sites that it has not seen. Sites that
-    the fused map has not seen are left out.
+    The bins are `ODDS`. The last column of the second map counts sites that it has not observed.
+    Sites that the fused map has not observed are omitted.
     """
-    kept = _under(fused, fused.observed, ground.xy)
+    kept = _layer_at(fused, fused.observed, ground.xy)
     xy, safe = ground.xy[kept], ground.safe[kept]
     place = [np.searchsorted(ODDS[1:-1], _log_odds(m.p_safe_at(xy))) for m in (fused, second)]
     columns = len(ODDS) - 1
-    place[1] = np.where(_under(second, second.observed, xy), place[1], columns)
+    place[1] = np.where(_layer_at(second, second.observed, xy), place[1], columns)
     counts = np.zeros((2, columns, columns + 1), np.int64)
     np.add.at(counts, (safe.astype(np.int64), *place), 1)
     return list(counts.tolist())
@@ -336,11 +340,11 @@ def _log_odds(p: Array) -> Array:
         return np.asarray(logit(p.astype(np.float64)))
 
 
-def judged(drawn: HazardMap, ground: Ground) -> dict[str, Any]:
-    """Return counts of one map, as JSON has them."""
+def count_sites(drawn: HazardMap, ground: MapTruth) -> dict[str, Any]:
+    """Return the site counts of one map for JSON."""
     p = drawn.p_safe_at(ground.xy)
     layer = drawn.observed if drawn.in_domain is None else drawn.in_domain
-    claimed = _under(drawn, layer, ground.xy)
+    claimed = _layer_at(drawn, layer, ground.xy)
     curve = PrecisionRecall.of(p, ground.safe)
     large = PrecisionRecall.of(p, ground.under_large)
     c, s = p[claimed], ground.safe[claimed].astype(np.float64)
@@ -352,11 +356,11 @@ def judged(drawn: HazardMap, ground: Ground) -> dict[str, Any]:
         "objects": [len(over), int((over > 0.5).sum())],
         "table": reliability(c, s).tolist(),
         "squares": [float(c.size), float(s.sum()), float(((c - s) ** 2).sum())],
-        "observed": float(_under(drawn, drawn.observed, ground.xy).mean()),
+        "observed": float(_layer_at(drawn, drawn.observed, ground.xy).mean()),
     }
 
 
-def _under(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
+def _layer_at(drawn: HazardMap, layer: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:
     g = drawn.grid
     row, col = g.cell(xy)
     found = layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)]

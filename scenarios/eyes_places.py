@@ -1,9 +1,9 @@
-"""How well rocks' places are known from the lander on the descents of the study of all eyes.
+"""Measure the position errors of tracked rocks in the all-sensor study.
 
-A rock is on the map where the lander has it from itself: what both err by alike does not matter.
-Printed are, by ground and altitude, how far tracked rocks lie off the nearest true ones in the mean
-over a flight's rocks (root mean square over flights), what the filter claims for that mean, and
-its normalised square: 2 if the claim holds.
+Rock positions are relative to the lander: errors that the lander and the rocks share cancel. The
+table gives, for each terrain and altitude: the offset of tracked rocks from the nearest true ones,
+averaged over the rocks of a flight (root mean square over flights); the standard deviation that
+the filter reports for that mean; and the normalised squared error (2 if the filter is consistent).
 
 python scenarios/eyes_places.py --fields 4 --jobs 2
 """
@@ -26,12 +26,12 @@ from lunarsim.simulation import Simulation
 
 Array = NDArray[np.float64]
 
-# Rocks that exist so surely count, from so many on; true ones of smaller radii throw no shadow that
-# would be tracked, m; a rock is paired with a true one within that, m, or thrice the median.
-_SURE, _FEWEST, _LEAST, _NEAR = 0.9, 5, 0.15, 0.7
+# Minimum existence probability of a rock; minimum number of rocks; minimum radius of a true rock, m
+# (smaller ones throw no tracked shadow); pairing distance: this or three times the median, m.
+_MIN_EXISTENCE, _MIN_ROCKS, _MIN_RADIUS_M, _PAIRING_DISTANCE_M = 0.9, 5, 0.15, 0.7
 
 
-class Task(NamedTuple):
+class RockPositionTask(NamedTuple):
     """One flight."""
 
     world: str
@@ -40,8 +40,8 @@ class Task(NamedTuple):
     altitudes: tuple[float, ...]
 
 
-def fly(task: Task) -> dict[float, Any]:
-    """Return what `judged` tells at each altitude, by that."""
+def fly(task: RockPositionTask) -> dict[float, Any]:
+    """Return the result of `position_errors` at each altitude."""
     seed = flight_seed(task.seed, task.field)
     scenario = scenario_of(task.world, task.altitudes)
     simulation = Simulation(scenario, seed, "no-divert", world=world_of(task.world, seed))
@@ -49,33 +49,33 @@ def fly(task: Task) -> dict[float, Any]:
     for altitude in task.altitudes:
         while simulation.altitude > altitude and not simulation.done:
             simulation.step()
-        found[altitude] = judged(simulation)
+        found[altitude] = position_errors(simulation)
     return found
 
 
-def judged(simulation: Simulation) -> tuple[float, float, float, int] | None:
-    """Return error and claim of the mean place, 1 sigma an axis, m, its normalised square, rocks.
+def position_errors(simulation: Simulation) -> tuple[float, float, float, int] | None:
+    """Return error and reported sigma of the mean rock position, NEES and rock count.
 
-    None with fewer than five of them.
+    Error and sigma are per axis, m. None with fewer than five rocks.
     """
     tracker = simulation.computer.mappers["rocks"].tracker  # type: ignore[attr-defined]
-    sure = np.flatnonzero(tracker.existence > _SURE)
+    sure = np.flatnonzero(tracker.existence > _MIN_EXISTENCE)
     rocks = simulation.world.terrain.rocks
     true = np.column_stack((rocks.x, rocks.y)) + simulation.navigation_error[:2]
-    true = true[np.sqrt(rocks.a * rocks.b) > _LEAST]
-    if len(sure) < _FEWEST:
+    true = true[np.sqrt(rocks.a * rocks.b) > _MIN_RADIUS_M]
+    if len(sure) < _MIN_ROCKS:
         return None
     away, nearest = cKDTree(true).query(tracker.filter.xy[sure])
-    paired = away < max(_NEAR, 3.0 * float(np.median(away)))
+    paired = away < max(_PAIRING_DISTANCE_M, 3.0 * float(np.median(away)))
     error = (tracker.filter.xy[sure] - true[nearest])[paired].mean(axis=0)
-    covariance = _of_mean(tracker.filter, sure[paired])
+    covariance = _mean_covariance(tracker.filter, sure[paired])
     nees = float(error @ np.linalg.solve(covariance, error))
     claim = float(np.sqrt(0.5 * np.trace(covariance)))
     return float(np.sqrt(0.5 * error @ error)), claim, nees, int(paired.sum())
 
 
-def _of_mean(rocks: Any, index: NDArray[np.int64]) -> Array:
-    """Return the covariance (2, 2) of the mean place of some rocks less the lander's, m^2."""
+def _mean_covariance(rocks: Any, index: NDArray[np.int64]) -> Array:
+    """Return the covariance (2, 2) of the mean rock position minus the lander's, m^2."""
     weights = np.zeros((2, rocks.state.size))
     for axis in range(2):
         weights[axis, rocks.places(index)[:, axis]] = 1.0 / len(index)
@@ -85,14 +85,14 @@ def _of_mean(rocks: Any, index: NDArray[np.int64]) -> Array:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Fields a ground.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+              help="Number of fields per terrain.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int) -> None:
-    """Fly and print how far rocks lie off their places."""
+    """Fly and print the position errors of tracked rocks."""
     altitudes = (1000.0, 700.0, 500.0, 200.0, 100.0)
-    tasks = [Task(world, n, seed, altitudes) for world in WORLDS for n in range(fields)]
+    tasks = [RockPositionTask(world, n, seed, altitudes) for world in WORLDS for n in range(fields)]
     flights: list[Any] = [None] * len(tasks)
     console = plain_console(110)
     with plain_progress(console) as progress:
@@ -100,8 +100,16 @@ def main(fields: int, seed: int, jobs: int) -> None:
         for index, found in outcomes(fly, tasks, jobs):
             flights[index] = found
             progress.advance(bar)
-    table = Table(title=f"Mean place of tracked rocks from the lander, seed {seed}")
-    for name in ("ground", "altitude, m", "flights", "rocks", "off, m", "claimed, m", "NEES of 2"):
+    table = Table(title=f"Mean position of tracked rocks relative to the lander, seed {seed}")
+    for name in (
+        "terrain",
+        "altitude (m)",
+        "flights",
+        "rocks",
+        "error, RMS (m)",
+        "reported sigma (m)",
+        "NEES (2 dof)",
+    ):
         table.add_column(name)
     for world in WORLDS:
         own = [f for task, f in zip(tasks, flights, strict=True) if task.world == world]

@@ -1,10 +1,10 @@
-"""Whether a path that is chosen for what it lets the lander see beats a recipe, and none at all.
+"""Compare information-seeking descents with the direct and the modified descent.
 
-Direct, modified and information-seeking descents over the same fields of rocks, paired: what they
-know of the ground at 50 m, where they could still land, how they end and what they burn. First on
-the set-up of the shadow EKF paper with camera, LiDAR and both, then over Suns, slopes and covers
-by Sobol's sequence, one field each. Every flight is kept: an interrupt leaves a file that the next
-run goes on from.
+The three paths are flown over the same rock fields (paired). The study reports what the map knows
+about the terrain at 50 m, which sites are still reachable, the landing outcome and the propellant.
+It uses the set-up of the shadow EKF paper with camera, LiDAR, or both. With --sobol it samples Sun,
+slope and rock cover by a Sobol sequence, one field per point. Finished flights are saved, so an
+interrupted study resumes from the file.
 
 python scenarios/information_seeking.py --fields 20 --jobs 2 --json out/seeking.json
 python scenarios/information_seeking.py --sobol 60 --jobs 2 --json out/seeking_sobol.json
@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest, wilcoxon
-from seeking_flights import ALTITUDES, PATHS, SENSORS, Task, fly, sobol
+from seeking_flights import ALTITUDES, PATHS, SENSORS, SeekingFlightTask, fly, sobol
 
 from lunarsim.campaign.kept_flights import Flight, KeptFlights
 from lunarsim.campaign.pool import outcomes
@@ -31,19 +31,19 @@ from lunarsim.evaluation.statistics import mean_interval
 
 LAST = f"{ALTITUDES[-1]:g}"
 
-# What a table tells of a flight.
+# Metrics of a flight in the tables.
 FIGURES: dict[str, Callable[[Flight], float]] = {
-    "clear ground called clear": lambda f: f["levels"][LAST].get("clear", np.nan),
+    "clear cells classified as clear": lambda f: f["levels"][LAST].get("clear", np.nan),
     "safe sites known": lambda f: _share(f, LAST, "known_m2"),
-    "and in reach": lambda f: _share(f, LAST, "known_in_reach_m2"),
+    "known and reachable": lambda f: _share(f, LAST, "known_in_reach_m2"),
     "safe sites known at 100 m": lambda f: _share(f, "100", "known_m2"),
     "recall at precision 0.99": lambda f: f["levels"][LAST].get("recall_at_099", np.nan),
     "unsafe sites called safe": lambda f: (
         f["levels"][LAST]["unsafe_called_safe"] / max(f["levels"][LAST]["unsafe"], 1)
     ),
     "safe landings": lambda f: float(f["safe"]),
-    "propellant, kg": lambda f: f["propellant"],
-    "duration, s": lambda f: f["duration"],
+    "propellant (kg)": lambda f: f["propellant"],
+    "duration (s)": lambda f: f["duration"],
 }
 
 
@@ -52,13 +52,15 @@ def _share(flight: Flight, level: str, name: str) -> float:
     return float(of[name] / of["safe_m2"]) if of["safe_m2"] > 0.0 else float("nan")
 
 
-def unfinished(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[str]:
-    """Return the flights that were flown and never came to their last map: none is compared."""
+def unfinished(tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]) -> list[str]:
+    """Return the keys of flights that ended before the last map (not compared)."""
     return [t.key for t in tasks if t.key in flights and LAST not in flights[t.key]["levels"]]
 
 
-def whole_fields(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[dict[str, Flight]]:
-    """Return the fields that all paths have flown to their last map: flights by path."""
+def complete_fields(
+    tasks: Sequence[SeekingFlightTask], flights: dict[str, Flight]
+) -> list[dict[str, Flight]]:
+    """Return the fields in which all paths reached the last map: flights by path."""
     rows: dict[int, dict[str, Flight]] = {}
     for task in tasks:
         done = flights.get(task.key)
@@ -67,14 +69,14 @@ def whole_fields(tasks: Sequence[Task], flights: dict[str, Flight]) -> list[dict
     return [row for row in rows.values() if len(row) == len(PATHS)]
 
 
-def compared(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
-    """Return each figure of the paths and of what seeking has more than the others, with 95 %."""
+def compare_paths(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
+    """Return each metric of the paths and the paired differences, with 95 % intervals."""
     out: dict[str, dict[str, str]] = {}
     for name, of in FIGURES.items():
         values = {path: np.array([of(row[path]) for row in rows]) for path in PATHS}
         if not np.isfinite(values["seeking"]).any():
             continue
-        digits = 2 if "," in name else 3
+        digits = 2 if "(" in name else 3
         line = {path: mean_interval(v).text(digits) for path, v in values.items()}
         for other in ("nominal", "modified"):
             line[f"seeking - {other}"] = mean_interval(values["seeking"] - values[other]).text(
@@ -85,41 +87,43 @@ def compared(rows: list[dict[str, Flight]]) -> dict[str, dict[str, str]]:
 
 
 def show(title: str, rows: list[dict[str, Flight]], console: Console) -> None:
-    """Print the table of one set of sensors."""
+    """Print the table for one set of sensors."""
     if not rows:
         return
-    table = Table(title=f"{title}: {len(rows)} fields, at 50 m (95 % intervals)")
+    table = Table(title=f"{title}: {len(rows)} fields, maps at 50 m (mean, 95 % interval)")
     headings = ("", *PATHS, "seeking - nominal", "seeking - modified")
     for heading in headings:
         table.add_column(heading, justify="left" if not heading else "right")
-    for name, line in compared(rows).items():
+    for name, line in compare_paths(rows).items():
         table.add_row(name, *line.values())
     console.print(table)
     lost = {p: sum(not row[p]["landed"] for row in rows) for p in PATHS}
     hazards = {p: _hazards(row[p] for row in rows) for p in PATHS}
-    console.print(f"not landed: {lost}; hazards wholly called clear: {hazards}")
+    console.print(
+        f"Flights without touchdown: {lost}; hazards classified completely as clear: {hazards}"
+    )
     for other in ("nominal", "modified"):
         console.print(odds(rows, other))
     back = sum(row["seeking"]["fallbacks"] for row in rows)
-    console.print(f"seeking without an admissible path at some time: {back} flights' events")
+    console.print(f"Fallbacks of the guidance because no admissible path was found: {back}")
 
 
 def odds(rows: list[dict[str, Flight]], other: str) -> str:
-    """Return in how many fields seeking knows more than another path, and how likely by chance."""
-    of = FIGURES["clear ground called clear"]
+    """Return the paired tests of the seeking path against another path as text."""
+    of = FIGURES["clear cells classified as clear"]
     if "clear" not in rows[0]["seeking"]["levels"][LAST]:
         of = FIGURES["recall at precision 0.99"]
     more = np.array([of(row["seeking"]) - of(row[other]) for row in rows])
     more = more[np.isfinite(more)]
     ahead, apart = int((more > 0.0).sum()), int((more != 0.0).sum())
     if apart == 0:
-        return f"as much as {other} in all fields"
+        return f"equal to {other} in all fields"
     won = mean_interval(more)
-    word = "a clear win" if won.mean - won.half > 0.0 else "no clear win"
+    word = "significantly positive" if won.mean - won.half > 0.0 else "not significantly positive"
     return (
-        f"more than {other} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
-        f"(sign test p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon's "
-        f"p = {wilcoxon(more).pvalue:.2g}): by the interval of the mean {word}"
+        f"better than {other} in {ahead} of {len(more)} fields, median {np.median(more):+.3f} "
+        f"(sign test: p = {binomtest(ahead, apart).pvalue:.2g}, Wilcoxon test: "
+        f"p = {wilcoxon(more).pvalue:.2g}); mean difference {word}"
     )
 
 
@@ -130,15 +134,15 @@ def _hazards(flights: Any) -> str:
 
 
 def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
-    """Print where seeking knows less than another path."""
-    of = FIGURES["clear ground called clear"]
+    """Print the fields in which the seeking path is worse than another path."""
+    of = FIGURES["clear cells classified as clear"]
     for other in ("nominal", "modified"):
         worse = [row for row in rows if of(row["seeking"]) < of(row[other])]
-        console.print(f"less clear ground than {other} in {len(worse)} of {len(rows)} fields:")
+        console.print(f"Worse than {other} in {len(worse)} of {len(rows)} fields:")
         for row in sorted(worse, key=lambda r: of(r["seeking"]) - of(r[other])):
             g = row["seeking"]["ground"]
             console.print(
-                f"  Sun {g['azimuth']:.0f} deg, {g['elevation']:.0f} deg high, slope"
+                f"  Sun azimuth {g['azimuth']:.0f} deg, elevation {g['elevation']:.0f} deg, slope"
                 f" {g['slope']:.1f} deg, cover {100 * g['cover']:.0f} %: {of(row['seeking']):.3f}"
                 f" against {of(row[other]):.3f}"
             )
@@ -146,39 +150,47 @@ def show_losses(rows: list[dict[str, Flight]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Fields on the paper's set-up; each is flown on all paths.")  # fmt: skip
+              help="Number of fields in the set-up of the paper.")  # fmt: skip
 @click.option("--sobol", "points", type=click.IntRange(min=0, max=4096), default=0,
-              help="Fly so many points of Sun, slope and cover instead, a field each.")  # fmt: skip
+              help="Number of Sobol points (Sun, slope, cover) to fly instead.")  # fmt: skip
 @click.option("--sensors", type=click.Choice((*SENSORS, "all")), default="all", show_default=True,
-              help="What sees; by Sobol points the camera.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="Sensors; Sobol points use the camera.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File that keeps all flights, and that a later run goes on from.")  # fmt: skip
+              help="File of flights; a later run resumes from it.")  # fmt: skip
 @click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Draw safe ground known and in reach against altitude.")  # fmt: skip
+              help="File for the figure of safe sites against altitude.")  # fmt: skip
 def main(
     fields: int, points: int, sensors: str, seed: int, jobs: int, json_file: Path | None,
     figure: Path | None,
 ) -> None:  # fmt: skip
-    """Fly the three paths over the same fields and compare what they see."""
+    """Fly the three paths over the same fields and compare their maps."""
     console = plain_console(150)
     if points and sensors not in {"all", "camera"}:
-        raise click.BadParameter("Sobol points are flown with the camera", param_hint="--sensors")
+        raise click.BadParameter("must be camera (or all) with --sobol", param_hint="--sensors")
     try:
         results = KeptFlights(json_file, {"seed": seed, "sobol": points > 0})
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
     if results.of_other_code:
-        console.print(f"{results.of_other_code} flights of {json_file} were made by other code")
+        console.print(
+            f"{results.of_other_code} flights of {json_file} were computed with different code"
+        )
     if points:
         everything = [
-            Task(p, k, seed, "camera", g) for k, g in enumerate(sobol(points, seed)) for p in PATHS
+            SeekingFlightTask(p, k, seed, "camera", g)
+            for k, g in enumerate(sobol(points, seed))
+            for p in PATHS
         ]
     else:
         wanted = SENSORS if sensors == "all" else (sensors,)
-        everything = [Task(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS]
+        everything = [
+            SeekingFlightTask(p, k, seed, s) for k in range(fields) for s in wanted for p in PATHS
+        ]
     tasks = [t for t in everything if t.key not in results.flights]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
@@ -187,13 +199,15 @@ def main(
                 results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:
-            console.print("interrupted; what is done is kept")
+            console.print("Interrupted. The finished flights are saved.")
     for name in SENSORS:
         mine = [t for t in everything if t.sensors == name]
-        rows = whole_fields(mine, results.flights)
+        rows = complete_fields(mine, results.flights)
         show(name, rows, console)
         if short := unfinished(mine, results.flights):
-            console.print(f"never at {LAST} m, their fields left out: {', '.join(short)}")
+            console.print(
+                f"Fields omitted because a flight did not reach {LAST} m: {', '.join(short)}"
+            )
         if points and rows:
             show_losses(rows, console)
         if figure is not None and rows:

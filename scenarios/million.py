@@ -1,10 +1,10 @@
-"""Fly very many descents in kernels, and print how often they fail.
+"""Simulate very many descents in compiled kernels and report failure rates.
 
-    python scenarios/million.py                    # 1,000,000 of some 60 s
+    python scenarios/million.py                    # 1,000,000 flights of about 60 s each
     python scenarios/million.py --flights 10000
 
-Six degrees of freedom, guidance, perception by the surrogate of the Gaussian DEM, a decision after
-every scan, and the verdict of the touchdown.
+The simulation has six degrees of freedom, guidance, perception by the surrogate of the Gaussian
+DEM, a site decision after every scan, and the evaluation of the touchdown.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from lunarsim.scenario.shipped import found
 from lunarsim_envs.retarget import default_scenario
 from lunarsim_envs.sites.million import Tally, batches
 
-# A start from which the cheapest flight takes a minute.
+# From this start, the minimum-propellant flight takes one minute.
 _START = {"position_m": [-1500.0, 0.0, 1150.0], "velocity_m_s": [45.0, 0.0, -30.0]}
 
 
 def scenario_of(name: str | None, step: float) -> Scenario:
-    """Return the scenario that is flown, at a step of the integration (s)."""
+    """Return the scenario with the integration step (s) set."""
     given = default_scenario() if name is None else Scenario.load(found(Path(name)))
     clock = {"step_s": step}
     if name is None:
@@ -38,19 +38,19 @@ def scenario_of(name: str | None, step: float) -> Scenario:
 
 
 def table(tally: Tally, seconds: float) -> str:
-    """Return what is printed of all flights."""
+    """Return the summary of all flights as text."""
     n = tally.flights
     lines = [
         f"{n:,} descents of {tally.seconds / n:.1f} s in {seconds:.1f} s on "
-        f"{numba.get_num_threads()} threads: {n / seconds:,.0f} a second, "
+        f"{numba.get_num_threads()} threads: {n / seconds:,.0f} per second, "
         f"{tally.seconds / seconds:,.0f} simulated s/s",
-        f"propellant of safe landings: {tally.propellant / max(tally.safe, 1):.2f} kg",
+        f"mean propellant of safe landings: {tally.propellant / max(tally.safe, 1):.2f} kg",
         "", f"{'':<18} {'flights':>9} {'rate':>9}  95 % interval",
     ]  # fmt: skip
     for name, count in (("not safe", n - tally.safe), *tally.failed.items()):
         low, high = Proportion(count, n).interval
         lines.append(f"{name:<18} {count:>9,} {count / n:>9.5f}  [{low:.5f}, {high:.5f}]")
-    lines += ["", "told p_safe       flights    landed safe  95 % interval"]
+    lines += ["", "reported p_safe   flights   safe fraction  95 % interval"]
     for k in range(10):
         count, safe = int(tally.told[k]), int(tally.told_safe[k])
         if count:
@@ -63,25 +63,27 @@ def table(tally: Tally, seconds: float) -> str:
 
 
 def main() -> int:
-    """Fly, and print."""
+    """Fly the descents and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--flights", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--worlds", type=int, default=32, help="that flights meet")
-    parser.add_argument("--scenario", help="file or name; left out: rolling ground, 12 %% rocks")
-    parser.add_argument("--step", type=float, default=0.02, help="of the integration, s")
+    parser.add_argument("--worlds", type=int, default=32, help="number of random worlds")
+    parser.add_argument(
+        "--scenario", help="scenario file or name; default: rolling terrain, 12 %% rock cover"
+    )
+    parser.add_argument("--step", type=float, default=0.02, help="integration step (s)")
     args = parser.parse_args()
     console = plain_console(stderr=True)
-    tally, cut, begun = None, False, 0.0
+    tally, cut, start_s = None, False, 0.0
     try:
         for name, least in (("flights", 1), ("seed", 0), ("worlds", 1)):
             if getattr(args, name) < least:
-                raise InputError(f"--{name}", getattr(args, name), f"{least} or more")
+                raise InputError(f"--{name}", getattr(args, name), f"must be {least} or more")
         scenario = scenario_of(args.scenario, args.step)
-        # The first flights wait for compilation and worlds; they are not counted.
+        # The first flights include compilation and world generation; they are not counted.
         console.print("preparing worlds and kernels")
         next(batches(scenario, min(args.flights, 64), args.seed, args.worlds))
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         with plain_progress(console, transient=True) as progress:
             task = progress.add_task("flights", total=args.flights)
             for one in batches(scenario, args.flights, args.seed, args.worlds):
@@ -93,9 +95,13 @@ def main() -> int:
     except KeyboardInterrupt:
         cut = True
     if tally is not None:
-        print(table(tally, time.perf_counter() - begun))
+        print(table(tally, time.perf_counter() - start_s))
     if cut:
-        console.print("interrupted" if tally is None else "interrupted: flights till then count")
+        console.print(
+            "interrupted"
+            if tally is None
+            else "interrupted: the results cover the flights until then"
+        )
     return 130 if cut else 0
 
 

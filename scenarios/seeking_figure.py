@@ -1,4 +1,4 @@
-"""Safe ground known and in reach on the way down, for each path."""
+"""Plot the known and reachable safe sites against altitude for each path."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from seeking_flights import ALTITUDES, PATHS
 
-LABELS = {"nominal": "direct", "modified": "modified by hand", "seeking": "information-seeking"}
+LABELS = {"nominal": "direct", "modified": "manually modified", "seeking": "information-seeking"}
 COLOURS = {"nominal": "tab:gray", "modified": "tab:orange", "seeking": "tab:blue"}
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Draw the share of the safe ground that is known, and known and in reach, by altitude.
+    """Plot the fraction of safe sites that is known, and known and reachable.
 
     Parameters
     ----------
     rows
-        Flights of fields, by path.
+        One dict per field: flights by path.
     path
-        Of the picture.
+        Output file of the image.
     """
     import matplotlib
 
@@ -39,22 +39,22 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
             for h in ALTITUDES
         ]
         right.plot(away, ALTITUDES, "o-", color=colour, label=label)
-    left.set_xlabel("share of the safe sites known to be safe\n(dashed: in reach or not)")
+    left.set_xlabel("Fraction of safe sites known as safe\n(solid: reachable; dashed: all)")
     left.set_xlim(-0.02, 1.0)
-    right.set_xlabel("distance over ground to the first site, m")
+    right.set_xlabel("Horizontal distance to the initial site (m)")
     for axes in (left, right):
-        axes.set_ylabel("altitude of the pads, m")
+        axes.set_ylabel("Altitude of the pads (m)")
         axes.grid(alpha=0.3)
     left.legend(loc="upper right", frameon=False)
-    left.set_title(f"safe ground known and in reach, {len(rows)} fields", fontsize=10)
-    right.set_title("the paths", fontsize=10)
+    left.set_title(f"Known and reachable safe sites, mean of {len(rows)} fields", fontsize=10)
+    right.set_title("Paths", fontsize=10)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
 def _mean(flights: list[dict[str, Any]], name: str) -> list[float]:
-    """Return the mean share of the safe ground at each altitude."""
+    """Return the mean fraction of the safe area at each altitude."""
     return [
         float(np.mean([f["levels"][f"{h:g}"][name] / max(f["levels"][f"{h:g}"]["safe_m2"], 1.0)
                        for f in flights]))

@@ -1,9 +1,9 @@
-"""Flights of the study of information-seeking descents: what is flown, and how maps are judged.
+"""Fly the descents of the information-seeking study and evaluate their maps.
 
-Three paths from the shadow EKF paper's set-up: the direct one, the one bent by hand so that it
-overflies the site (a faster start, and an acceleration asked for at the end), and the one that the
-law `information-seeking` chooses from the start of the direct one. A hazard is a rock of 0.5 m or
-more, the ground has slopes of its own.
+Three paths in the set-up of the shadow EKF paper: the direct path; the path modified manually so
+that it overflies the site (a faster start and a commanded terminal acceleration); and the path
+that the guidance law `information-seeking` chooses from the start of the direct path. A hazard is
+a rock with a diameter of 0.5 m or more. The terrain has slopes.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ HERE = Path(__file__).parent
 PATHS = ("nominal", "modified", "seeking")
 SENSORS = ("camera", "lidar", "both")
 ALTITUDES = (300.0, 250.0, 200.0, 150.0, 100.0, 75.0, 50.0)
-HAZARD = 0.5  # least diameter, m
-# A site counts as known to be safe from this probability on.
-SURE = 0.99
+HAZARD = 0.5  # minimum hazard diameter, m
+# A site counts as known to be safe from this probability.
+MIN_SAFE_PROBABILITY = 0.99
 SIZE, POSTING = 60.0, 0.25
 # Azimuth and elevation of the Sun, slope (RMS at 1 m), cover.
 LOW, HIGH = (0.0, 5.0, 0.0, 0.02), (360.0, 40.0, 4.0, 0.15)
 
 
 @dataclass(frozen=True)
-class Ground:
-    """Sun and ground of a flight: azimuth, elevation and slope in deg, cover as a share."""
+class SunAndTerrain:
+    """Sun and terrain of a flight: angles and slope in deg, rock cover as a fraction."""
 
     azimuth: float = 225.0
     elevation: float = 20.0
@@ -46,32 +46,32 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Task:
+class SeekingFlightTask:
     """One flight."""
 
     path: str
     field: int
     seed: int
     sensors: str = "camera"
-    ground: Ground = Ground()
+    ground: SunAndTerrain = SunAndTerrain()
 
     @property
     def key(self) -> str:
-        """Name of the flight in the file."""
+        """Key of the flight in the result file."""
         return f"{self.sensors} / {self.field} / {self.path}"
 
 
-def sobol(count: int, seed: int) -> list[Ground]:
-    """Return grounds by Sobol's sequence over Sun, slope and cover, scrambled by a seed."""
+def sobol(count: int, seed: int) -> list[SunAndTerrain]:
+    """Return scrambled Sobol points over Sun azimuth and elevation, slope and cover."""
     drawn = qmc.Sobol(4, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
     points = qmc.scale(drawn[:count], LOW, HIGH)
-    return [Ground(*(round(float(v), 4) for v in row)) for row in points]
+    return [SunAndTerrain(*(round(float(v), 4) for v in row)) for row in points]
 
 
-def scenario_of(task: Task) -> Scenario:
-    """Return the descent of a task: a map of 60 m about the site, two pictures a second.
+def scenario_of(task: SeekingFlightTask) -> Scenario:
+    """Return the descent of a task with a map of 60 m and two images per second.
 
-    Sites are chosen from 75 m down to 50 m.
+    Sites are chosen between altitudes of 75 m and 50 m.
     """
     g = task.ground
     start = "modified" if task.path == "modified" else "nominal"
@@ -84,11 +84,13 @@ def scenario_of(task: Task) -> Scenario:
     }
     if task.path == "seeking":
         changes["guidance"] = {"kind": "information-seeking"}
-    return Scenario.load(HERE / f"shadow_{start}.toml").changed(**changes, **_eyes(task.sensors))
+    return Scenario.load(HERE / f"shadow_{start}.toml").changed(
+        **changes, **_sensor_tables(task.sensors)
+    )
 
 
-def _eyes(sensors: str) -> dict[str, Any]:
-    """Return the tables of camera, LiDAR or both."""
+def _sensor_tables(sensors: str) -> dict[str, Any]:
+    """Return the scenario tables of camera, LiDAR or both."""
     map_of = {"size_m": SIZE, "posting_m": POSTING}
     camera = {"rate_hz": 2.0}
     flash = {
@@ -99,7 +101,7 @@ def _eyes(sensors: str) -> dict[str, Any]:
     if sensors == "camera":
         return {"mappers": {"rocks": map_of}, "tasking": {"camera": camera}}
     if sensors == "lidar":
-        # Without rocks to navigate by, an inertial unit alone drifts by metres from scan to scan.
+        # Without rocks as landmarks, inertial navigation drifts by metres between scans.
         fixes = {"fixes": {"kind": "navigation-fix"}, "altimeter": None}
         return {
             "sensors": {**flash["sensors"], **fixes, "camera": None},
@@ -116,8 +118,8 @@ def _eyes(sensors: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def fly(task: Task) -> dict[str, Any]:
-    """Fly once; return what the map said on the way down and how it ended, as JSON has it."""
+def fly(task: SeekingFlightTask) -> dict[str, Any]:
+    """Fly once; return map metrics and landing outcome for JSON."""
     scenario = scenario_of(task)
     simulation = Simulation(scenario, flight_seed(task.seed, task.field), policy="safest")
     pending, levels = list(ALTITUDES), {}
@@ -125,12 +127,12 @@ def fly(task: Task) -> dict[str, Any]:
         simulation.step()
         if pending and simulation.altitude <= pending[0]:
             last = len(pending) == 1
-            levels[f"{pending.pop(0):g}"] = judged(simulation, whole=last)
+            levels[f"{pending.pop(0):g}"] = map_metrics(simulation, whole=last)
             if last:
                 simulation.computer.stop_sensors()
     verdict = simulation.verdict
     touched = verdict is not None and verdict.touchdown is not None
-    told = simulation.computer.telemetry
+    events = simulation.computer.telemetry
     return {
         "ground": asdict(task.ground),
         "levels": levels,
@@ -138,15 +140,15 @@ def fly(task: Task) -> dict[str, Any]:
         "duration": simulation.time,
         "landed": touched,
         "safe": bool(touched and verdict is not None and verdict.safe),
-        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in told),
-        "plans": sum(name == "guidance-planned" for _, name, _ in told),
+        "fallbacks": sum(name == "guidance-fallback" for _, name, _ in events),
+        "plans": sum(name == "guidance-planned" for _, name, _ in events),
     }
 
 
-def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
-    """Compare the map that decides with the truth, in the frame that the lander lands in.
+def map_metrics(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
+    """Compare the decision map with the truth in the onboard frame.
 
-    Sites are looked at a metre apart. With `whole` also how the cells of a shadow map are classed.
+    Sites are sampled at a spacing of 1 m. `whole` adds the classification of shadow map cells.
     """
     computer = simulation.computer
     hazard_map = computer.mapper.hazard_map()
@@ -155,7 +157,7 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
     site = hazard_map.grid.centres()[part].reshape(-1, 2)
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[part].ravel()
     safe = free_of_hazards(simulation, site - simulation.navigation_error[:2])
-    known = (p >= SURE) & safe
+    known = (p >= MIN_SAFE_PROBABILITY) & safe
     reach = Reach.under(hazard_map, computer.site, computer.cost_of)
     area = (every * hazard_map.grid.posting) ** 2
     out: dict[str, Any] = {
@@ -163,7 +165,7 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
         "known_in_reach_m2": float((known & reach.at(site)).sum() * area),
         "safe_m2": float(safe.sum() * area),
         "in_reach_m2": float(reach.at(site).sum() * area),
-        "unsafe_called_safe": int(((p >= SURE) & ~safe).sum()),
+        "unsafe_called_safe": int(((p >= MIN_SAFE_PROBABILITY) & ~safe).sum()),
         "unsafe": int((~safe).sum()),
         "place": [float(v) for v in simulation.state.position - computer.briefing.target],
     }
@@ -174,7 +176,7 @@ def judged(simulation: Simulation, *, whole: bool) -> dict[str, Any]:
 
 
 def free_of_hazards(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell at which true places (n, 2) no hazard's outline reaches under the lander (n,)."""
+    """Return whether no hazard reaches under the lander at true positions (n, 2)."""
     rocks = simulation.world.terrain.rocks
     lander = simulation.lander
     large = 2.0 * rocks.a >= HAZARD
@@ -187,7 +189,7 @@ def free_of_hazards(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[
 
 
 def cells_of(simulation: Simulation) -> dict[str, Any]:
-    """Return how a shadow map classes its cells, and how many hazards it calls clear altogether."""
+    """Return the shadow map classification and the hazards classified fully as clear."""
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
     seen = mapper.probability.observed

@@ -1,10 +1,10 @@
-"""Speed, as ratios to a reference in the same run.
+"""Measure the speed of the package as ratios to a reference in the same run.
 
-    python scripts/bench.py              # everything
+    python scripts/bench.py              # all parts
     python scripts/bench.py flight       # one part
 
-Every part warms its kernels first and prints medians. Only ratios within one run mean anything
-across machines.
+Every part compiles its kernels first and prints medians. Only ratios within one run are comparable
+between machines.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numba
 from bench_parts.campaigns import campaign
 from bench_parts.closed_loop import flight, frames
 from bench_parts.cold_start import cold_start
-from bench_parts.common import yardstick_ms
+from bench_parts.common import reference_ms
 from bench_parts.environments import envs
 from bench_parts.eyes import eyes
 from bench_parts.gaussian_dem import gaussian_dem
@@ -60,13 +60,13 @@ PARTS: dict[str, Callable[[], None]] = {
 @click.command()
 @click.argument("parts", nargs=-1)
 def main(parts: tuple[str, ...]) -> None:
-    """Run the named PARTS, or all of them."""
+    """Run the named PARTS (default: all)."""
     unknown = [name for name in parts if name not in PARTS]
     if unknown:
-        raise click.UsageError(f"no such part: {unknown[0]}; there are {', '.join(PARTS)}")
+        raise click.UsageError(f"PARTS: must be among {', '.join(PARTS)}, got {unknown[0]}")
     print(
-        f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; yardstick: SciPy triangulates "
-        f"the returns of one scan in {yardstick_ms():.0f} ms"
+        f"{os.cpu_count()} cores, {numba.get_num_threads()} threads; reference: SciPy triangulates "
+        f"the returns of one scan in {reference_ms():.0f} ms"
     )
     for name in parts or PARTS:
         print(f"{name}: {(PARTS[name].__doc__ or '').strip().splitlines()[0]}")

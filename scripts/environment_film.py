@@ -1,4 +1,4 @@
-"""Makes the film of `Retarget-v0`: `scripts/environment_film.py docs/images/retarget.gif`."""
+"""Make the film of `Retarget-v0`: `environment_film.py docs/images/retarget.gif`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import lunarsim_envs
 from lunarsim_envs.agents.registry import agent_of
 from lunarsim_envs.video import save_video
 
-# Pixels of a frame, seed of the flight; frames that show how it ended.
+# Frame size, pixels; seed of the flight; number of repetitions of the last frame.
 _SIZE, _SEED, _HOLD = (400, 360), 3, 5
 
 
 def main() -> None:
-    """Fly, and write a frame for every other second of the flight."""
+    """Fly one episode and write a frame for every other second."""
     assert lunarsim_envs.__name__
     env = gymnasium.make(
         "lunarsim/Retarget-v0", scenario="golombek", render_mode="rgb_array_list", views=True

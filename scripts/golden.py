@@ -1,13 +1,13 @@
-"""Golden results: digests that show whether a change of the code has changed a result.
+"""Detect changed results by digests of golden cases.
 
-    python scripts/golden.py record --at HEAD~3    # what that revision computes on this machine
-    python scripts/golden.py check                 # what the working tree computes, compared
-    python scripts/golden.py check --complete      # cameras, all instruments and a report too
+    python scripts/golden.py record --at HEAD~3    # record that revision on this machine
+    python scripts/golden.py check                 # compare the working tree with the record
+    python scripts/golden.py check --complete      # also cameras, all instruments and a report
 
-Results are bit-identical only on one machine (see docs/reproducibility.md), so a recording is kept
-in the ignored folder `out/golden` and never committed. Kernels are compiled into a folder of their
-own for each state of the source, a fixed number of threads runs each case, and figures are not
-compared.
+Results are bit-identical only on one machine (see docs/reproducibility.md). A recording is
+therefore kept in the ignored folder `out/golden` and never committed. Each state of the source has
+its own folder of compiled kernels, and each case runs with a fixed number of threads. Figures are
+not compared.
 """
 
 from __future__ import annotations
@@ -42,23 +42,23 @@ _COUNTS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_N
 
 @click.group()
 def main() -> None:
-    """Record digests of results, and compare later results with them."""
+    """Record digests of results and compare later results with them."""
 
 
 _COMPLETE = click.option(
-    "--complete", is_flag=True, help="Cameras, all instruments and a campaign report too."
+    "--complete", is_flag=True, help="Add cases of cameras, instruments and a campaign report."
 )
-_JOBS = click.option("--jobs", default=2, show_default=True, help="Cases at a time.")
+_JOBS = click.option("--jobs", default=2, show_default=True, help="Number of parallel cases.")
 _THREADS = click.option(
     "--threads",
     default=1,
     show_default=True,
-    help="Threads of a case; results do not depend on it.",
+    help="Threads per case; does not change the results.",
 )
 
 
 @main.command()
-@click.option("--at", "revision", default=None, help="Git revision; default: the working tree.")
+@click.option("--at", "revision", default=None, help="Git revision (default: the working tree).")
 @_COMPLETE
 @_JOBS
 @_THREADS
@@ -77,20 +77,23 @@ def record(revision: str | None, complete: bool, jobs: int, threads: int) -> Non
 @_JOBS
 @_THREADS
 def check(complete: bool, jobs: int, threads: int) -> None:
-    """Compare the working tree with the recording; exit code 1 if a result has changed."""
+    """Compare the working tree with the record; status 1 if changed."""
     path = OUT / "recorded.json"
     if not path.is_file():
-        raise click.UsageError("nothing is recorded; run `golden.py record --at REVISION` first")
+        raise click.UsageError("no record exists. Run `golden.py record --at REVISION` first.")
     recorded = json.loads(path.read_text(encoding="utf-8"))
     if recorded["machine"] != _machine():
         raise click.UsageError(
-            "the recording is from another machine or other packages; record it again with --at: "
-            f"{recorded['machine']} was recorded, this is {_machine()}"
+            "the record is from another machine or other packages. Record again with --at. "
+            "Recorded: "
+            f"{recorded['machine']}, here: {_machine()}"
         )
     cases = COMPLETE if complete else CASES
     missing = [name for name in cases if name not in recorded["cases"]]
     if missing:
-        raise click.UsageError(f"not recorded: {', '.join(missing)}; record with the same options")
+        raise click.UsageError(
+            f"cases not recorded: {', '.join(missing)}. Record with the same options."
+        )
     found = _run(ROOT, cases, jobs, threads)
     lines = [line for name in cases for line in changes(name, recorded["cases"][name], found[name])]
     for line in lines:
@@ -101,13 +104,13 @@ def check(complete: bool, jobs: int, threads: int) -> None:
 
 
 def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
-    """Yield a line for each quantity that was changed, added, removed or renamed."""
+    """Yield a line for each changed, added, removed or renamed quantity."""
     for name in sorted(before.keys() & after.keys()):
         if before[name][0] != after[name][0]:
             yield f"changed: {case}: {name}: {before[name][1]} -> {after[name][1]}"
     added = {name: after[name] for name in sorted(after.keys() - before.keys())}
     for name in sorted(before.keys() - after.keys()):
-        same = next((new for new, told in added.items() if told[0] == before[name][0]), None)
+        same = next((new for new, digest in added.items() if digest[0] == before[name][0]), None)
         if same is None:
             yield f"removed: {case}: {name}: {before[name][1]}"
         else:
@@ -119,7 +122,7 @@ def changes(case: str, before: Digests, after: Digests) -> Iterator[str]:
 
 @contextmanager
 def _tree(revision: str | None) -> Iterator[Path]:
-    """Yield the folder of the source of a revision, None for the working tree."""
+    """Yield the source folder of a revision; None: of the working tree."""
     if revision is None:
         yield ROOT
         return
@@ -138,7 +141,7 @@ def _tree(revision: str | None) -> Iterator[Path]:
 
 
 def _run(tree: Path, cases: dict[str, Any], jobs: int, threads: int) -> dict[str, Digests]:
-    """Return the digests of each case, computed by the source in a folder."""
+    """Return the digests of each case, computed with the source in a folder."""
     begin = time.monotonic()
     found = {}
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
@@ -153,7 +156,7 @@ def _run(tree: Path, cases: dict[str, Any], jobs: int, threads: int) -> dict[str
 
 
 def _case(tree: Path, name: str, folder: Path, threads: int) -> Digests:
-    """Run one case in a process of its own."""
+    """Run one case in its own process."""
     out = folder / f"{name}.json"
     environment = os.environ | dict.fromkeys(_COUNTS, str(threads)) | {
         "PYTHONPATH": os.pathsep.join(map(str, (tree, tree / "envs", ROOT / "scripts"))),
@@ -171,7 +174,7 @@ def _case(tree: Path, name: str, folder: Path, threads: int) -> Digests:
 
 
 def _source_digest(tree: Path) -> str:
-    """Return a digest of all Python source of the packages, so that no compiled kernel is stale."""
+    """Return a digest of all Python source, so that no stale kernel is used."""
     found = hashlib.blake2b(digest_size=12)
     for folder in ("lunarsim", "envs"):
         for path in sorted((tree / folder).rglob("*.py")):
@@ -180,7 +183,7 @@ def _source_digest(tree: Path) -> str:
 
 
 def _machine() -> dict[str, str]:
-    """Return what the bits of a result depend on besides the source."""
+    """Return the processor and package versions on which the bits of a result depend."""
     found = {"processor": get_host_cpu_name(), "python": platform.python_version()}
     return found | {name: version(name) for name in _PACKAGES}
 

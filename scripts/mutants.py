@@ -1,16 +1,16 @@
-"""Put faults into the kernels on purpose, and tell what share of them the tests catch.
+"""Run mutation tests: put faults into kernels and count those detected.
 
     python scripts/mutants.py                                   # a sample over all kernels
     python scripts/mutants.py --only triangulation --count 20
     python scripts/mutants.py --only rocks/_kernels.py:88       # every fault of one line
-    python scripts/mutants.py --list --only rocks               # show the faults, run nothing
+    python scripts/mutants.py --list --only rocks               # print the faults, run nothing
 
-A fault is one small change of one place (`mutant_parts/faults.py`) and is named
-`file:line:column:operator`. It is made in a copy of the package in a temporary folder, and only the
-tests that cover the file run there, up to the first that fails. Every fault costs a compilation.
+A fault (mutant) is one small change at one place (`mutant_parts/faults.py`), with the name
+`file:line:column:operator`. It is made in a copy of the package in a temporary folder. Only the
+tests that cover the file run there, up to the first failure. Every fault needs a compilation.
 
-What a run finds is kept as JSON lines in the file `--results`; an interrupted run takes up its work
-there, and repeats what was kept of files that have changed, or of survivors whose tests have.
+The results are stored as JSON lines in the file `--results`. An interrupted run resumes from this
+file. Results are repeated if the file of the fault has changed, or if a survivor's tests have.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import sys
 from pathlib import Path
 
 import click
-from mutant_parts.equivalent import BrokenListError, Equivalent, load_equivalents
-from mutant_parts.faults import Fault, drawn, faults_of, kernel_lines
-from mutant_parts.run import Trials
+from mutant_parts.equivalent import BrokenListError, EquivalentMutant, load_equivalents
+from mutant_parts.faults import Mutant, faults_of, kernel_lines, sample_faults
+from mutant_parts.run import MutationRun
 from mutant_parts.trial import CAUGHT, BrokenTestsError
 from rich.table import Table
 
@@ -29,12 +29,12 @@ from lunarsim.console import plain_console, plain_progress
 
 ROOT = Path(__file__).resolve().parent.parent
 EQUIVALENT = ROOT / "scripts" / "mutants_equivalent.toml"
-LEAST_CAUGHT = 0.95
-LEAST_A_FILE = 2
+MIN_CAUGHT_FRACTION = 0.95
+MIN_FAULTS_PER_FILE = 2
 INTERRUPTED = 130
 
-# Kernel files whose tests are not simply those of the folder that mirrors theirs; the tests that
-# aim at the kernels come first.
+# Kernel files whose tests are not those of the mirrored folder; the tests of the kernels themselves
+# come first.
 _TESTS: dict[str, tuple[str, ...]] = {
     "lunarsim/_frame_kernels.py": ("tests/test_frame_kernels.py", "tests/test_frames.py"),
     "lunarsim/models/_pinhole_kernels.py": ("tests/models/test_pinhole.py",),
@@ -123,18 +123,18 @@ _TESTS: dict[str, tuple[str, ...]] = {
 
 
 def tests_of(path: str) -> list[str]:
-    """Return the tests of a kernel file: its row of the table, or the folder that mirrors its own.
+    """Return the tests of a kernel file: its table row, or the mirrored folder.
 
     Raises
     ------
     BrokenTestsError
-        If one is not there.
+        If a test file does not exist.
     """
     mirrored = "tests" + path.removeprefix("lunarsim").rpartition("/")[0]
     found = list(_TESTS.get(path, (mirrored,)))
     for test in found:
         if not (ROOT / test).exists():
-            raise BrokenTestsError(f"{test}, the tests of {path}, is not there")
+            raise BrokenTestsError(f"{test}: must exist, it contains the tests of {path}")
     return found
 
 
@@ -147,34 +147,33 @@ def kernel_files() -> dict[str, str]:
     return {path: text for path, text in texts.items() if kernel_lines(text)}
 
 
-def shares(lines: dict[str, int], count: int) -> dict[str, int]:
-    """Return how many of `count` faults each file gets: by its lines, but two at least."""
+def faults_per_file(lines: dict[str, int], count: int) -> dict[str, int]:
+    """Return the number of faults per file: proportional to its lines, at least two."""
     total = sum(lines.values())
-    return {path: max(LEAST_A_FILE, round(count * n / total)) for path, n in lines.items()}
+    return {path: max(MIN_FAULTS_PER_FILE, round(count * n / total)) for path, n in lines.items()}
 
 
-def chosen(
-    texts: dict[str, str], only: str, count: int, seed: int, equivalents: list[Equivalent]
-) -> tuple[list[Fault], list[tuple[Fault, str]], list[Equivalent]]:
-    """Return the faults to try, those drawn that are listed, and the stale entries of the list.
+def select_faults(
+    texts: dict[str, str], only: str, count: int, seed: int, equivalents: list[EquivalentMutant]
+) -> tuple[list[Mutant], list[tuple[Mutant, str]], list[EquivalentMutant]]:
+    """Return the faults to try, the listed equivalent ones, and stale list entries.
 
-    A listed fault changes no result; it comes with the reason. A stale entry means no fault.
+    Equivalent faults change no result and come with a reason. A stale entry matches no fault.
 
     Parameters
     ----------
     texts
         Source of the kernel files.
     only
-        Part of the names of the faults to be drawn from. If it reads `file:line` all such faults
-        are taken.
+        Part of the fault names to select. With `file:line`, all faults of the line are selected.
     count, seed
-        How many are drawn over all files, and the seed.
+        Number of faults to draw over all files, and the random seed.
     equivalents
-        Faults known to change nothing.
+        Known equivalent faults.
     """
     everything = {path: faults_of(path, text) for path, text in texts.items()}
     flat = [fault for faults in everything.values() for fault in faults]
-    reasons: dict[Fault, str] = {}
+    reasons: dict[Mutant, str] = {}
     stale = []
     for entry in equivalents:
         fault = entry.match(flat)
@@ -187,16 +186,18 @@ def chosen(
     if ".py:" in only:
         picked = [fault for faults in wanted.values() for fault in faults]
     else:
-        share = shares({path: kernel_lines(texts[path]) for path in wanted}, count)
-        picked = [f for path, faults in wanted.items() for f in drawn(faults, share[path], seed)]
+        share = faults_per_file({path: kernel_lines(texts[path]) for path in wanted}, count)
+        picked = [
+            f for path, faults in wanted.items() for f in sample_faults(faults, share[path], seed)
+        ]
     tried = [fault for fault in picked if fault not in reasons]
     return tried, [(f, reasons[f]) for f in picked if f in reasons], stale
 
 
-def _summary(faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]]) -> Table:
-    """Return the table of what became of the faults of each file."""
-    columns = ("faults", "caught", "survived", "refused", "listed", "min")
-    table = Table("file", *columns, title="faults put in on purpose")
+def _summary(faults: list[Mutant], trials: MutationRun, listed: list[tuple[Mutant, str]]) -> Table:
+    """Return the table of results by file."""
+    columns = ("faults", "caught", "survived", "not compiled", "equivalent", "time (min)")
+    table = Table("file", *columns, title="Mutation test results")
     rows: dict[str, list[float]] = {}
     for fault in faults:
         row = rows.setdefault(fault.path, [0] * 6)
@@ -216,12 +217,15 @@ def _summary(faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]
 
 
 def _report(
-    faults: list[Fault], trials: Trials, listed: list[tuple[Fault, str]], texts: dict[str, str]
+    faults: list[Mutant],
+    trials: MutationRun,
+    listed: list[tuple[Mutant, str]],
+    texts: dict[str, str],
 ) -> bool:
-    """Print the table and what the tests let pass; tell whether they catch enough."""
+    """Print the table and the surviving faults; return whether enough are caught."""
     console = plain_console(None if sys.stdout.isatty() else 120)
     console.print(_summary(faults, trials, listed))
-    for title, verdict in (("survived", "survived"), ("refused by the compiler", "refused")):
+    for title, verdict in (("survived", "survived"), ("not compiled", "refused")):
         for fault in faults:
             result = trials.known(fault)
             if result is not None and result.verdict == verdict:
@@ -229,7 +233,7 @@ def _report(
                 if verdict == "survived":
                     click.echo(f"    {fault.code}\n    {fault.line_after(texts[fault.path])}")
     for fault, reason in listed:
-        click.echo(f"changes no result: {fault.name}\n    {fault.code}\n    {reason}")
+        click.echo(f"equivalent: {fault.name}\n    {fault.code}\n    {reason}")
     verdicts = [r.verdict for f in faults if (r := trials.known(f)) and r.verdict != "refused"]
     caught = sum(v in CAUGHT for v in verdicts)
     if not verdicts:
@@ -238,66 +242,74 @@ def _report(
     share = caught / len(verdicts)
     click.echo(
         f"{caught} of {len(verdicts)} faults caught: {100.0 * share:.1f} %, "
-        f"{100.0 * caught / (len(verdicts) + len(listed)):.1f} % with those listed"
+        f"{100.0 * caught / (len(verdicts) + len(listed)):.1f} % including the equivalent ones"
     )
-    return share >= LEAST_CAUGHT
+    return share >= MIN_CAUGHT_FRACTION
 
 
 @click.command(context_settings={"show_default": True})
-@click.option("--only", default="", help="Draw from faults alone whose name holds this.")
-@click.option("--count", default=240, type=click.IntRange(1), help="Faults drawn over all files.")
-@click.option("--seed", default=1, help="Seed of the draw.")
-@click.option("--jobs", default=1, type=click.IntRange(1), help="Trials side by side.")
-@click.option("--limit", default=600.0, type=click.FloatRange(1.0), help="Longest trial, s.")
+@click.option("--only", default="", help="Use only faults whose name contains this text.")
 @click.option(
-    "--results", default=ROOT / "out" / "mutants.jsonl", help="Where results are kept.",
+    "--count", default=240, type=click.IntRange(1), help="Number of faults over all files."
+)
+@click.option("--seed", default=1, help="Random seed of the selection.")
+@click.option("--jobs", default=1, type=click.IntRange(1), help="Number of parallel trials.")
+@click.option(
+    "--limit", default=600.0, type=click.FloatRange(1.0), help="Time limit of a trial (s)."
+)
+@click.option(
+    "--results", default=ROOT / "out" / "mutants.jsonl", help="File of the results.",
     type=click.Path(path_type=Path, dir_okay=False),
 )  # fmt: skip
-@click.option("--resume/--afresh", default=True, help="Take up what --results holds, or drop it.")
-@click.option("--list", "show", is_flag=True, help="Show the faults drawn and run nothing.")
+@click.option("--resume/--afresh", default=True, help="Reuse or delete the stored results.")
+@click.option(
+    "--list", "show", is_flag=True, help="Print the selected faults without running them."
+)
 def main(
     only: str, count: int, seed: int, jobs: int, limit: float, results: Path, resume: bool,
     show: bool,
 ) -> None:  # fmt: skip
-    """Put faults into the kernels and print which of them the tests let pass.
+    """Put faults into the kernels and print those that no test detects.
 
-    Ends with 1 if less than 95 % are caught, of those that are not listed in
-    mutants_equivalent.toml. Faults that Numba refuses to compile are not counted.
+    The exit status is 1 if less than 95 % are caught, without the equivalent faults listed in
+    mutants_equivalent.toml. Faults that Numba does not compile are not counted.
     """
     texts = kernel_files()
     try:
-        faults, listed, stale = chosen(texts, only, count, seed, load_equivalents(EQUIVALENT))
+        faults, listed, stale = select_faults(
+            texts, only, count, seed, load_equivalents(EQUIVALENT)
+        )
         tests = {path: tests_of(path) for path in sorted({f.path for f in faults})}
         if not faults and not listed:
-            raise click.BadParameter(f"no fault's name holds {only!r}", param_hint="--only")
+            raise click.BadParameter(
+                f"must be part of a fault name, got {only!r}", param_hint="--only"
+            )
         results.parent.mkdir(parents=True, exist_ok=True)
         if not resume:
             results.unlink(missing_ok=True)
-        trials = Trials(ROOT, results, tests)
+        trials = MutationRun(ROOT, results, tests)
     except (BrokenListError, BrokenTestsError, ValueError, OSError) as error:
         raise click.UsageError(str(error)) from error
     for entry in stale:
-        click.echo(
-            f"listed in {EQUIVALENT.name}, but no such fault exists: {entry.fault}", err=True
-        )
+        click.echo(f"{EQUIVALENT.name}: entry matches no fault: {entry.fault}", err=True)
     if show:
         for fault in faults:
             click.echo(f"{fault.name}\n    {fault.code}\n    {fault.line_after(texts[fault.path])}")
         return
     try:
-        _tried(faults, trials, jobs, limit)
+        _run_trials(faults, trials, jobs, limit)
     except BrokenTestsError as error:
         raise click.ClickException(str(error)) from error
     except KeyboardInterrupt:
         _report(faults, trials, listed, texts)
-        click.echo(f"interrupted: what was found is kept in {results}", err=True)
+        click.echo(f"Interrupted. The results are stored in {results}.", err=True)
         sys.exit(INTERRUPTED)
     if not _report(faults, trials, listed, texts):
         sys.exit(1)
 
 
-def _tried(faults: list[Fault], trials: Trials, jobs: int, limit: float) -> None:
-    """Try the faults of which nothing is known yet, behind a progress bar."""
+def _run_trials(faults: list[Mutant], trials: MutationRun, jobs: int, limit: float) -> None:
+    """Try the faults without a stored result, with a progress bar."""
     left = [fault for fault in faults if trials.known(fault) is None]
     with plain_progress(plain_console(stderr=True)) as bar:
         task = bar.add_task("faults", total=len(faults), completed=len(faults) - len(left))

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Sets up a virtual environment with everything the project needs, from a bare Debian or Ubuntu
-# with python3 and apt. Usage: sh scripts/setup.sh VENV
+# Create a virtual environment with all dependencies of the project on Debian or Ubuntu with python3
+# and apt. Usage: sh scripts/setup.sh VENV
 set -eu
 venv=${1:?usage: setup.sh VENV}
 
-# --- what the system must bring ---------------------------------------------------------------
+# --- system requirements ----------------------------------------------------------------------
 find_python() {
     for name in python3.11 python3.12 python3.13 python3; do
         if command -v "$name" >/dev/null 2>&1 &&
@@ -18,7 +18,7 @@ find_python() {
 
 python=$(find_python)
 if [ -z "$python" ]; then
-    echo "error: Python 3.11, 3.12 or 3.13 is needed; found: $(python3 --version 2>&1 || echo none)" >&2
+    echo "error: Python must be 3.11, 3.12 or 3.13, got $(python3 --version 2>&1 || echo none)" >&2
     exit 2
 fi
 
@@ -29,7 +29,7 @@ has_library() {
 }
 has_library libEGL.so.1 || missing="$missing libegl1"
 has_library libGL.so.1 || missing="$missing libgl1"
-# Mesa's vendor library and software renderer are loaded by name at run time.
+# The Mesa vendor library and software renderer are loaded by name at run time.
 ls /usr/lib/*/libEGL_mesa.so.0 /usr/lib/*/libEGL_nvidia.so.0 >/dev/null 2>&1 ||
     ls /usr/lib/*/libEGL_mesa.so.0 >/dev/null 2>&1 || missing="$missing libegl-mesa0"
 ls /usr/lib/*/dri/swrast_dri.so >/dev/null 2>&1 || ls /usr/lib/*/libgallium*.so >/dev/null 2>&1 ||
@@ -41,7 +41,7 @@ if [ -n "$missing" ]; then
         if command -v sudo >/dev/null 2>&1 && sudo -n true 2>/dev/null; then root="sudo"; else root="none"; fi
     fi
     if [ "$root" = none ] || ! command -v apt-get >/dev/null 2>&1; then
-        echo "error: system packages are missing. Type this line, then run make again:" >&2
+        echo "error: system packages are missing. Run this command, then run make again:" >&2
         echo "    sudo apt-get update && sudo apt-get install -y$missing" >&2
         exit 2
     fi
@@ -50,13 +50,13 @@ if [ -n "$missing" ]; then
     DEBIAN_FRONTEND=noninteractive $root apt-get install -y -qq --no-install-recommends $missing
 fi
 
-# --- the environment --------------------------------------------------------------------------
+# --- virtual environment ----------------------------------------------------------------------
 if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then
     rm -rf "$venv"
     "$python" -m venv "$venv"
 fi
 echo "Installing Python packages into $venv (a minute or two)"
-# The versions that were tested, for the build of the package too.
+# Tested versions, also for the build of the package.
 PIP_CONSTRAINT=requirements.lock
 export PIP_CONSTRAINT
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[dev]"

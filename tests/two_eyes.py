@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.level_ground import (
-    level_ground,
-    none_unseen,
-    within_ceiling,
+from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
+from lunarsim.onboard.hazards.fusion.flat_terrain import (
+    apply_ceiling,
+    flat_terrain_probability,
+    no_undetected_rock_probability,
 )
-from lunarsim.onboard.hazards.fusion.rises import Samples
 from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence, RockTracks
@@ -34,8 +34,8 @@ def relief(bump=None, **said) -> ReliefEvidence:
 
 def level_map(judged, prior, none_missed=0.0) -> np.ndarray:
     """Return the probability of level ground without a tracked rock (rows, cols)."""
-    unseen = none_unseen(judged, none_missed)
-    return within_ceiling(judged, level_ground(judged, prior, unseen))
+    unseen = no_undetected_rock_probability(judged, none_missed)
+    return apply_ceiling(judged, flat_terrain_probability(judged, prior, unseen))
 
 
 def tracks(*rocks) -> RockTracks:
@@ -78,16 +78,20 @@ def raster(value: float) -> np.ndarray:
     return np.full(GRID.shape, value, np.float32)
 
 
-def samples(own: ReliefEvidence) -> Samples:
+def samples(own: ReliefEvidence) -> ElevationSamples:
     """Return what elevations say of the places of rocks."""
-    return Samples(own.rises, own.judged.density, GRID, TERMS.height_ratio)
+    return ElevationSamples(
+        own.residual_heights, own.site_evidence.density, GRID, TERMS.height_ratio
+    )
 
 
 def bumps(xy, grid, height, density, rng) -> np.ndarray:
     """Return samples of half spheres, at random cells, so many on a square metre."""
-    rises = rng.normal(0.0, 0.02, grid.shape)
+    residual_heights = rng.normal(0.0, 0.02, grid.shape)
     for place in xy:
         far = np.hypot(*np.moveaxis(grid.centres() - place, -1, 0))
-        rises = np.maximum(rises, np.sqrt(np.clip(height**2 - far**2, 0.0, None)))
-    rises[rng.random(grid.shape) > density * grid.posting**2] = np.nan
-    return rises.astype(np.float32)
+        residual_heights = np.maximum(
+            residual_heights, np.sqrt(np.clip(height**2 - far**2, 0.0, None))
+        )
+    residual_heights[rng.random(grid.shape) > density * grid.posting**2] = np.nan
+    return residual_heights.astype(np.float32)

@@ -1,1 +1,1 @@
-"""What crosses the wall between plant and onboard computer: measurements, commands, briefing."""
+"""Messages between plant and computer: measurements, commands, briefing."""

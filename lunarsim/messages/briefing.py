@@ -1,4 +1,4 @@
-"""What a mission tells the onboard computer before the descent, and all that it tells."""
+"""Mission data that the onboard computer receives before the descent."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class StartEstimate:
-    """Where the descent begins, as the mission knows it.
+    """Estimate of the state at the start of the descent, with its uncertainty.
 
     Attributes
     ----------
     position, velocity
-        Site frame (3,), m and m/s.
+            Site frame, ENU (3,), m and m/s.
     attitude
         Quaternion, body to ENU (4,).
     position_sigma, velocity_sigma, attitude_sigma
-        Standard deviations an axis, m, m/s, rad.
-    ground_sigma
-        Of the target's elevation, m.
+            Standard deviations per axis, m, m/s, rad.
+        ground_sigma
+            Standard deviation of the target's elevation, m.
     """
 
     position: Array
@@ -44,26 +44,26 @@ class StartEstimate:
 
 @dataclass(frozen=True)
 class Software:
-    """The parts that run on the computer, chosen and set by the scenario.
+    """Parts of the onboard software that the scenario selects and configures.
 
     Attributes
     ----------
     navigation, guidance, control
-        One part each.
-    tasking
-        By the name of the sensor that it points.
-    mappers
-        By name.
-    approach
-        Where its phases end, and what paths must respect.
-    decisions
-        When a policy is asked, on which mapper's map, and what it chooses from.
-    descent
-        How to come down after the approach; None: straight down at a constant speed.
-    braking
-        What comes before the approach; None: nothing.
-    window
-        Look angles within which a site can be designated; None: any.
+            One part each.
+        tasking
+            Tasking parts by the name of the sensor that they point.
+        mappers
+            Mapping parts by name.
+        approach
+            Ends of the approach phases and constraints on its paths.
+        decisions
+            Decision times, the mapper whose map the policy uses, and its candidate sites.
+        descent
+            Terminal descent law; None: vertical descent at constant speed.
+        braking
+            Braking phase before the approach; None: no such phase.
+        window
+            Look angles within which a site can be designated; None: no limit.
     """
 
     navigation: Any
@@ -80,34 +80,34 @@ class Software:
 
 @dataclass(frozen=True)
 class Briefing:
-    """All that an onboard computer is built from.
+    """Configuration of an onboard computer.
 
     Attributes
     ----------
     software
-        Its parts.
+        Parts of the onboard software.
     lander
-        Figures of the vehicle.
+        Parameters of the vehicle.
     instruments
-        Calibrations of the sensors, by name.
+        Calibrations of the sensors by name.
     gravity
-        By position.
+        Gravity model.
     target
-        Where to land, site frame (3,), m.
+        Landing target, site frame (3,), m.
     heading
-        Azimuth of body x, to be held, rad.
+        Azimuth of body x to be held, rad.
     start
-        Where the descent begins.
+        Estimate of the initial state.
     time_to_go
         Planned duration of the approach, s.
     sun
-        Direction towards the Sun (3,), ENU.
+        Unit vector towards the Sun (3,), ENU.
     rocks
-        What rocks are expected.
+        Expected rock population.
     prior_map
-        Elevations known beforehand, site frame; None for none.
+        Elevation map known before the flight, site frame; None: no map.
     step, cycle
-        Between inertial samples and between control cycles, s.
+        Periods of the inertial samples and of the control cycle, s.
     """
 
     software: Software
@@ -126,10 +126,10 @@ class Briefing:
 
     @property
     def field(self) -> GravityModel | None:
-        """Gravity where it is not the same everywhere; else None."""
+        """Gravity model if gravity varies with position; else None."""
         return None if isinstance(self.gravity, UniformGravity) else self.gravity
 
     @property
     def weight(self) -> float:
-        """Downward acceleration at the target, m/s^2."""
+        """Gravitational acceleration at the target, downward, m/s^2."""
         return float(-self.gravity.at(self.target)[2])

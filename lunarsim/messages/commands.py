@@ -1,4 +1,4 @@
-"""What the onboard computer asks of the vehicle and its sensors."""
+"""Commands of the onboard computer to the vehicle and its sensors."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class SensorTask:
-    """One measurement that a pointed sensor is to make.
+    """Request for one measurement by a pointed sensor.
 
     Attributes
     ----------
     sensor
-        Its name on the lander.
+        Name of the sensor on the lander.
     mount
-        Rotation (3, 3), sensor to body, that its gimbal is to hold.
+        Rotation (3, 3), sensor to body, that the gimbal must hold.
     """
 
     sensor: str
@@ -26,18 +26,18 @@ class SensorTask:
 
 @dataclass(frozen=True)
 class Command:
-    """What is asked for one control cycle.
+    """Command for one control cycle.
 
     Attributes
     ----------
     thrust
-        N; 0 shuts the engine down, other values are held in the throttle range.
+        N; 0 shuts the engine down, other values are clipped to the throttle range.
     attitude
-        Wanted attitude, quaternion, body to ENU (4,).
+        Commanded attitude, quaternion, body to ENU (4,).
     tasks
         Measurements to make at the end of the cycle.
     abort
-        Whether the lander has given up its landing and climbs away.
+        Whether the lander has aborted its landing and climbs away.
     """
 
     thrust: float

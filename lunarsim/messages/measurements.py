@@ -1,4 +1,4 @@
-"""What sensors tell the onboard computer."""
+"""Measurements that the sensors send to the onboard computer."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from lunarsim.models.camera import CameraModel
 
 Array = NDArray[np.float64]
 
-# Tangent of the slope that is taken for moderate.
-_MODERATE = 0.1
+# Tangent of the terrain slope assumed for height errors.
+_ASSUMED_SLOPE = 0.1
 
 
 @dataclass(frozen=True)
 class AltimeterReading:
-    """One reading.
+    """Range measured by an altimeter.
 
     Attributes
     ----------
     time
-        s.
+        Time of the measurement, s.
     range
         Slant range, m; NaN without a return.
     sigma
@@ -40,14 +40,14 @@ class AltimeterReading:
 
 @dataclass(frozen=True)
 class DopplerReading:
-    """Speeds and ranges along the beams of a velocimeter.
+    """Speeds and ranges along the beams of a Doppler velocimeter.
 
     Attributes
     ----------
     time
-        s.
+        Time of the measurement, s.
     speed
-        Of the lander along each beam (n,), m/s, positive towards the ground; NaN without a return.
+        Lander speed along each beam (n,), m/s, positive towards the terrain; NaN without a return.
     range
         Slant ranges (n,), m; NaN without a return.
     speed_sigma, range_sigma
@@ -63,16 +63,16 @@ class DopplerReading:
 
 @dataclass(frozen=True)
 class AttitudeReading:
-    """Attitude as a star tracker sees it.
+    """Attitude measured by a star tracker.
 
     Attributes
     ----------
     time
-        s.
+        Time of the measurement, s.
     attitude
-        Quaternion, body to ENU (4,); NaN while it sees no stars.
+        Quaternion, body to ENU (4,); NaN if no stars are visible.
     covariance
-        Of its noise, small rotation in body axes (3, 3), rad^2.
+        Covariance of the noise as a small rotation in body axes (3, 3), rad^2.
     """
 
     time: float
@@ -87,13 +87,13 @@ class LidarScan:
     Attributes
     ----------
     time
-        Of the flash, s.
+        Time of the flash, s.
     range
-        Measured range of each pixel (rows * cols,), m; NaN for no return.
+        Measured range of each pixel (rows * cols,), m; NaN without a return.
     direction
         Unit vectors of the pixels, sensor frame (rows * cols, 3).
     mount
-        Rotation (3, 3), sensor to body, read from the gimbal.
+        Rotation (3, 3), sensor to body, as measured by the gimbal.
     sigma
         Standard deviation of each range (rows * cols,), m.
     shape
@@ -108,44 +108,46 @@ class LidarScan:
     shape: tuple[int, int]
 
     def check_arrays(self) -> None:
-        """Refuse arrays that do not belong together, or whose numbers are not real.
+        """Reject arrays with inconsistent shapes or with values that are not real.
 
         Raises
         ------
         InputError
-            If shapes do not belong together, or an array is masked or of other than real numbers.
+            If shapes are inconsistent, or an array is masked or not of real numbers.
         """
         shape = self.shape
         if not (np.shape(shape) == (2,) and all(isinstance(k, int | np.integer) for k in shape)
                 and min(shape) >= 0):  # fmt: skip
-            raise InputError("scan.shape", shape, "two whole numbers: rows and columns")
+            raise InputError("scan.shape", shape, "must be two integers: rows and columns")
         n = int(np.prod(shape))
         wanted = {"range": (n,), "sigma": (n,), "direction": (n, 3), "mount": (3, 3)}
         for name, size in wanted.items():
             value = getattr(self, name)
             if np.shape(value) != size:
-                told = f"of shape {size} for {shape[0]} x {shape[1]} pixels"
-                raise InputError(f"scan.{name}", np.shape(value), told)
+                problem = f"must have shape {size} for {shape[0]} x {shape[1]} pixels"
+                raise InputError(f"scan.{name}", np.shape(value), problem)
             kind = type(value).__name__
             if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
                 kind = str(value.dtype)
                 if value.dtype.kind in "fiu":
                     continue
-            raise InputError(f"scan.{name}", kind, "an array of real numbers; NaN for no return")
+            raise InputError(
+                f"scan.{name}", kind, "must be an array of real numbers", "Use NaN for no return."
+            )
 
     def check(self, position: Array, attitude: Array) -> None:
-        """Refuse what no scanner gives, and a pose that is none.
+        """Reject an invalid scan or an invalid pose.
 
         Parameters
         ----------
         position, attitude
-            At which the scan is taken to have been made, (3,) and (4,).
+            Pose of the lander at the flash, ENU (3,), m, and quaternion, body to ENU (4,).
 
         Raises
         ------
         InputError
-            If shapes do not belong together, numbers are not real, ranges or deviations of returns
-            are not positive and finite, the mount is no rotation, or the pose not finite.
+            If shapes are inconsistent, values are not real, ranges or deviations of returns are not
+            positive and finite, the mount is not a rotation, or the pose is not finite.
         """
         self.check_arrays()
         returned = ~np.isnan(self.range)
@@ -153,59 +155,66 @@ class LidarScan:
             values = getattr(self, name)[returned]
             wrong = ~((values > 0.0) & np.isfinite(values))
             if wrong.any():
-                told = "positive and finite where there is a return, NaN for no return"
-                raise InputError(f"scan.{name}", float(values[wrong][0]), told)
+                problem = "must be positive and finite for returns"
+                raise InputError(
+                    f"scan.{name}", float(values[wrong][0]), problem, "Use NaN for no return."
+                )
         if not np.allclose(self.mount @ self.mount.T, np.eye(3), atol=1e-6):
-            raise InputError("scan.mount", np.asarray(self.mount).tolist(), "a rotation (3, 3)")
+            raise InputError(
+                "scan.mount", np.asarray(self.mount).tolist(), "must be a rotation matrix (3, 3)"
+            )
         if not (np.shape(position) == (3,) and np.isfinite(position).all()):
-            raise InputError("estimate.position", np.asarray(position).tolist(), "finite (3,)")
+            raise InputError(
+                "estimate.position", np.asarray(position).tolist(), "must be finite, shape (3,)"
+            )
         if not (np.shape(attitude) == (4,) and abs(np.linalg.norm(attitude) - 1.0) < 1e-3):
-            told = "a quaternion (4,) of norm 1"
-            raise InputError("estimate.attitude", np.asarray(attitude).tolist(), told)
+            problem = "must be a unit quaternion (4,)"
+            raise InputError("estimate.attitude", np.asarray(attitude).tolist(), problem)
 
     def points(self, position: Array, attitude: Array) -> Array:
-        """Return the returns (rows * cols, 3) in ENU; NaN for no return.
+        """Return the measured points (rows * cols, 3) in ENU, m; NaN without a return.
 
         Parameters
         ----------
         position, attitude
-            Pose of the lander, (3,) and (4,).
+            Pose of the lander, ENU (3,), m, and quaternion, body to ENU (4,).
 
         Raises
         ------
         InputError
-            If there are not as many ranges as rays.
+            If the number of ranges differs from the number of rays.
         """
         count = np.shape(self.direction)[:1]
         if np.shape(self.range) != count:
-            raise InputError("scan.range", np.shape(self.range), f"one a ray {count}")
+            raise InputError("scan.range", np.shape(self.range), f"must have shape {count}")
         parts = (position, quat_to_matrix(attitude) @ self.mount, self.direction, self.range)
         return np.asarray(points_along(*(np.ascontiguousarray(of, np.float64) for of in parts)))
 
     def height_sigma(self, attitude: Array) -> Array:
-        """Return the standard deviation of the returns' heights (rows * cols,), m.
+        """Return the standard deviation of the points' heights (rows * cols,), m.
 
-        An error of range moves a return along its ray, and so off ground of moderate slope.
+        A range error shifts a point along its ray; on sloping terrain, a horizontal shift also
+        causes a height error. A moderate slope is assumed.
 
         Parameters
         ----------
         attitude
-            Of the lander (4,).
+            Quaternion of the lander, body to ENU (4,).
         """
         rotation = quat_to_matrix(attitude) @ self.mount
         down = np.einsum("j,...j->...", rotation[2], self.direction)
         across = np.sqrt(np.maximum(1.0 - down**2, 0.0))
-        return np.asarray(self.sigma * np.hypot(down, _MODERATE * across))
+        return np.asarray(self.sigma * np.hypot(down, _ASSUMED_SLOPE * across))
 
     def spacing(self, attitude: Array) -> Array:
-        """Return how far apart neighbouring returns lie on level ground (rows * cols,), m.
+        """Return the spacing of neighbouring points on flat terrain (rows * cols,), m.
 
-        Along the line of sight, where they lie farthest apart; NaN for no return.
+        It is the spacing along the line of sight, which is the largest; NaN without a return.
 
         Parameters
         ----------
         attitude
-            Of the lander (4,).
+            Quaternion of the lander, body to ENU (4,).
         """
         rotation = quat_to_matrix(attitude) @ self.mount
         down = np.abs(np.einsum("j,...j->...", rotation[2], self.direction))
@@ -215,7 +224,7 @@ class LidarScan:
             if self.shape[axis] < 2:
                 continue
             step = np.linalg.norm(np.diff(rays, axis=axis), axis=2)
-            # The last pixel has the pitch of the one before it.
+            # The last pixel has no successor; it takes the pitch of its predecessor.
             last = np.take(step, [-1], axis=axis)
             pitch = np.maximum(pitch, np.concatenate((step, last), axis=axis))
         return np.asarray(self.range * pitch.ravel() / np.maximum(down, 1e-3))
@@ -223,16 +232,16 @@ class LidarScan:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with the camera that took it.
+    """Camera image with the geometry of the camera at its exposure.
 
     Attributes
     ----------
     time
         Middle of the exposure, s.
     counts
-        What the detector's converter gives (height, width): uint8 up to 8 bits, else uint16.
+        Pixel values of the detector (height, width): uint8 up to 8 bits, else uint16.
     camera
-        Its geometry, with the mount as the gimbal's encoders tell.
+        Camera geometry; its mount is measured by the gimbal's encoders.
     """
 
     time: float
@@ -249,7 +258,7 @@ class InertialSamples:
     time
         End of the last sample, s.
     angle, velocity
-        Increments (n, 3), body axes, rad and m/s; NaN for a sample that was lost.
+        Increments (n, 3), body axes, rad and m/s; NaN for a lost sample.
     """
 
     time: float
@@ -259,18 +268,18 @@ class InertialSamples:
 
 @dataclass(frozen=True)
 class NavigationFix:
-    """The state as a navigation system known by its error budget gives it.
+    """State measured by a navigation system that is modelled by its error budget.
 
     Attributes
     ----------
     time
-        s.
+        Time of the measurement, s.
     position, velocity
         ENU (3,), m and m/s.
     attitude
         Quaternion, body to ENU (4,).
     covariance
-        Of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
+        Covariance of position, velocity and small rotation in ENU (9, 9), m, m/s, rad.
     """
 
     time: float
@@ -282,14 +291,14 @@ class NavigationFix:
 
 @dataclass(frozen=True)
 class Measurements:
-    """What the plant gave over one control cycle.
+    """Measurements of all sensors over one control cycle.
 
     Attributes
     ----------
     time
-        Now, s.
+        Current time, s.
     items
-        Name of the sensor and what it measured, in the order in which it was.
+        Pairs of sensor name and measurement, in order of measurement.
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""The map that a lander brings along: coarser than the ground, noisy, out of date in places."""
+"""Elevation map known before the flight: coarse, noisy, partly outdated."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PriorMap:
-    """Elevations of posts, each the mean over its square.
+    """Elevations of posts; each is the mean over the square of its post.
 
     Attributes
     ----------
     grid
-        Places the posts in the frame of the planet.
+        Positions of the posts in the planet's frame.
     elevation
-        m (rows, cols); NaN where the map has none.
+        m (rows, cols); NaN where the map has no data.
     sigma
         Standard deviation of a post's error, m.
     correlation
-        Distance at which the errors of two posts are still alike by exp(-1/2), m; 0: each post errs
-        on its own.
+        Correlation length of the errors, m: at this distance their correlation is exp(-1/2);
+        0: independent errors.
     """
 
     grid: Grid
@@ -38,22 +38,26 @@ class PriorMap:
     def __post_init__(self) -> None:
         if self.elevation.shape != self.grid.shape:
             raise InputError(
-                "prior.elevation", self.elevation.shape, f"an array of {self.grid.shape}"
+                "prior.elevation", self.elevation.shape, f"must have shape {self.grid.shape}"
             )
         if np.isinf(self.elevation).any() or not np.isfinite(self.elevation).any():
             raise InputError(
-                "prior.elevation", "no finite elevation", "elevations in m, NaN for none"
-            )
+                "prior.elevation", "no finite elevation", "must hold finite elevations",
+                "Give elevations in m, with NaN for no data.",
+            )  # fmt: skip
         if not (np.isfinite(self.sigma) and self.sigma > 0.0):
-            raise InputError("prior.sigma_m", self.sigma, "a positive deviation in metres")
+            raise InputError("prior.sigma_m", self.sigma, "must be positive and finite")
         if not (np.isfinite(self.correlation) and self.correlation >= 0.0):
-            raise InputError("prior.correlation_m", self.correlation, "a length in metres, or 0")
+            raise InputError(
+                "prior.correlation_m", self.correlation, "must be 0 or more, and finite"
+            )
 
     @property
     def together(self) -> float:
-        """Number of posts that err as one: the sum of the correlations of a post with all others.
+        """Equivalent number of posts that share one error.
 
-        They fall as a Gaussian of the distance over `correlation`.
+        It is the sum of the correlations of one post with all others; the correlation is a Gaussian
+        of distance over `correlation`.
         """
         reach = self.correlation / self.grid.posting
         if reach == 0.0:

@@ -1,1 +1,1 @@
-"""Figures that both sides know: the lander's, and those of sensors without the world they see."""
+"""Lander, gravity and sensor models known to plant and onboard computer."""

@@ -1,4 +1,4 @@
-"""The projection of `Pinhole` for compiled kernels, one point or pixel at a time."""
+"""Pinhole projection for compiled kernels, one point or pixel at a time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from lunarsim._jit import kernel
 
 @kernel(inline=True)
 def to_pixel(x, y, z, fx, fy, cx, cy):
-    """Return the pixel of a point in sensor coordinates; z must not be 0."""
+    """Project a point in sensor coordinates to a pixel; z must not be 0."""
     return fx * x / z + cx, fy * y / z + cy
 
 

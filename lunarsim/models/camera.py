@@ -1,4 +1,4 @@
-"""A camera as both sides know it: pixels, optics, mount; no light, no detector noise."""
+"""Camera geometry known to plant and onboard computer: pixels, optics and mount."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from lunarsim.models.pose import Pose
 
 Array = NDArray[np.float64]
 
-# Distortion is tried at so many places along each side, and taken out to so many pixels.
-_CHECKED, _OFF = 17, 0.5
-# Body z points up through the lander: a camera that looks straight down, its x along body -y.
+# Number of test points per image side, and maximum error (pixels) of the inverse distortion.
+_TEST_POINTS_PER_SIDE, _MAX_INVERSION_ERROR_PX = 17, 0.5
+# Body z points up through the lander: the camera looks straight down, its x along body -y.
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -33,13 +33,13 @@ class CameraModel:
     fx, fy
         Focal lengths, pixels.
     cx, cy
-        Principal point, pixels, the centre of the first pixel being (0, 0); left out: the middle.
+            Principal point, pixels, from the centre of the first pixel; None: centre of the image.
     distortion
-        Brown-Conrady k1, k2, p1, p2, k3 as OpenCV orders them.
+            Brown-Conrady coefficients k1, k2, p1, p2, k3 in the order of OpenCV.
     offset
-        Position on the body (3,), m.
+            Position in the body frame (3,), m.
     mount
-        Rotation (3, 3), sensor to body; left out: straight down, image up along body x.
+            Rotation (3, 3), sensor to body; omitted: straight down, image up along body x.
     """
 
     width: int = 640
@@ -55,75 +55,80 @@ class CameraModel:
     def __post_init__(self) -> None:
         check_types("camera", self)
         if self.width < 1 or self.height < 1:
-            raise InputError("camera.pixels", (self.width, self.height), "at least 1 x 1")
+            raise InputError("camera.pixels", (self.width, self.height), "must be at least 1 x 1")
         for name in ("fx", "fy"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"camera.{name}", getattr(self, name), "a positive number")
+                raise InputError(
+                    f"camera.{name}", getattr(self, name), "must be positive and finite"
+                )
         mount = np.asarray(self.mount, dtype=np.float64)
         proper = mount.shape == (3, 3) and np.allclose(mount @ mount.T, np.eye(3), atol=1e-6)
         if not (proper and np.linalg.det(mount) > 0.0):
-            raise InputError("camera.mount", np.array(self.mount).tolist(), "a rotation (3, 3)")
+            raise InputError(
+                "camera.mount", np.array(self.mount).tolist(), "must be a rotation matrix (3, 3)"
+            )
         for name, middle in (("cx", 0.5 * (self.width - 1)), ("cy", 0.5 * (self.height - 1))):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, middle)
             elif not np.isfinite(getattr(self, name)):
-                raise InputError(f"camera.{name}", getattr(self, name), "a number of pixels")
+                raise InputError(f"camera.{name}", getattr(self, name), "must be finite (pixels)")
         for name, number in (("distortion", 5), ("offset", 3)):
             value = getattr(self, name)
             if len(value) != number or not np.isfinite(value).all():
-                raise InputError(f"camera.{name}", value, f"{number} finite numbers")
+                raise InputError(f"camera.{name}", value, f"must be {number} finite numbers")
         self._check_distortion()
 
     def _check_distortion(self) -> None:
-        """Refuse distortion that folds the picture over, or that cannot be taken out."""
+        """Reject distortion that folds the image or cannot be inverted."""
         if not any(self.distortion):
             return
         u, v = np.meshgrid(
-            np.linspace(0.0, self.width - 1.0, _CHECKED),
-            np.linspace(0.0, self.height - 1.0, _CHECKED),
+            np.linspace(0.0, self.width - 1.0, _TEST_POINTS_PER_SIDE),
+            np.linspace(0.0, self.height - 1.0, _TEST_POINTS_PER_SIDE),
         )
         pixels = np.stack((u, v), -1).reshape(-1, 2)
-        ideal = _undistorted(pixels, self.pinhole, tuple(self.distortion))
+        ideal = _undistort(pixels, self.pinhole, tuple(self.distortion))
         back, _ = cv2.projectPoints(
             np.column_stack((ideal, np.ones(len(ideal)))), np.zeros(3), np.zeros(3),
             self.pinhole.matrix, np.array(self.distortion),
         )  # fmt: skip
-        off = np.hypot(*(back.reshape(-1, 2) - pixels).T)
-        if not (off <= _OFF).all():
+        error = np.hypot(*(back.reshape(-1, 2) - pixels).T)
+        if not (error <= _MAX_INVERSION_ERROR_PX).all():
             raise InputError(
                 "camera.distortion", tuple(self.distortion),
-                "weaker, or a narrower field of view: it cannot be taken out of all of the picture",
+                "must be invertible over the complete image",
+                "Use weaker distortion or a narrower field of view.",
             )  # fmt: skip
 
     @property
     def pinhole(self) -> Pinhole:
-        """The projection, distortion left out."""
+        """Pinhole projection without distortion."""
         assert self.cx is not None
         assert self.cy is not None
         return Pinhole(self.fx, self.fy, self.cx, self.cy)
 
     def view(self, pose: Pose) -> View:
-        """Return what the pin-hole sees from a state or an estimate, distortion left out."""
+        """Return the undistorted pinhole view from a true or estimated pose."""
         rotation = quat_to_matrix(pose.attitude)
         position = pose.position + rotation @ np.asarray(self.offset)
         return View(position, rotation @ self.mount, *self.pinhole, self.width, self.height)
 
     @property
     def tangents(self) -> tuple[Array, Array]:
-        """Tangents of each pixel's line of sight, right and down (height, width), undistorted."""
+        """Undistorted line-of-sight tangents, right and down (height, width)."""
         return _tangents(self.width, self.height, self.pinhole, tuple(self.distortion))
 
 
-def _undistorted(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
-    """Return the tangents of the lines of sight of pixels (n, 2)."""
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+def _undistort(pixels: Array, pinhole: Pinhole, distortion: tuple[float, ...]) -> Array:
+    """Return the undistorted line-of-sight tangents of pixels (n, 2)."""
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
     ideal = cv2.undistortPoints(
-        pixels[:, None], pinhole.matrix, np.array(distortion), criteria=stop
+        pixels[:, None], pinhole.matrix, np.array(distortion), criteria=criteria
     )
     return np.asarray(ideal.reshape(-1, 2))
 
 
-# A gimballed camera is a new object for every picture: what its optics cost is kept here.
+# A gimballed camera has a new object per image, so this costly result is cached per geometry.
 @lru_cache(maxsize=8)
 def _tangents(
     width: int, height: int, pinhole: Pinhole, distortion: tuple[float, ...]
@@ -132,5 +137,5 @@ def _tangents(
         return pinhole.tangents(width, height)
     u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     pixels = np.stack((u, v), axis=-1).reshape(-1, 2)
-    ideal = _undistorted(pixels, pinhole, distortion).reshape(height, width, 2)
+    ideal = _undistort(pixels, pinhole, distortion).reshape(height, width, 2)
     return np.ascontiguousarray(ideal[..., 0]), np.ascontiguousarray(ideal[..., 1])

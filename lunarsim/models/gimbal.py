@@ -1,4 +1,4 @@
-"""Gimbal: where a sensor can be pointed."""
+"""Pointing of a gimballed sensor within its limit."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from lunarsim.frames import (
 
 Array = NDArray[np.float64]
 
-_REST = np.array([0.0, 0.0, -1.0])
+_REST_BORESIGHT = np.array([0.0, 0.0, -1.0])
 
 
 def gimbal_mount(attitude: ArrayLike, boresight: ArrayLike, limit: float = np.pi) -> Array:
-    """Return the rotation (3, 3), sensor to body, that points a sensor as nearly as it can.
+    """Return the mount (3, 3), sensor to body, that points a sensor within its limit.
 
     Parameters
     ----------
     attitude
-        Quaternion (4,), body to ENU, by which the gimbal is steered.
+        Quaternion (4,), body to ENU, that the gimbal control uses.
     boresight
-        Wanted direction (3,), ENU.
+        Desired direction (3,), ENU.
     limit
-        Greatest angle of the boresight from straight down through the lander (body -z), rad. Beyond
-        it the sensor stops at the limit, on the side of the wanted direction.
+        Maximum angle of the boresight from body -z, rad. Beyond it the sensor stops at the limit,
+        on the side of the desired direction.
     """
     rotation = quat_to_matrix(attitude)
-    wanted = rotation.T @ normalised(boresight)
-    if wanted @ _REST < np.cos(limit):
-        aside = wanted - (wanted @ _REST) * _REST
-        length = np.linalg.norm(aside)
-        aside = aside / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
-        wanted = np.cos(limit) * _REST + np.sin(limit) * aside
-        return np.asarray(rotation.T @ sensor_axes(rotation @ wanted))
+    desired = rotation.T @ normalised(boresight)
+    if desired @ _REST_BORESIGHT < np.cos(limit):
+        lateral = desired - (desired @ _REST_BORESIGHT) * _REST_BORESIGHT
+        length = np.linalg.norm(lateral)
+        lateral = lateral / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
+        desired = np.cos(limit) * _REST_BORESIGHT + np.sin(limit) * lateral
+        return np.asarray(rotation.T @ sensor_axes(rotation @ desired))
     return np.asarray(rotation.T @ sensor_axes(boresight))
 
 
 def within(mount: Array, limit: float) -> Array:
-    """Return a mount (3, 3), turned back to the gimbal's limit (rad) where it is beyond it."""
+    """Rotate a mount (3, 3) back to the gimbal limit (rad) if it exceeds it."""
     boresight = mount[:, 2]
-    if boresight @ _REST >= np.cos(limit) - 1e-9:
+    if boresight @ _REST_BORESIGHT >= np.cos(limit) - 1e-9:
         return mount
-    across = np.cross(boresight, _REST)
-    length = np.linalg.norm(across)
-    # Straight up there is no nearest side: any will do.
-    axis = across / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
-    excess = np.arccos(np.clip(boresight @ _REST, -1.0, 1.0)) - limit
+    axis_vector = np.cross(boresight, _REST_BORESIGHT)
+    length = np.linalg.norm(axis_vector)
+    # If the boresight points straight up, every direction is equally near.
+    axis = axis_vector / length if length > 1e-12 else np.array([1.0, 0.0, 0.0])
+    excess = np.arccos(np.clip(boresight @ _REST_BORESIGHT, -1.0, 1.0)) - limit
     return np.asarray(quat_to_matrix(quat_from_rotation_vector(axis * excess)) @ mount)

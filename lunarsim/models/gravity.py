@@ -1,4 +1,4 @@
-"""Gravity as a mission knows it."""
+"""Gravity models: uniform, and central in a rotating frame."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ Array = NDArray[np.float64]
 
 
 class GravityModel(Protocol):
-    """Acceleration by position."""
+    """Acceleration as a function of position."""
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2, at a position (3,), m."""
         ...
 
     def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return what moves a body without thrust (..., 3), ENU, m/s^2.
+        """Return the acceleration of a body without thrust (..., 3), ENU, m/s^2.
 
-        Gravity, and what a frame that turns with the Moon adds to it.
+        It includes gravity and the inertial accelerations of a rotating frame.
 
         Parameters
         ----------
         position, velocity
-            In that frame (..., 3), m and m/s.
+            In the frame of the site (..., 3), m and m/s.
         """
         ...
 
     def height(self, position: ArrayLike) -> Array:
-        """Return heights (...,) over the level of the frame's origin, m, of positions (..., 3)."""
+        """Return heights (...,), m, of positions (..., 3) above the datum of the origin."""
         ...
 
 
 @dataclass(frozen=True)
 class UniformGravity:
-    """The same everywhere: a descent spans a kilometre.
+    """Uniform gravity, for a descent that spans about a kilometre.
 
     Attributes
     ----------
@@ -57,14 +57,14 @@ class UniformGravity:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.magnitude) and self.magnitude > 0.0):
-            raise InputError("gravity_m_s2", self.magnitude, "a positive number in m/s^2")
+            raise InputError("gravity_m_s2", self.magnitude, "must be positive and finite")
 
     def at(self, position: ArrayLike) -> Array:
         """Return the acceleration (3,), ENU, m/s^2."""
         return np.array([0.0, 0.0, -self.magnitude])
 
     def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return the same; see `GravityModel.felt`."""
+        """Return the gravitational acceleration (..., 3), ENU, m/s^2."""
         return np.zeros(np.shape(position)) + self.at(position)
 
     def height(self, position: ArrayLike) -> Array:
@@ -74,27 +74,29 @@ class UniformGravity:
 
 @dataclass(frozen=True)
 class RoundMoon:
-    """A sphere that turns, with central gravity; it touches the site's level at the origin.
+    """Rotating sphere with central gravity, tangent to the site's horizontal plane.
 
     Attributes
     ----------
     radius
-        Of the level of the frame's origin, m.
+        Distance of the frame's origin from the Moon's centre, m.
     spin
-        Of the Moon about its axis, rad/s.
+        Rotation rate of the Moon, rad/s.
     latitude
-        Of the frame's origin, rad, positive north.
+        Latitude of the frame's origin, rad, positive north.
     """
 
-    radius: float = quantity(1_737_400.0, "m", gt=1e3, help="of the level of the map's origin")
-    spin: float = quantity(1.5250414e-4, "deg/s", ge=0, lt=1, help="of the Moon about its axis")
-    latitude: float = quantity(0.0, "deg", ge=-90, le=90, help="of the map's origin, north")
+    radius: float = quantity(
+        1_737_400.0, "m", gt=1e3, help="distance of the map's origin from the Moon's centre"
+    )
+    spin: float = quantity(1.5250414e-4, "deg/s", ge=0, lt=1, help="rotation rate of the Moon")
+    latitude: float = quantity(0.0, "deg", ge=-90, le=90, help="latitude of the map's origin")
 
     def __post_init__(self) -> None:
         check_bounds(self, "moon")
 
     def gravity(self, magnitude: float) -> CentralGravity:
-        """Return its gravity, of a given magnitude (m/s^2) at the frame's origin."""
+        """Return the central gravity of a given magnitude (m/s^2) at the frame's origin."""
         return CentralGravity(magnitude, self.radius, self.axis)
 
     @property
@@ -105,12 +107,12 @@ class RoundMoon:
 
 @dataclass(frozen=True)
 class CentralGravity:
-    """Inverse-square gravity in a frame that turns with the Moon.
+    """Inverse-square gravity in a frame that rotates with the Moon.
 
     Attributes
     ----------
     magnitude
-        At the frame's origin, without what turning takes from it, m/s^2.
+        Gravitational acceleration at the frame's origin, without centrifugal acceleration, m/s^2.
     radius
         Distance of the origin from the Moon's centre, which lies straight below it, m.
     spin
@@ -130,18 +132,18 @@ class CentralGravity:
     spin: Array
 
     def from_centre(self, position: ArrayLike) -> Array:
-        """Return positions from the Moon's centre (..., 3), m."""
+        """Return positions relative to the Moon's centre (..., 3), m."""
         centre = np.array([0.0, 0.0, -self.radius])
         return np.asarray(np.asarray(position, dtype=np.float64) - centre)
 
     def at(self, position: ArrayLike) -> Array:
-        """Return the acceleration of gravity alone (..., 3), ENU, m/s^2."""
+        """Return the gravitational acceleration (..., 3), ENU, m/s^2."""
         r = self.from_centre(position)
         distance = np.linalg.norm(r, axis=-1, keepdims=True)
         return np.asarray(-self.magnitude * self.radius**2 * r / distance**3)
 
     def felt(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return gravity, Coriolis and centrifugal acceleration (..., 3); see `GravityModel`."""
+        """Return gravity plus Coriolis and centrifugal acceleration (..., 3), m/s^2."""
         about = np.cross(self.spin, self.from_centre(position))
         v = np.asarray(velocity, dtype=np.float64)
         turning = 2.0 * np.cross(self.spin, v) + np.cross(self.spin, about)
@@ -152,11 +154,11 @@ class CentralGravity:
         return np.asarray(np.linalg.norm(self.from_centre(position), axis=-1) - self.radius)
 
     def up(self, position: ArrayLike) -> Array:
-        """Return the local vertical (..., 3)."""
+        """Return the local vertical as unit vectors (..., 3)."""
         r = self.from_centre(position)
         return np.asarray(r / np.linalg.norm(r, axis=-1, keepdims=True))
 
     def inertial_velocity(self, position: ArrayLike, velocity: ArrayLike) -> Array:
-        """Return velocities in a frame that does not turn (..., 3), m/s, along the same axes."""
+        """Return velocities in a non-rotating frame with the same axes (..., 3), m/s."""
         about = np.cross(self.spin, self.from_centre(position))
         return np.asarray(np.asarray(velocity, dtype=np.float64) + about)

@@ -1,4 +1,4 @@
-"""What an onboard computer knows of the sensors on its lander: calibrations, not truth."""
+"""Sensor calibrations known to the onboard computer; they exclude the true errors."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from lunarsim.models.inertial_unit import TriadErrors
 
 @dataclass(frozen=True)
 class PointedInstrument:
-    """A sensor on a gimbal.
+    """Sensor on a gimbal.
 
     Attributes
     ----------
     gimbal_limit
-        Greatest angle of the boresight from straight down through the lander, rad.
+        Maximum angle of the boresight from body -z, rad.
     """
 
     gimbal_limit: float
@@ -23,16 +23,16 @@ class PointedInstrument:
 
 @dataclass(frozen=True)
 class CameraInstrument(PointedInstrument):
-    """A camera on a gimbal; pictures bring the whole of their geometry.
+    """Camera on a gimbal; each image carries its complete geometry.
 
     Attributes
     ----------
     blur_sigma
-        Point spread, 1 sigma, pixels.
+        Point spread function, 1 sigma, pixels.
     pixel
-        Angle of a pixel in the middle, rad.
+        Angle of a pixel at the image centre, rad.
     half_field
-        Tangent of half the narrower side of the field of view.
+        Tangent of half the field of view along the narrower side.
     """
 
     blur_sigma: float = 0.6
@@ -42,24 +42,24 @@ class CameraInstrument(PointedInstrument):
 
 @dataclass(frozen=True)
 class LidarInstrument(PointedInstrument):
-    """A LiDAR on a gimbal, with what it may err by over a whole flight, 1 sigma each.
+    """LiDAR on a gimbal, with its constant errors over a flight, 1 sigma each.
 
     Attributes
     ----------
     range_bias
-        Of all ranges, m.
+        Bias of all ranges, m.
     boresight
-        Between the sensor and what the gimbal's encoders tell, an axis, rad.
+        Misalignment between sensor and gimbal encoders, per axis, rad.
     latency
-        Between the flash and the time that it is given, s.
+        Error of the time stamp of a flash, s.
     pixel
-        Angle of a pixel in the middle, rad.
+        Angle of a pixel at the image centre, rad.
     half_field
-        Tangent of half the narrower side of the field of view.
+        Tangent of half the field of view along the narrower side.
     max_range
-        Longest range that gives a return, m.
+        Maximum range with a return, m.
     max_incidence
-        Greatest angle between ray and surface normal that gives one, rad.
+        Maximum angle between ray and surface normal with a return, rad.
     """
 
     range_bias: float = 0.0
@@ -73,12 +73,12 @@ class LidarInstrument(PointedInstrument):
 
 @dataclass(frozen=True)
 class InertialInstrument:
-    """An inertial unit.
+    """Inertial measurement unit.
 
     Attributes
     ----------
     gyroscopes, accelerometers
-        Standard deviations of its errors.
+        Standard deviations of the errors.
     """
 
     gyroscopes: TriadErrors
@@ -87,7 +87,7 @@ class InertialInstrument:
 
 @dataclass(frozen=True)
 class FixedBeam:
-    """A ranging beam fixed to the body.
+    """Ranging beam fixed to the body.
 
     Attributes
     ----------
@@ -107,9 +107,9 @@ class FixedBeams:
     directions
         Unit vectors (n, 3), body axes.
     speed_bias
-        Standard deviation of what the speeds of each beam are off by at the start, m/s.
+        Standard deviation of each beam's speed bias at the start, m/s.
     speed_wander
-        And by how much that has wandered a second later, m/s.
+        Standard deviation of the change of that bias after one second, m/s.
     """
 
     directions: tuple[tuple[float, float, float], ...]
@@ -119,12 +119,12 @@ class FixedBeams:
 
 @dataclass(frozen=True)
 class StarInstrument:
-    """A star tracker.
+    """Star tracker.
 
     Attributes
     ----------
     misalignment
-        Standard deviation of how it is mounted, constant over a flight, an axis, rad.
+        Standard deviation of its constant misalignment, per axis, rad.
     """
 
     misalignment: float

@@ -1,4 +1,4 @@
-"""A lander that is turned by thrusters and pushed by an engine that obeys within limits."""
+"""Lander with on-off thrusters and a gimballed engine with throttle limits."""
 
 from __future__ import annotations
 
@@ -17,36 +17,42 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Engine:
-    """How the descent engine is hung and throttled; its range and lag are the vehicle's.
+class DescentEngine:
+    """Geometry, gimbal and throttle of the engine; `Lander` has its range and lag.
 
     Attributes
     ----------
     pivot_depth
-        Of the gimbal's pivot below the body's origin, m.
+        Depth of the gimbal's pivot below the body's origin, m.
     gimbal_limit, gimbal_rate
-        Greatest swing about body x and body y, rad, and its speed, rad/s; no swing with 0.
+        Maximum gimbal angle about body x and body y, rad, and its rate, rad/s; limit 0: no gimbal.
     throttle_step
-        Thrust comes in whole steps of this, N; 0: smoothly.
+        Quantization step of thrust, N; 0: continuous.
     dead_band
-        A new command that differs by less leaves the throttle alone, N.
+        Minimum change of the command that moves the throttle, N.
     gap_from, gap_to
-        Between these the engine must not run, N: it runs in the range below or at `gap_to` alone;
+        Forbidden throttle interval, N: the engine runs below `gap_from` or exactly at `gap_to`;
         0 and 0: no gap.
     """
 
-    pivot_depth: float = quantity(0.8, "m", ge=0, help="of the gimbal below the body's origin")
-    gimbal_limit: float = quantity(6.0, "deg", ge=0, lt=45, help="of the swing about each axis")
-    gimbal_rate: float = quantity(2.0, "deg/s", ge=0, help="of the swing")
-    throttle_step: float = quantity(0.0, "N", ge=0, help="whole steps of thrust; 0: smooth")
-    dead_band: float = quantity(0.0, "N", ge=0, help="smaller changes leave the throttle alone")
-    gap_from: float = quantity(0.0, "N", ge=0, help="above it only at gap_to; 0: no gap")
+    pivot_depth: float = quantity(
+        0.8, "m", ge=0, help="depth of the gimbal pivot below the body's origin"
+    )
+    gimbal_limit: float = quantity(6.0, "deg", ge=0, lt=45, help="maximum gimbal angle per axis")
+    gimbal_rate: float = quantity(2.0, "deg/s", ge=0, help="maximum gimbal rate")
+    throttle_step: float = quantity(0.0, "N", ge=0, help="quantization of thrust; 0: continuous")
+    dead_band: float = quantity(0.0, "N", ge=0, help="minimum thrust change that is executed")
+    gap_from: float = quantity(
+        0.0, "N", ge=0, help="start of the forbidden throttle gap; 0: no gap"
+    )
     gap_to: float = quantity(0.0, "N", ge=0, help="fixed throttle point above the gap; 0: no gap")
 
     def __post_init__(self) -> None:
         check_bounds(self, "engine")
         if (self.gap_from > 0.0 or self.gap_to > 0.0) and not 0.0 < self.gap_from < self.gap_to:
-            raise InputError("engine.gap_to", self.gap_to, f"more than gap_from, {self.gap_from}")
+            raise InputError(
+                "engine.gap_to", self.gap_to, f"must exceed gap_from, which is {self.gap_from} N"
+            )
 
     @property
     def has_gap(self) -> bool:
@@ -56,32 +62,34 @@ class Engine:
 
 @dataclass(frozen=True)
 class JetLander(Lander):
-    """A lander with on-off thrusters, a gimballed engine and a centre of mass that moves.
+    """Lander with on-off thrusters, a gimballed engine and a moving centre of mass.
 
-    The body's origin is where pads, thrusters and pivot are counted from: the centre of mass of
-    the empty lander, or where `com_dry` says that it is not.
+    Positions of pads, thrusters and pivot are relative to the body's origin: the centre of mass of
+    the empty lander, unless `com_dry` places it elsewhere.
 
     Attributes
     ----------
     thrusters, engine
-        Their figures.
+        Parameters of the thrusters and of the engine.
     com_dry, com_full
-        Centre of mass with tanks empty and full (3,), body axes, m; linear in the propellant left.
+        Centre of mass with tanks empty and full (3,), body axes, m; linear in propellant mass.
     slosh
-        Tanks in which the propellant swings.
+        Tanks with sloshing propellant.
     torque_max
-        What the thrusters give about each axis alone (3,), N m: follows from their layout.
+        Maximum thruster torque about each single axis (3,), N m; computed from the layout.
     """
 
-    thrusters: Thrusters = quantity(Thrusters(), help="thrusters that turn it")
-    engine: Engine = quantity(Engine(), help="how the engine is hung and throttled")
+    thrusters: Thrusters = quantity(Thrusters(), help="attitude control thrusters")
+    engine: DescentEngine = quantity(
+        DescentEngine(), help="geometry, gimbal and throttle of the engine"
+    )
     com_dry: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="centre of mass, tanks empty, from the body's origin"
+        (0.0, 0.0, 0.0), "m", help="centre of mass with empty tanks, body axes"
     )
     com_full: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m", help="centre of mass, tanks full, from the body's origin"
+        (0.0, 0.0, 0.0), "m", help="centre of mass with full tanks, body axes"
     )
-    slosh: Slosh = quantity(Slosh(), help="tanks in which the propellant swings")
+    slosh: Slosh = quantity(Slosh(), help="tanks with sloshing propellant")
     torque_max: tuple[float, float, float] = field(init=False, default=(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -95,13 +103,14 @@ class JetLander(Lander):
         if self.thrusters.propellant >= self.dry_mass:
             raise InputError(
                 "vehicle.thrusters.propellant_kg", self.thrusters.propellant,
-                f"less than the dry mass of {self.dry_mass} kg, which counts it",
+                f"must be less than the dry mass of {self.dry_mass} kg, which includes it",
             )  # fmt: skip
         gap = self.engine
         if gap.has_gap and not self.thrust_min < gap.gap_from < gap.gap_to <= self.thrust_max:
             raise InputError(
                 "vehicle.engine.gap_to_n", gap.gap_to,
-                f"a gap within the throttle range of {self.thrust_min} to {self.thrust_max} N",
+                "must leave a gap within the throttle range of "
+                f"{self.thrust_min} to {self.thrust_max} N",
             )  # fmt: skip
         for name in ("com_dry", "com_full"):
             self._check_com(f"vehicle.{name}_m", getattr(self, name))
@@ -109,56 +118,56 @@ class JetLander(Lander):
             self._check_slosh(float(fill))
 
     def _check_com(self, field: str, com: tuple[float, float, float]) -> None:
-        """Refuse a centre of mass about which the engine turns the lander whatever is done."""
+        """Reject a centre of mass whose engine torque exceeds the control authority."""
         engine = self.engine
         arm = engine.pivot_depth + com[2]
         if engine.gimbal_limit > 0.0 and arm < 0.0:
             raise InputError(
-                field, com, f"above the engine's pivot, which is at {-engine.pivot_depth} m"
+                field, com, f"must be above the engine's pivot at {-engine.pivot_depth} m"
             )
-        # About body x the centre's north counts, about y its east.
-        swung = abs(arm) * np.tan(engine.gimbal_limit)
-        for aside, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
-            most = swung + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
-            if abs(aside) > most:
+        # An offset along y causes torque about body x, and one along x causes torque about body y.
+        gimbal_authority = abs(arm) * np.tan(engine.gimbal_limit)
+        for offset, torque in ((com[1], self.torque_max[0]), (com[0], self.torque_max[1])):
+            limit = gimbal_authority + torque / self.thrust_min if self.thrust_min > 0.0 else np.inf
+            if abs(offset) > limit:
                 raise InputError(
                     field, com,
-                    f"within {most:.3g} m of the engine's line on that side: neither gimbal nor "
-                    "thrusters hold what lies beyond, even at the least thrust",
+                    f"must be within {limit:.3g} m of the engine's axis on that side",
+                    "Beyond it gimbal and thrusters cannot balance the engine at minimum thrust.",
                 )  # fmt: skip
 
     def _check_slosh(self, fill: float) -> None:
-        """Refuse tanks whose swinging liquid is more than the lander has there."""
+        """Reject tanks whose sloshing liquid has more inertia than the lander."""
         mass = self.dry_mass + fill * self.propellant_mass
         swinging, _, bobs = self.slosh.pendulums(fill, self.propellant_mass)
         com = self.com(mass)
         points = bobs - com
         rest = mass - swinging.sum()
         middle = -(swinging @ points) / rest
-        whole = np.diag(self.inertia(mass))
-        still = whole - sum(
+        total = np.diag(self.inertia(mass))
+        remaining = total - sum(
             (
                 m * (p @ p * np.eye(3) - np.outer(p, p))
                 for m, p in zip(swinging, points, strict=True)
             ),
             rest * (middle @ middle * np.eye(3) - np.outer(middle, middle)),
         )
-        least = float(np.linalg.eigvalsh(still)[0])
+        least = float(np.linalg.eigvalsh(remaining)[0])
         if not least > 0.0:
             raise InputError(
                 "vehicle.slosh.tanks_m", self.slosh.tanks,
-                f"tanks nearer to the centre of mass {tuple(float(v) for v in com)} m: with "
-                f"{100.0 * fill:.0f} % of the propellant the liquid that swings in them has more "
-                "moment of inertia than the lander",
+                f"must be nearer to the centre of mass {tuple(float(v) for v in com)} m",
+                f"At {100.0 * fill:.0f} % propellant the sloshing liquid has more inertia than "
+                "the lander.",
             )  # fmt: skip
 
     def com(self, mass: float) -> Array:
-        """Return the centre of mass at a mass (kg), body axes (3,), m."""
+        """Return the centre of mass (3,), body axes, m, for a total mass (kg)."""
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.com_dry), np.asarray(self.com_full)
         return np.asarray(dry + full * (wet - dry))
 
 
 def com_of(lander: Lander, mass: float) -> Array:
-    """Return where the centre of mass of any lander is, from the body's origin (3,), m."""
+    """Return the centre of mass of any lander, from the body's origin (3,), m."""
     return lander.com(mass) if isinstance(lander, JetLander) else np.zeros(3)

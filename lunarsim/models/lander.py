@@ -1,4 +1,4 @@
-"""What the lander is: geometry, masses, engine, tolerances."""
+"""Lander model: geometry, masses, engine and landing tolerances."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from lunarsim.errors import InputError
 from lunarsim.parts.quantity import check_bounds, quantity
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, by definition; turns specific impulse into exhaust speed
-# Squared radii of gyration of a lander whose moments are not given, m^2: of what is left when the
-# tanks are empty, about each body axis, and of the propellant. 1,100 kg and 400 kg of propellant
-# have 1100, 1100, 1300 and 1400, 1400, 1600 kg m^2.
+# Squared radii of gyration (m^2) for a lander without given moments of inertia: of the dry lander
+# about each body axis, and of the propellant. With 1,100 kg dry mass and 400 kg of propellant the
+# moments are 1100, 1100, 1300 kg m^2 (empty) and 1400, 1400, 1600 kg m^2 (full).
 _DRY_GYRATION = (1.0, 1.0, 13.0 / 11.0)
 _PROPELLANT_GYRATION = 0.75
 
 
 @dataclass(frozen=True)
 class Lander:
-    """A legged lander with one throttleable engine along body z.
+    """Legged lander with one throttleable engine along body z.
 
-    Geometry and landing tolerances default to Table 2 of the Gaussian DEM paper: 5 m across,
-    pads of 0.3 m, 10 deg, 0.25 m. The pads' centres lie on a circle of (5.0 - 0.3) / 2 m.
+    Geometry and landing tolerances default to Table 2 of the Gaussian DEM paper: 5 m diameter,
+    pads of 0.3 m, 10 deg, 0.25 m. The pad centres lie on a circle of radius (5.0 - 0.3) / 2 m.
 
     Attributes
     ----------
     dry_mass, propellant_mass
         kg.
     inertia_dry, inertia_full
-        Principal moments about the centre of mass (3,), kg m^2, with tanks empty and full; those
-        left out follow the masses.
+        Principal moments about the centre of mass (3,), kg m^2, with tanks empty and full; if
+        omitted, they are computed from the masses.
     thrust_min, thrust_max
         Throttle range of the running engine, N.
     specific_impulse
@@ -40,21 +40,21 @@ class Lander:
     thrust_lag
         Time constant of the engine's first-order response, s.
     torque_max
-        Torque that the reaction control system can give about each body axis (3,), N m.
+        Maximum torque of the reaction control system about each body axis (3,), N m.
     legs, leg_radius, pad_diameter
-        Number of legs; circle of the pads' centres and pads, m.
+        Number of legs, radius of the circle of pad centres, and diameter of a pad, m.
     com_height
-        Centre of mass above the plane of the pads, m.
+        Height of the centre of mass above the plane of the pads, m.
     belly_clearance
-        Underside above the plane of the pads inside the polygon of the legs, m.
+        Height of the underside above the plane of the pads, inside the polygon of the legs, m.
     slope_limit, roughness_limit
-        Landing tolerances, rad and m.
+        Maximum terrain slope and roughness of a safe site, rad and m.
     vertical_speed_limit, horizontal_speed_limit
-        At touchdown, m/s.
+        Maximum speeds at touchdown, m/s.
     tilt_limit
-        Of the body from the vertical when the first pad touches, rad.
+        Maximum tilt of the body from the vertical at first pad contact, rad.
     rate_limit
-        Angular rate at touchdown, rad/s.
+        Maximum angular rate at touchdown, rad/s.
 
     Examples
     --------
@@ -63,57 +63,67 @@ class Lander:
     (1500.0, (4, 3))
     """
 
-    dry_mass: float = quantity(1100.0, "kg", gt=0, help="without propellant")
-    propellant_mass: float = quantity(400.0, "kg", gt=0, help="full tanks")
+    dry_mass: float = quantity(1100.0, "kg", gt=0, help="mass without propellant")
+    propellant_mass: float = quantity(400.0, "kg", gt=0, help="propellant mass in full tanks")
     inertia_dry: tuple[float, float, float] | None = quantity(
         None, "kg m^2", gt=0,
-        help="principal moments, tanks empty; left out: 1, 1 and 1.18 m^2 times dry_mass_kg",
+            help="moments of inertia, tanks empty; omitted: 1, 1 and 1.18 m^2 times dry_mass_kg",
     )  # fmt: skip
     inertia_full: tuple[float, float, float] | None = quantity(
         None, "kg m^2", gt=0,
-        help="principal moments, tanks full; left out: 0.75 m^2 times propellant_mass_kg more",
+            help="moments of inertia, tanks full; omitted: dry + 0.75 m^2 times propellant_mass_kg",
     )  # fmt: skip
-    thrust_min: float = quantity(600.0, "N", ge=0, help="of the running engine")
-    thrust_max: float = quantity(6000.0, "N", gt=0, help="of the engine")
-    specific_impulse: float = quantity(311.0, "s", gt=0, help="of the engine")
+    thrust_min: float = quantity(600.0, "N", ge=0, help="minimum thrust of the running engine")
+    thrust_max: float = quantity(6000.0, "N", gt=0, help="maximum thrust of the engine")
+    specific_impulse: float = quantity(311.0, "s", gt=0, help="specific impulse of the engine")
     thrust_lag: float = quantity(0.1, "s", ge=0, help="time constant of the engine")
     torque_max: tuple[float, float, float] = quantity(
-        (600.0, 600.0, 300.0), "N m", gt=0, help="of the thrusters about each body axis"
+        (600.0, 600.0, 300.0), "N m", gt=0, help="maximum torque about each body axis"
     )
     legs: Literal[3, 4] = quantity(4, help="number of legs")
-    leg_radius: float = quantity(2.35, "m", gt=0, help="circle of the pads' centres")
-    pad_diameter: float = quantity(0.3, "m", gt=0, help="of each pad")
-    com_height: float = quantity(1.6, "m", gt=0, help="centre of mass above the pads")
-    belly_clearance: float = quantity(0.25, "m", gt=0, help="underside above the pads")
-    slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="of the ground landed on")
-    roughness_limit: float = quantity(0.25, "m", gt=0, help="of the ground landed on")
-    vertical_speed_limit: float = quantity(3.0, "m/s", gt=0, help="at touchdown")
-    horizontal_speed_limit: float = quantity(1.0, "m/s", gt=0, help="at touchdown")
-    tilt_limit: float = quantity(6.0, "deg", gt=0, lt=90, help="at touchdown")
-    rate_limit: float = quantity(6.0, "deg/s", gt=0, help="at touchdown")
+    leg_radius: float = quantity(2.35, "m", gt=0, help="radius of the circle of pad centres")
+    pad_diameter: float = quantity(0.3, "m", gt=0, help="diameter of each pad")
+    com_height: float = quantity(1.6, "m", gt=0, help="height of the centre of mass above the pads")
+    belly_clearance: float = quantity(
+        0.25, "m", gt=0, help="height of the underside above the pads"
+    )
+    slope_limit: float = quantity(10.0, "deg", gt=0, lt=45, help="maximum safe terrain slope")
+    roughness_limit: float = quantity(0.25, "m", gt=0, help="maximum safe terrain roughness")
+    vertical_speed_limit: float = quantity(
+        3.0, "m/s", gt=0, help="maximum vertical speed at touchdown"
+    )
+    horizontal_speed_limit: float = quantity(
+        1.0, "m/s", gt=0, help="maximum horizontal speed at touchdown"
+    )
+    tilt_limit: float = quantity(6.0, "deg", gt=0, lt=90, help="maximum tilt at touchdown")
+    rate_limit: float = quantity(6.0, "deg/s", gt=0, help="maximum angular rate at touchdown")
 
     def __post_init__(self) -> None:
         check_bounds(self, "vehicle")
         if self.legs not in (3, 4):
-            raise InputError("vehicle.legs", self.legs, "3 or 4")
+            raise InputError("vehicle.legs", self.legs, "must be 3 or 4")
         if self.thrust_min >= self.thrust_max:
-            raise InputError("vehicle.thrust_min", self.thrust_min, f"less than {self.thrust_max}")
-        self._follow_mass()
+            raise InputError(
+                "vehicle.thrust_min", self.thrust_min,
+                f"must be less than thrust_max, which is {self.thrust_max} N",
+            )  # fmt: skip
+        self._set_default_inertia()
         for name in ("inertia_dry", "inertia_full"):
             a, b, c = sorted(getattr(self, name))
             if a + b < c:
                 raise InputError(
                     f"vehicle.{name}",
                     getattr(self, name),
-                    "three positive moments, none larger than the sum of the others",
+                    "must be positive, and none may exceed the sum of the other two",
                 )
         if self.pad_diameter >= self.leg_radius:
             raise InputError(
-                "vehicle.pad_diameter", self.pad_diameter, f"less than {self.leg_radius}"
-            )
+                "vehicle.pad_diameter", self.pad_diameter,
+                f"must be less than leg_radius, which is {self.leg_radius} m",
+            )  # fmt: skip
 
-    def _follow_mass(self) -> None:
-        """Set the moments that are left out."""
+    def _set_default_inertia(self) -> None:
+        """Compute omitted moments of inertia from the masses."""
         if self.inertia_dry is None:
             dry = tuple(round(self.dry_mass * k, 9) for k in _DRY_GYRATION)
             object.__setattr__(self, "inertia_dry", dry)
@@ -134,7 +144,7 @@ class Lander:
 
     @property
     def pads(self) -> NDArray[np.float64]:
-        """Pad centres in body axes (legs, 3), m; the first lies 45 deg (or 0) off body x."""
+        """Pad centres, body axes (legs, 3), m; first 45 deg (3 legs: 0) from body x."""
         first = np.pi / 4 if self.legs == 4 else 0.0
         angle = first + 2.0 * np.pi * np.arange(self.legs) / self.legs
         return np.column_stack(
@@ -146,24 +156,30 @@ class Lander:
         )
 
     def inertia(self, mass: float) -> NDArray[np.float64]:
-        """Return the principal moments (3,) at a mass (kg), kg m^2; linear in the propellant."""
+        """Return the principal moments (3,), kg m^2, for a total mass (kg)."""
         full = (mass - self.dry_mass) / self.propellant_mass
         dry, wet = np.asarray(self.inertia_dry), np.asarray(self.inertia_full)
         return np.asarray(dry + full * (wet - dry))
 
     def check_hover(self, gravity: float) -> None:
-        """Raise `InputError` unless the engine can hold the full lander against `gravity`."""
+        """Check that the engine can hover and descend in `gravity` (m/s^2).
+
+        Raises
+        ------
+        InputError
+            If the thrust range does not allow it.
+        """
         weight = self.wet_mass * gravity
         if self.thrust_max <= weight:
             raise InputError(
                 "vehicle.thrust_max_n",
                 self.thrust_max,
-                f"more than the lander's weight of {weight:.0f} N: it cannot hover",
+                f"must exceed the weight of {weight:.0f} N, otherwise the lander cannot hover",
             )
         if self.thrust_min >= self.dry_mass * gravity:
             raise InputError(
                 "vehicle.thrust_min_n",
                 self.thrust_min,
-                f"less than the empty lander's weight of {self.dry_mass * gravity:.0f} N: "
-                "it cannot descend",
+                f"must be less than the dry weight of {self.dry_mass * gravity:.0f} N, "
+                "otherwise the lander cannot descend",
             )

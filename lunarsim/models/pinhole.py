@@ -1,4 +1,4 @@
-"""A pin-hole: where it looks from, along which rays, and where points come to lie in its image.
+"""Pinhole projection: viewing rays, and image coordinates of points.
 
 Sensor coordinates are x right, y down, z along the boresight; the centre of the first pixel is
 (0, 0).
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_OWN = np.eye(3)
+_IDENTITY = np.eye(3)
 
 
 class Pinhole(NamedTuple):
-    """Projection through a pin-hole: focal lengths and principal point, pixels."""
+    """Pinhole projection defined by focal lengths and principal point, pixels."""
 
     fx: float
     fy: float
@@ -27,13 +27,13 @@ class Pinhole(NamedTuple):
 
     @property
     def matrix(self) -> Array:
-        """Intrinsic matrix (3, 3), as OpenCV's."""
+        """Intrinsic matrix (3, 3), as in OpenCV."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: Array) -> Array:
         """Return the pixels (n, 2) of points (n, 3) in sensor coordinates.
 
-        They mean nothing for points behind the pin-hole, and are no numbers beside it.
+        The result is meaningless for z < 0 and not finite for z = 0.
 
         Examples
         --------
@@ -45,11 +45,11 @@ class Pinhole(NamedTuple):
         x, y, z = points.T
         return np.column_stack((x / z * self.fx + self.cx, y / z * self.fy + self.cy))
 
-    def jacobian(self, points: Array, axes: Array = _OWN) -> Array:
-        """Return how the pixels of points (n, 3) move: derivatives (n, 2, k).
+    def jacobian(self, points: Array, axes: Array = _IDENTITY) -> Array:
+        """Return the derivatives (n, 2, k) of the pixels of points (n, 3).
 
-        `axes` (3, k) says how a point's sensor coordinates move with k others; left out, the
-        derivatives are by the sensor coordinates themselves.
+        `axes` (3, k) holds the derivatives of a point's sensor coordinates with respect to k
+        variables; if omitted, the variables are the sensor coordinates.
         """
         x, y, z = points.T
         a, b, c = axes[:, :, None]
@@ -59,7 +59,7 @@ class Pinhole(NamedTuple):
         return out
 
     def tangents(self, width: int, height: int) -> tuple[Array, Array]:
-        """Return the tangents of all pixels' lines of sight, right and down (height, width)."""
+        """Return the line-of-sight tangents of pixels, right and down (height, width)."""
         u = (np.arange(width) - self.cx) / self.fx
         v = (np.arange(height) - self.cy) / self.fy
         right, down = np.meshgrid(u, v)
@@ -68,14 +68,14 @@ class Pinhole(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """Where a pin-hole camera is and what it covers.
+    """Pose, projection and image size of a pinhole camera.
 
     Attributes
     ----------
     position
         ENU (3,), m.
     axes
-        Rotation (3, 3), sensor (x right, y down, z along the boresight) to ENU.
+            Rotation (3, 3), sensor to ENU.
     fx, fy, cx, cy
         Focal lengths and principal point, pixels; the centre of the first pixel is (0, 0).
     width, height
@@ -93,17 +93,17 @@ class View:
 
     @property
     def into(self) -> Array:
-        """Matrix (3, 3) from ENU to the sensor's axes."""
+        """Rotation (3, 3) from ENU to the sensor frame."""
         return self.axes.T
 
     @property
     def pinhole(self) -> Pinhole:
-        """Its projection."""
+        """Projection of the camera."""
         return Pinhole(self.fx, self.fy, self.cx, self.cy)
 
     @property
     def border(self) -> tuple[float, float, float, float]:
-        """Tangents of the lines of sight along the left, right, upper and lower border."""
+        """Line-of-sight tangents at the left, right, upper and lower image border."""
         return (
             (-0.5 - self.cx) / self.fx,
             (self.width - 0.5 - self.cx) / self.fx,

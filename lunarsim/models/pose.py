@@ -1,4 +1,4 @@
-"""Where a lander is, as far as sensor models care."""
+"""Pose of a lander, as sensor models need it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class Pose(Protocol):
-    """Position and attitude: of the true state or of an estimate."""
+    """Position and attitude, of the true state or of an estimate."""
 
     @property
     def position(self) -> Array:

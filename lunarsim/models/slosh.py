@@ -1,11 +1,10 @@
-"""Liquid that swings in its tanks, as one pendulum a tank.
+"""Propellant slosh, modelled by one pendulum per tank.
 
-Small waves of the first lateral mode in an upright cylinder with a flat floor push on it like a
-pendulum beside liquid at rest (Abramson, NASA SP-106, 1966, chapter 6; Dodge, The New Dynamic
-Behavior of Liquids in Moving Containers, 2000, chapter 3). With e = 1.8412, the first zero of J1',
-a tank of radius R filled to h holds a pendulum of
-
-    share of the liquid   2 R tanh(e h / R) / (e (e^2 - 1) h)
+Small waves of the first lateral mode in an upright cylinder with a flat floor act like a pendulum
+plus a mass at rest (Abramson, NASA SP-106, 1966, chapter 6; Dodge, The New Dynamic Behavior of
+Liquids in Moving Containers, 2000, chapter 3). With e = 1.8412, the first zero of J1', a tank of
+radius R filled to height h has a pendulum with
+        fraction of liquid    2 R tanh(e h / R) / (e (e^2 - 1) h)
     length                R / (e tanh(e h / R))
     bob above the floor   h - 2 R tanh(e h / 2 R) / e
 """
@@ -24,56 +23,61 @@ Array = NDArray[np.float64]
 Points = tuple[tuple[float, float, float], ...]
 
 FIRST_MODE = 1.841183781340659  # first zero of the derivative of J1
-# A tank that is emptier than this holds nothing that swings.
-LEAST_FILL = 1e-3
+# Fill fraction below which slosh is neglected.
+MIN_FILL = 1e-3
 
 
 @dataclass(frozen=True)
 class Slosh:
-    """Upright cylindrical tanks in which the propellant swings; without tanks it does not.
+    """Upright cylindrical tanks with sloshing propellant.
 
     Attributes
     ----------
     tanks
-        Middle of each tank's floor (n, 3), body axes, m; none: no slosh.
+        Centre of each tank's floor (n, 3), body axes, m; empty: no slosh.
     shares
-        Of the propellant in each (n,); left out: the same in all.
+        Fraction of the propellant in each tank (n,); omitted: equal fractions.
     radius
-        Of each tank, m.
+        Radius of each tank, m.
     height
-        Of the liquid in each with full tanks, m; it sinks in proportion to the propellant left.
+        Height of the liquid in a full tank, m; it is proportional to the remaining propellant.
     damping
-        Of the swing, as a share of the critical one. A smooth wall gives some 0.001 to 0.01,
-        baffles more (NASA SP-106, chapter 4).
+        Damping ratio. A smooth wall gives about 0.001 to 0.01, baffles give more (NASA SP-106,
+        chapter 4).
 
     Raises
     ------
     InputError
-        If shares and tanks differ in number, or shares do not add up to 1.
+        If shares and tanks differ in number, or the shares do not add up to 1.
     """
 
-    tanks: Points = quantity((), "m", help="middle of each tank's floor; left out: no slosh")
+    tanks: Points = quantity((), "m", help="centre of each tank's floor; omitted: no slosh")
     shares: tuple[float, ...] = quantity(
-        (), ge=0, le=1, help="of the propellant in each tank; left out: the same in all"
+        (), ge=0, le=1, help="fraction of the propellant in each tank; omitted: equal"
     )
-    radius: float = quantity(0.3, "m", gt=0, help="of each tank")
-    height: float = quantity(0.3, "m", gt=0, help="of the liquid in full tanks")
-    damping: float = quantity(0.005, ge=0, lt=1, help="of the swing, share of the critical one")
+    radius: float = quantity(0.3, "m", gt=0, help="radius of each tank")
+    height: float = quantity(0.3, "m", gt=0, help="height of the liquid in full tanks")
+    damping: float = quantity(0.005, ge=0, lt=1, help="damping ratio of the slosh mode")
 
     def __post_init__(self) -> None:
         check_bounds(self, "slosh")
         for place in self.tanks:
             if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
-                raise InputError("slosh.tanks", place, "three finite numbers")
+                raise InputError("slosh.tanks", place, "must be three finite numbers per tank")
         if self.shares and len(self.shares) != len(self.tanks):
-            raise InputError("slosh.shares", len(self.shares), f"{len(self.tanks)}: one a tank")
+            raise InputError(
+                "slosh.shares",
+                len(self.shares),
+                f"must have {len(self.tanks)} values, one per tank",
+            )
         if self.shares and abs(sum(self.shares) - 1.0) > 1e-6:
-            raise InputError("slosh.shares", self.shares, "shares that add up to 1")
+            raise InputError("slosh.shares", self.shares, "must add up to 1")
 
     def table(self, propellant: float) -> Array:
-        """Return the tanks for kernels (n, 7).
+        """Return the tanks as an array for kernels (n, 7).
 
-        Floor (3), m; radius, m; liquid in it when full, kg, and its height, m; damping.
+        The columns are floor centre (3), m; radius, m; full liquid mass, kg; full liquid height, m;
+        damping ratio.
         """
         n = len(self.tanks)
         shares = np.array(self.shares) if self.shares else np.full(n, 1.0 / max(n, 1))
@@ -87,9 +91,9 @@ class Slosh:
         Parameters
         ----------
         fill
-            Share of the propellant that is left, more than 0.
+            Remaining fraction of the propellant, positive.
         propellant
-            With full tanks, kg.
+            Propellant mass in full tanks, kg.
         """
         rows = self.table(propellant)
         depth = fill * self.height / self.radius

@@ -1,4 +1,4 @@
-"""What the thrusters of a lander are: where they sit, along what they push, how short they fire."""
+"""Thruster layout of a lander: positions, directions and minimum on-time."""
 
 from __future__ import annotations
 
@@ -17,98 +17,103 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Thrusters:
-    """On-off thrusters of one size, in four clusters of four unless a layout is given.
+    """Identical on-off thrusters: four clusters of four, or a custom layout.
 
-    The default is the lunar module's thrust for its mass (16 x 445 N on 7 to 15 t) on a lander of
-    1.5 t. The clusters stand as on that module: 45 deg off the body's axes, each with one thruster
-    that pushes up, one down, and two that push inward along body x and body y.
+    The default has the thrust-to-mass ratio of the lunar module (16 x 445 N on 7 to 15 t), scaled
+    to a lander of 1.5 t. As on that module, the clusters lie 45 deg off the body axes. In each, one
+    thruster pushes up, one down, and two push inward along body x and body y.
 
     Attributes
     ----------
     force
-        Of each, N.
+        Force of each thruster, N.
     specific_impulse
         s.
     propellant
-        In tanks of their own, kg; the vehicle's dry mass counts it.
+        Propellant in separate tanks, kg; included in the vehicle's dry mass.
     minimum_on
-        A valve that opens stays open so long, s.
+        Minimum on-time of a valve, s.
     cluster_radius, cluster_height
-        Of the four clusters from body z, and above the body's origin, m.
+        Distance of the clusters from body z, and height above the body's origin, m.
     positions, directions
-        A layout of one's own (n, 3), body axes: where each sits (m) and along which it pushes.
+        Custom layout (n, 3), body axes: position (m) and force direction of each thruster.
 
     Raises
     ------
     InputError
-        If positions and directions differ in number, a direction is no direction, or the layout
-        cannot turn the lander both ways about every axis.
+        If positions and directions differ in number, a direction is zero, or the layout cannot
+        turn the lander in both senses about every axis.
     """
 
-    force: float = quantity(60.0, "N", gt=0, help="of each thruster")
-    specific_impulse: float = quantity(290.0, "s", gt=0, help="of the thrusters")
-    propellant: float = quantity(20.0, "kg", ge=0, help="of the thrusters, part of the dry mass")
-    minimum_on: float = quantity(0.02, "s", gt=0, le=1, help="shortest time that a valve opens for")
-    cluster_radius: float = quantity(1.6, "m", gt=0, help="of the four clusters from body z")
-    cluster_height: float = quantity(0.0, "m", help="of the clusters above the body's origin")
-    positions: Points = quantity((), "m", help="of each thruster; left out: four clusters of four")
-    directions: Points = quantity((), help="along which each pushes; with positions")
+    force: float = quantity(60.0, "N", gt=0, help="force of each thruster")
+    specific_impulse: float = quantity(290.0, "s", gt=0, help="specific impulse of the thrusters")
+    propellant: float = quantity(
+        20.0, "kg", ge=0, help="thruster propellant, included in the dry mass"
+    )
+    minimum_on: float = quantity(0.02, "s", gt=0, le=1, help="minimum on-time of a valve")
+    cluster_radius: float = quantity(1.6, "m", gt=0, help="distance of the clusters from body z")
+    cluster_height: float = quantity(
+        0.0, "m", help="height of the clusters above the body's origin"
+    )
+    positions: Points = quantity((), "m", help="thruster positions; omitted: four clusters of four")
+    directions: Points = quantity((), help="force directions of the thrusters; needs positions")
 
     def __post_init__(self) -> None:
         check_bounds(self, "thrusters")
         if len(self.positions) != len(self.directions):
             raise InputError(
-                "thrusters.directions", len(self.directions), f"{len(self.positions)}: one each"
-            )
+                "thrusters.directions", len(self.directions),
+                f"must have {len(self.positions)} vectors, one per position",
+            )  # fmt: skip
         for d in self.directions:
             if not np.linalg.norm(d) > 0.0:
-                raise InputError("thrusters.directions", d, "a vector that is not zero")
-        if not _turns_every_way(self.torques):
+                raise InputError("thrusters.directions", d, "must not be zero")
+        if not _spans_all_torques(self.torques):
             raise InputError(
                 "thrusters.positions",
                 self.positions,
-                "a layout that turns the lander both ways about every axis",
+                "must allow torques in both senses about every axis",
             )
 
     @property
     def layout(self) -> tuple[Array, Array]:
-        """Where each thruster sits (n, 3), m, and along which unit vector it pushes (n, 3)."""
+        """Positions (n, 3), m, and unit force vectors (n, 3), body axes."""
         if self.positions:
             d = np.asarray(self.directions, dtype=np.float64)
             unit = d / np.linalg.norm(d, axis=1, keepdims=True)
             return np.asarray(self.positions, dtype=np.float64), unit
-        where, along = [], []
+        positions, directions = [], []
         for sx, sy in ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)):
             arm = self.cluster_radius / np.sqrt(2.0)
-            where += [(sx * arm, sy * arm, self.cluster_height)] * 4
-            along += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-sx, 0.0, 0.0), (0.0, -sy, 0.0)]
-        return np.array(where), np.array(along)
+            positions += [(sx * arm, sy * arm, self.cluster_height)] * 4
+            directions += [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (-sx, 0.0, 0.0), (0.0, -sy, 0.0)]
+        return np.array(positions), np.array(directions)
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of thrusters."""
         return len(self.positions) or 16
 
     @property
     def forces(self) -> Array:
-        """Force of each when open (n, 3), body axes, N."""
+        """Force of each open thruster (n, 3), body axes, N."""
         return np.asarray(self.force * self.layout[1])
 
     @property
     def torques(self) -> Array:
-        """Torque of each about the body's origin when open (n, 3), N m."""
+        """Torque of each open thruster about the body's origin (n, 3), N m."""
         return np.asarray(np.cross(self.layout[0], self.forces))
 
     @property
     def flow(self) -> float:
-        """Propellant that one burns, kg/s."""
+        """Propellant flow of one open thruster, kg/s."""
         return self.force / (self.specific_impulse * STANDARD_GRAVITY)
 
 
-def _turns_every_way(torques: Array) -> bool:
-    """Tell whether non-negative shares of torques (n, 3) make any torque.
+def _spans_all_torques(torques: Array) -> bool:
+    """Return whether non-negative combinations of torques (n, 3) give every torque.
 
-    They do if they span space and some strictly positive combination of them is zero.
+    They do if they span space and a strictly positive combination of them is zero.
     """
     from scipy.optimize import linprog  # noqa: PLC0415  (loads slowly)
 

@@ -1,1 +1,1 @@
-"""The onboard computer: measurements in, commands out; it never meets the world or a true state."""
+"""Onboard software: measurements in, commands out, no access to the true state."""

@@ -1,7 +1,8 @@
-"""The onboard computer: measurements in, commands out.
+"""Onboard computer: turns measurements into commands.
 
-It is built from a briefing and meets nothing else: no world, no true state, no loop. `step` does a
-whole control cycle; the loop calls its parts one by one where somebody outside decides.
+It is built from a `Briefing` and has no access to the world, the true state or the simulation
+loop. `step` runs a complete control cycle. A caller that decides on the landing site itself calls
+`update`, `apply` and `command` separately.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.onboard.control.jets import JetLoop, attitude_loop
 from lunarsim.onboard.control.throttle import ThrottleRegions
 from lunarsim.onboard.control.thrust import thrust_to_command
-from lunarsim.onboard.divert_bar import DivertBar
+from lunarsim.onboard.divert_inhibit import DivertInhibit
 from lunarsim.onboard.guidance.apollo import followed_time
 from lunarsim.onboard.guidance.arrival import set_by_others, time_at_gate
 from lunarsim.onboard.guidance.climb import climb
@@ -33,6 +34,7 @@ from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.hazard_map import HazardMap, elevation_under
 from lunarsim.onboard.hazards.levelling import Levelling
 from lunarsim.onboard.hazards.mapper import HazardMapper, sensors_of
+from lunarsim.onboard.mass_estimator import MassEstimator
 from lunarsim.onboard.named_errors import named_in
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, ThrustAware
@@ -45,7 +47,6 @@ from lunarsim.onboard.policies.contract import (
     RetargetingPolicy,
     checked_decision,
 )
-from lunarsim.onboard.tank_account import TankAccount
 from lunarsim.onboard.tasking.contract import Situation
 
 Array = NDArray[np.float64]
@@ -54,31 +55,32 @@ APPROACH, VERTICAL, ABORT, BRAKING = 0, 1, 2, 3
 
 
 class OnboardComputer:
-    """Navigation, mappers, tasking, policy, guidance and control of one lander.
+    """Run navigation, mapping, tasking, policy, guidance and control of one lander.
 
     Parameters
     ----------
     briefing
-        All that it knows beforehand, its own software included.
+        Everything known before the flight, including the software configuration.
     policy
-        Decides where to land; None: somebody outside does, by `apply`.
+        Policy that decides where to land. None: the caller decides and calls `apply`.
 
     Attributes
     ----------
     site
-        Where it is flying to, local frame (3,), m.
+        Landing site that the lander flies to, local frame (3,), m.
     telemetry
-        What happened: time (s), name, details.
-    outlook
-        Where the lander could go, and what a policy is shown of it.
+        Events: time (s), name, details.
+    site_evaluator
+        Evaluates sites and prepares the observation of the policy.
     tanks
-        What is left in them, by the computer's own account.
+        Estimates the mass from the commanded thrust.
     diverts
-        Decisions that changed the site: time (s), old site, decision.
+        Decisions that changed the site: time (s), old site (3,) in m, decision.
     mapped
-        Names of the mappers that took something in during this cycle.
+        Names of the mappers that received a measurement in this cycle.
     expected_miss
-        Of the site when a policy was last shown it, 1 sigma an axis, m; NaN until then.
+        Miss distance at the site in the last observation, 1 sigma per axis, m; NaN before the
+        first.
     """
 
     def __init__(self, briefing: Briefing, policy: RetargetingPolicy | None = None) -> None:
@@ -91,19 +93,19 @@ class OnboardComputer:
         with named_in("navigation"):
             self.navigation = software.navigation.build(briefing)
         self.mappers = built_mappers(briefing, self.navigation)
-        self.outlook = Outlook(briefing, self.navigation, self.mappers)
+        self.site_evaluator = Outlook(briefing, self.navigation, self.mappers)
         self.tasking = [part.build(name, briefing) for name, part in software.tasking.items()]
         control = software.control
         lag = control.response_time + self.lander.thrust_lag
         with named_in("guidance"):
             self.guidance = software.guidance.build(briefing, lag)
         if isinstance(self.guidance, SeesByMap):
-            self.guidance.belief = self._belief
+            self.guidance.belief = self._current_map
         self.vertical = descent_law(software.descent, briefing, lag)
         self.braking = software.braking
-        self._brake: Any = None
+        self._braking_law: Any = None
         if self.braking is not None:
-            self._brake = self.braking.part().build(briefing, lag)
+            self._braking_law = self.braking.part().build(briefing, lag)
         self.attitude_loop = attitude_loop(control, self.lander, briefing.step)
         self.throttle = (
             ThrottleRegions(self.lander.engine) if isinstance(self.lander, JetLander) else None
@@ -111,10 +113,10 @@ class OnboardComputer:
         self.site: Array = briefing.target.copy()
         self.phase = APPROACH if software.braking is None else BRAKING
         self.time = 0.0
-        self.tanks = TankAccount(self.lander, self.attitude_loop)
+        self.tanks = MassEstimator(self.lander, self.attitude_loop)
         self.estimate: Estimate = self.navigation.estimate(0.0, self.mass)
-        self._place = SteadyPlace()
-        self._strain = Strain()
+        self._position_limiter = SteadyPlace()
+        self._limit_monitor = Strain()
         self.telemetry: list[tuple[float, str, dict[str, Any]]] = []
         self.diverts: list[tuple[float, Array, Decision]] = []
         self.candidates: Candidates | None = None
@@ -122,20 +124,20 @@ class OnboardComputer:
         self.expected_miss = float("nan")
         self._arrival = briefing.time_to_go
         self._thrust = 0.0
-        self._jets_out = 0
-        self._target: Array = briefing.target.copy()
+        self._failed_thrusters = 0
+        self._corrected_target: Array = briefing.target.copy()
         self._next_decision = 0.0
-        self._decided = False
-        self._events = self._told = 0
-        self._arrivals = Arrivals.of(briefing, self._note)
-        self._bar = DivertBar()
-        self._levelling = Levelling(self.mappers, self.navigation)
+        self._has_decided = False
+        self._recorded_navigation_events = self._recorded_guidance_events = 0
+        self._arrivals = Arrivals.of(briefing, self._record)
+        self._divert_inhibit = DivertInhibit()
+        self._tilt_correction = Levelling(self.mappers, self.navigation)
 
-    # --- what is known --------------------------------------------------------------------
+    # --- Current knowledge ------------------------------------------------------------------
 
     @property
     def mass(self) -> float:
-        """Of the lander, by what has been asked of its engine and thrusters, kg."""
+        """Estimated mass of the lander from the commanded thrust, kg."""
         return self.tanks.mass
 
     @property
@@ -143,7 +145,7 @@ class OnboardComputer:
         """Estimated height of the pads above the site, m."""
         return self._height(self.estimate)
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _record(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.telemetry.append((time, name, details))
 
     def _height(self, estimate: Estimate) -> float:
@@ -152,31 +154,31 @@ class OnboardComputer:
 
     @property
     def time_to_go(self) -> float:
-        """Until the end of the approach is to be reached, s."""
+        """Time until the planned end of the approach, s."""
         return self._arrival - self.time
 
     @property
     def decisions_map(self) -> str:
-        """Name of the mapper whose map decides; empty for a lander without one."""
-        return self.outlook.decisions_map
+        """Name of the mapper whose map is used for decisions; empty without a mapper."""
+        return self.site_evaluator.decisions_map
 
     @property
     def mapper(self) -> HazardMapper | None:
-        """The mapper whose map decides; None for a lander without one."""
-        return self.outlook.mapper
+        """Mapper whose map is used for decisions; None for a lander without one."""
+        return self.site_evaluator.mapper
 
-    def _belief(self) -> HazardMap | None:
-        """Return the map that decides as it stands; None for a lander without one."""
+    def _current_map(self) -> HazardMap | None:
+        """Return the current hazard map used for decisions; None without a mapper."""
         return None if self.mapper is None else self.mapper.hazard_map()
 
     @property
     def diverts_barred(self) -> bool:
-        """Whether the lander keeps its site, whatever a policy wants; see `DivertBar`."""
-        return self._bar.barred
+        """Whether diverts are inhibited whatever the policy decides; see `DivertInhibit`."""
+        return self._divert_inhibit.inhibited
 
     @property
     def decision_due(self) -> bool:
-        """True when the policy is to be asked in this cycle."""
+        """Whether the policy must be asked in this cycle."""
         window = self.decisions
         return (
             self.phase == APPROACH
@@ -187,21 +189,24 @@ class OnboardComputer:
         )
 
     def cost_of(self, sites: Array, estimate: Estimate | None = None) -> DivertCost:
-        """Return what it costs to fly from here to each of the sites (n, 3), local frame."""
-        return self.outlook.cost_of(sites, estimate or self.estimate)
+        """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
+
+        If no estimate is given, the current one is used.
+        """
+        return self.site_evaluator.cost_of(sites, estimate or self.estimate)
 
     def observe(self) -> Observation:
-        """Return what a policy is shown now."""
+        """Return the current observation of the policy."""
         course = Course(self.time, self.mass, self.estimate, self.site, self.time_to_go)
-        shown = self.outlook.observe(course)
-        self.candidates, self.expected_miss = shown.candidates, shown.expected_miss
-        return shown
+        observation = self.site_evaluator.observe(course)
+        self.candidates, self.expected_miss = observation.candidates, observation.expected_miss
+        return observation
 
-    # --- a cycle --------------------------------------------------------------------------
+    # --- Control cycle ----------------------------------------------------------------------
 
     @one_blas_thread()
     def step(self, measurements: Measurements) -> Command:
-        """Do a whole control cycle."""
+        """Run a complete control cycle."""
         self.update(measurements)
         self.decide()
         return self.command()
@@ -212,55 +217,59 @@ class OnboardComputer:
             self.apply(self.policy.decide(self.observe()))
 
     def update(self, measurements: Measurements) -> None:
-        """Navigate and map by what has been measured since the last cycle.
+        """Update navigation and the maps with the measurements since the last cycle.
+
+        A measurement that is older than the last one of its sensor, or that lies in the future, is
+        dropped and reported as the event "out-of-order".
 
         Raises
         ------
         InputError
-            If time runs backwards. A measurement that was made before the last one of its sensor,
-            or in the future, is left out and reported as "out-of-order".
+            If the time of the measurements lies before the current time.
         """
         self._arrivals.advance(measurements.time)
         elapsed = measurements.time - self.time
-        # The tanks are not gauged: what the engine was asked for has been burnt.
+        # The tanks have no gauges: the commanded thrust is taken as burnt.
         if isinstance(self.navigation, ThrustAware):
             self.navigation.commanded(self._thrust, elapsed)
-        for name in self.tanks.burn(self._thrust, elapsed):
-            self._note(measurements.time, name, {"altitude": self.altitude})
+        for name in self.tanks.update(self._thrust, elapsed):
+            self._record(measurements.time, name, {"altitude": self.altitude})
         if isinstance(self.attitude_loop, JetLoop):
             failed = self.attitude_loop.watch.failed
-            for number in failed[self._jets_out :]:
-                self._note(measurements.time, "thruster-failed", {"thruster": number})
-            self._jets_out = len(failed)
+            for number in failed[self._failed_thrusters :]:
+                self._record(measurements.time, "thruster-failed", {"thruster": number})
+            self._failed_thrusters = len(failed)
         self.time = measurements.time
         self.mapped = set()
-        # The state is carried to now before anything corrects it, in whatever order things came.
+        # Inertial samples come first: they propagate the state before other measurements correct
+        # it.
         for sensor, measurement in sorted(
             measurements.items, key=lambda item: not isinstance(item[1], InertialSamples)
         ):
-            self._take(sensor, measurement)
-        self.outlook.mapped(self.mapped, self.time)
-        self._carry_on()
+            self._process(sensor, measurement)
+        self.site_evaluator.record_update(self.mapped, self.time)
+        self._report_overdue_samples()
         self.estimate = self.navigation.estimate(self.time, self.mass)
         for mapper in self.mappers.values():
             mapper.refresh(self.time)
-        if self._bar.changes(self.estimate.lost, bool(self.mapped)):
+        if self._divert_inhibit.update(self.estimate.lost, bool(self.mapped)):
             name = "diverts-barred" if self.diverts_barred else "diverts-allowed"
-            self._note(self.time, name, {"site": self.site.copy()})
-        self._level_site()
-        begins = not self._decided and elapsed == 0.0 and self.phase == APPROACH
-        if begins and self.approach.free:
-            # The plan was made for the planned start: begin from where the lander is.
-            self._retime()
+            self._record(self.time, name, {"site": self.site.copy()})
+        self._update_site_height()
+        is_start = not self._has_decided and elapsed == 0.0 and self.phase == APPROACH
+        if is_start and self.approach.free:
+            # The plan was made for the planned start; replan from the actual position.
+            self._replan_time_to_go()
 
-    def _carry_on(self) -> None:
-        """Let navigation know of inertial samples that did not come in this cycle."""
+    def _report_overdue_samples(self) -> None:
+        """Report inertial samples that are missing in this cycle to navigation."""
         overdue = self._arrivals.overdue(self.time)
         if overdue is not None:
             self.navigation.take(*overdue, self.time)
             self._follow_navigation()
 
-    def _take(self, sensor: str, given: Any) -> None:
+    def _process(self, sensor: str, given: Any) -> None:
+        """Process one measurement: update navigation, then the mappers of its sensor."""
         measurement = self._arrivals.admit(sensor, given, self.time)
         if measurement is None:
             return
@@ -268,7 +277,7 @@ class OnboardComputer:
             self.navigation.take(sensor, measurement, self.time)
             self._follow_navigation()
             return
-        self._carry_on()
+        self._report_overdue_samples()
         self.navigation.take(sensor, measurement, self.time)
         self._follow_navigation()
         software = self.briefing.software.mappers
@@ -282,31 +291,28 @@ class OnboardComputer:
         self.mapped |= {n for n, m in self.mappers.items() if m.sources & self.mapped}
 
     def _follow_navigation(self) -> None:
-        """Note what navigation reports, and move the briefed target where it is known to lie."""
+        """Record navigation events and move the target to its corrected position."""
         shift = self.navigation.site_to_local
         target = shift.to_local(self.briefing.target)
-        if not np.array_equal(target, self._target):
-            self._target = target
-            # What is learnt of it during the last metres would be chased.
+        if not np.array_equal(target, self._corrected_target):
+            self._corrected_target = target
+            # Guidance would chase corrections during the last metres.
             if not self.diverts and self.phase != VERTICAL:
                 self.site = target
                 for mapper in self.mappers.values():
                     mapper.recentre(target)
-        self._levelling.follow(self.time, self.mass)
-        for event in self.navigation.events[self._events :]:
-            self._note(event.time, event.name, dict(event.details))
+        self._tilt_correction.follow(self.time, self.mass)
+        for event in self.navigation.events[self._recorded_navigation_events :]:
+            self._record(event.time, event.name, dict(event.details))
             free = self.phase == APPROACH and self.approach.free
             if event.name in {"lock", "relock"} and free:
-                # A path planned from tens of metres off is planned afresh.
+                # A position error of tens of metres invalidates the planned path.
                 self.estimate = self.navigation.estimate(self.time, self.mass)
-                self._retime()
-        self._events = len(self.navigation.events)
+                self._replan_time_to_go()
+        self._recorded_navigation_events = len(self.navigation.events)
 
-    def _level_site(self) -> None:
-        """Take the height of the site from the ground as it has been mapped there.
-
-        What the mission says of it, and what navigation errs by in height, counts until then.
-        """
+    def _update_site_height(self) -> None:
+        """Set the height of the site to the mapped terrain height there, once it is known."""
         mapper = self.mapper
         if mapper is None or mapper.blank:
             return
@@ -317,57 +323,57 @@ class OnboardComputer:
             self.site = np.array([self.site[0], self.site[1], height])
 
     def apply(self, decision: Decision) -> bool:
-        """Carry out a decision; return False if the old site stays though it wants another.
+        """Carry out a decision; return False if it asks for a new site and is refused.
 
-        That is so where its site is out of reach, and while diverts are barred. For a stretch that
-        cannot be flown see `Decision`.
+        A new site is refused if it is out of reach or out of sight, or while diverts are inhibited.
+        `Decision.stretch` describes what happens with a time scale that cannot be flown.
 
         Raises
         ------
         InputError
-            If a policy gave something else.
+            If the decision is not a valid `Decision`.
         """
         decision = checked_decision(self.policy, decision, self.time)
         self._next_decision = self.time + self.decisions.interval
         if decision.abort:
             self.phase = ABORT
-            told = {"altitude": self.altitude, "reason": decision.reason}
-            self._note(self.time, "abort", told)
+            details = {"altitude": self.altitude, "reason": decision.reason}
+            self._record(self.time, "abort", details)
             return True
-        first, self._decided = not self._decided, True
-        stretch = self._stretch_of(decision)
+        first, self._has_decided = not self._has_decided, True
+        stretch = self._requested_time_scale(decision)
         if decision.site is None:
             if stretch is not None or (first and self.approach.free):
-                self._retime(stretch)
+                self._replan_time_to_go(stretch)
             return True
         site = np.asarray(decision.site, dtype=np.float64)
         if self.diverts_barred:
-            self._refuse(site, "navigation is lost")
+            self._record_refusal(site, "navigation is lost")
             return False
-        time_to_go, why = self.outlook.time_to(site, self.estimate, stretch)
+        time_to_go, why = self.site_evaluator.time_to(site, self.estimate, stretch)
         if not np.isfinite(time_to_go):
-            self._refuse(site, "out of reach")
+            self._record_refusal(site, "out of reach")
             return False
-        if not self.outlook.in_sight(site, self.estimate):
-            self._refuse(site, "out of sight")
+        if not self.site_evaluator.is_visible(site, self.estimate):
+            self._record_refusal(site, "out of sight")
             return False
         self.diverts.append((self.time, self.site, decision))
         self.site = site
         self._arrival = self.time + time_to_go
         if why:
-            self._refuse(site, why, stretch)
+            self._record_refusal(site, why, stretch)
         return True
 
-    def _refuse(self, site: Array, reason: str, stretch: float | None = None) -> None:
-        """Note that a divert is refused, or, if one is given, its stretch alone."""
-        told = {"site": site.copy(), "reason": reason}
+    def _record_refusal(self, site: Array, reason: str, stretch: float | None = None) -> None:
+        """Record that a divert, or with `stretch` only its time scale, is refused."""
+        details = {"site": site.copy(), "reason": reason}
         if stretch is None:
-            self._note(self.time, "divert-refused", told)
+            self._record(self.time, "divert-refused", details)
         else:
-            self._note(self.time, "stretch-refused", told | {"stretch": float(stretch)})
+            self._record(self.time, "stretch-refused", details | {"stretch": float(stretch)})
 
-    def _stretch_of(self, decision: Decision) -> float | None:
-        """Return the stretch that a decision asks for; None where it is not for a policy to ask."""
+    def _requested_time_scale(self, decision: Decision) -> float | None:
+        """Return the time scale that a decision asks for; None if it may not set one."""
         if decision.stretch is None:
             return None
         why = set_by_others(self.approach, self.guidance)
@@ -378,52 +384,52 @@ class OnboardComputer:
         if not why:
             return decision.stretch
         site = self.site if decision.site is None else np.asarray(decision.site, dtype=np.float64)
-        self._refuse(site, why, decision.stretch)
+        self._record_refusal(site, why, decision.stretch)
         return None
 
-    def _retime(self, stretch: float | None = None) -> None:
-        """Choose the time-to-go to the present site afresh.
+    def _replan_time_to_go(self, stretch: float | None = None) -> None:
+        """Choose the time-to-go to the present site again.
 
-        A divert does so anyway. Without this a lander that keeps its site would fly on the
-        time-to-go of the start, and diverts would seem to save propellant.
+        Diverts always do so. Without this, a lander that keeps its site would fly on the time-to-go
+        planned for the start, and diverts would appear to save propellant.
         """
-        time_to_go, why = self.outlook.time_to(self.site, self.estimate, stretch)
+        time_to_go, why = self.site_evaluator.time_to(self.site, self.estimate, stretch)
         if np.isfinite(time_to_go):
             self._arrival = self.time + time_to_go
         if why:
-            self._refuse(self.site, why, stretch)
+            self._record_refusal(self.site, why, stretch)
 
-    def _arrive_later(self) -> None:
-        """Take longer for a path that asks for too much, if a longer one keeps the limits.
+    def _extend_time_to_go(self) -> None:
+        """Extend the time-to-go if the path violates limits and a longer one does not.
 
-        Where the mission fixes the time, or a law its own, that stands.
+        A time-to-go set by the mission or by the guidance law is not changed.
         """
         if set_by_others(self.approach, self.guidance):
             return
-        time_to_go, _ = self.outlook.time_to(self.site, self.estimate)
+        time_to_go, _ = self.site_evaluator.time_to(self.site, self.estimate)
         if self.time_to_go < time_to_go < np.inf:
             later = time_to_go - self.time_to_go
             self._arrival = self.time + time_to_go
-            self._note(self.time, "arrives-later", {"seconds": later})
+            self._record(self.time, "arrives-later", {"seconds": later})
 
     def _end_braking(self) -> None:
-        """Follow the time-to-go of braking; begin the approach when its end comes."""
+        """Update the time-to-go of braking; begin the approach when braking ends."""
         left = self.braking.time_left(self.estimate, self.braking.end(self.site), self.time_to_go)
         self._arrival = self.time + left
         if left > self.braking.ends_at:
             return
         self.phase = APPROACH
-        told = {"altitude": self.altitude}
-        self._note(self.time, "approach", told)
+        details = {"altitude": self.altitude}
+        self._record(self.time, "approach", details)
         gate = self.approach.end(self.site, self.lander)
-        admissible, _ = self.outlook.time_to(self.site, self.estimate)
+        admissible, _ = self.site_evaluator.time_to(self.site, self.estimate)
         left, within = time_at_gate(self.approach, self.estimate, gate, admissible)
         if not within:
-            self._note(self.time, "approach-out-of-limits", told)
+            self._record(self.time, "approach-out-of-limits", details)
         self._arrival = self.time + left
 
     def command(self) -> Command:
-        """Return what vehicle and sensors are to do until the next cycle."""
+        """Return the command to vehicle and sensors for the next cycle."""
         if self.phase == BRAKING:
             self._end_braking()
         if self.phase == APPROACH and self.approach.jerk is not None:
@@ -432,36 +438,38 @@ class OnboardComputer:
             self._arrival = self.time + left
         if self.phase == APPROACH and self.approach.over(self.altitude, self.time_to_go):
             self.phase = VERTICAL
-            self._note(self.time, "vertical-descent", {"altitude": self.altitude})
-        asked = self._brake_on() if self.phase == BRAKING else self._steer()
+            self._record(self.time, "vertical-descent", {"altitude": self.altitude})
+        request = self._braking_command() if self.phase == BRAKING else self._guidance_command()
         if self.throttle is not None:
-            asked = replace(asked, thrust=self.throttle.allowed(asked.thrust))
-        command = replace(asked, tasks=self._tasks(), abort=self.phase == ABORT)
+            request = replace(request, thrust=self.throttle.allowed(request.thrust))
+        command = replace(request, tasks=self._tasks(), abort=self.phase == ABORT)
         self._thrust = command.thrust
         self.attitude_loop.begin(command, self.estimate.attitude, self.mass)
         return command
 
-    def _brake_on(self) -> Command:
-        """Return what braking asks of the vehicle."""
+    def _braking_command(self) -> Command:
+        """Return the vehicle command during braking."""
         end = self.braking.end(self.site)
-        wanted = self._brake.command(self.estimate, end, self.time, self.time_to_go)
-        asked: Command = self.braking.ask(
+        wanted = self._braking_law.command(self.estimate, end, self.time, self.time_to_go)
+        request: Command = self.braking.ask(
             wanted, self.mass, self.lander, self.briefing.heading, self.time
         )
-        return asked
+        return request
 
-    def _steer(self) -> Command:
-        """Return what approach, descent or climb ask of the vehicle."""
+    def _guidance_command(self) -> Command:
+        """Return the vehicle command during approach, terminal descent or abort."""
         end: PhaseEnd
-        here = self._steadied()
+        here = self._position_limited_estimate()
         if self.phase == APPROACH:
             end = self.approach.end(self.site, self.lander)
             given = self.guidance.command(here, end, self.time, self.time_to_go)
             wanted = checked_command("guidance", self.briefing.software.guidance, given, self.time)
             tilt = self.approach.max_tilt
             self._follow_guidance()
-            if self._strain.lasts(wanted, self.mass, (tilt, self.lander.thrust_max), self.time):
-                self._arrive_later()
+            if self._limit_monitor.lasts(
+                wanted, self.mass, (tilt, self.lander.thrust_max), self.time
+            ):
+                self._extend_time_to_go()
         elif self.phase == VERTICAL:
             end = self.approach.ground(self.site, self.lander)
             given = self.vertical.command(here, end, self.time)
@@ -472,29 +480,31 @@ class OnboardComputer:
             tilt = self.approach.max_tilt
         return thrust_to_command(wanted, self.mass, self.lander, self.briefing.heading, tilt)
 
-    def _steadied(self) -> Estimate:
-        """Return where guidance takes the lander to be on the last part of the way."""
+    def _position_limited_estimate(self) -> Estimate:
+        """Return the estimate for guidance, with limited position steps near the end."""
         if not self.navigation.steps or self.phase not in {APPROACH, VERTICAL}:
             return self.estimate
-        return self._place.of(self.estimate, self.time_to_go if self.phase == APPROACH else 0.0)
+        return self._position_limiter.of(
+            self.estimate, self.time_to_go if self.phase == APPROACH else 0.0
+        )
 
     def _follow_guidance(self) -> None:
-        """Take over when a law means to arrive, if it says so, and what it reports."""
+        """Take over the planned arrival time and the events of the guidance law."""
         if not isinstance(self.guidance, PlansArrival):
             return
         if self.guidance.arrival is not None:
             self._arrival = self.guidance.arrival
-        self.telemetry += self.guidance.events[self._told :]
-        self._told = len(self.guidance.events)
+        self.telemetry += self.guidance.events[self._recorded_guidance_events :]
+        self._recorded_guidance_events = len(self.guidance.events)
 
     def _tasks(self) -> tuple[SensorTask, ...]:
-        """Return what pointed sensors are to measure at the end of the cycle."""
+        """Return the tasks of the pointed sensors for the end of the cycle."""
         soon = self.estimate.ahead(self.briefing.cycle)
         situation = Situation(soon.time, self._height(soon), self.site, soon)
         tasks = (part.task(situation) for part in self.tasking)
         return tuple(task for task in tasks if task is not None)
 
     def stop_sensors(self) -> None:
-        """Ask for no more measurements of pointed sensors."""
+        """Stop the measurements of all pointed sensors."""
         for part in self.tasking:
             part.stop()

@@ -1,4 +1,4 @@
-"""Errors of parts, by the scenario's tables: a part knows its keys and not where they are."""
+"""Add the scenario table to errors of parts, which know only their own keys."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _OTHER_TABLES = {"sun", "navigation", "vehicle", "sensors", "prior_map", "expect
 
 @contextmanager
 def named_in(table: str) -> Iterator[None]:
-    """Put the scenario's table before a key that a part complains of.
+    """Prefix the field of an `InputError` raised inside with a scenario table.
 
-    What names another table, or a key of one (a sensor's, the mission's), is left as it is.
+    Fields that name a key of another table (a sensor, the mission) are left unchanged.
     """
     try:
         yield

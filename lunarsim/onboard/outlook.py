@@ -1,4 +1,4 @@
-"""What sites cost, and what a policy is shown of them."""
+"""Evaluate landing sites, and prepare the observation of the policy."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Course:
-    """Where the lander is, and what it is flying to.
+    """Current state of the descent.
 
     Attributes
     ----------
     time
-        s.
+        Time, s.
     mass
-        Of the lander by its account of the tanks, kg.
+        Estimated mass of the lander, kg.
     estimate
-        As navigation has it now.
+        Current navigation estimate.
     site
-        Local frame (3,), m.
+        Site that the lander flies to, local frame (3,), m.
     time_to_go
-        Until the end of the approach is to be reached, s.
+        Time until the planned end of the approach, s.
     """
 
     time: float
@@ -47,16 +47,16 @@ class Course:
 
 
 class Outlook:
-    """Where a lander could go, by the map that decides and the paths of its guidance.
+    """Evaluates landing sites by the decision map and the paths of the guidance law.
 
     Parameters
     ----------
     briefing
-        Of the flight.
+        Briefing of the flight.
     navigation
-        Tells whether the lander drifts over what it maps.
+        Reports whether the lander drifts relative to its map.
     mappers
-        By name.
+        Mappers by name.
     """
 
     def __init__(
@@ -67,33 +67,34 @@ class Outlook:
         self.approach, self.decisions = software.approach, software.decisions
         self._navigation, self._mappers = navigation, mappers
         descent = self.approach.vertical_altitude / self.approach.rate
-        self._aim = Aim(self.decisions.touchdown_sigma, descent)
+        self._dispersion = Aim(self.decisions.touchdown_sigma, descent)
 
     @property
     def decisions_map(self) -> str:
-        """Name of the mapper whose map decides; empty for a lander without one.
+        """Name of the mapper whose map is used for decisions; empty without a mapper.
 
-        If the scenario names none: the first that is made of others, else the first.
+        If the scenario names none, it is the first mapper that combines other maps, else the first.
         """
-        joined = (name for name, mapper in self._mappers.items() if mapper.sources)
-        return str(self.decisions.map or next(joined, next(iter(self._mappers), "")))
+        combining = (name for name, mapper in self._mappers.items() if mapper.sources)
+        return str(self.decisions.map or next(combining, next(iter(self._mappers), "")))
 
     @property
     def mapper(self) -> HazardMapper | None:
-        """The mapper whose map decides; None for a lander without one."""
+        """Mapper whose map is used for decisions; None for a lander without one."""
         return self._mappers.get(self.decisions_map)
 
-    def mapped(self, names: set[str], time: float) -> None:
-        """Note which maps have taken something in, and when, s."""
+    def record_update(self, names: set[str], time: float) -> None:
+        """Record the mappers that received a measurement, and the time (s)."""
         if self.decisions_map in names:
-            self._aim.mapped_at = time
+            self._dispersion.mapped_at = time
 
     def cost_of(
         self, sites: Array, estimate: Estimate, times: Array | None = None
     ) -> DivertCost:  # fmt: skip
-        """Return what it costs to fly from an estimate to each of the sites (n, 3), local frame.
+        """Return the cost of flying from an estimate to each site (n, 3), local frame, m.
 
-        With `times` (n,), s, that of the path that takes so long, else of the cheapest.
+        With `times` (n,), s, it is the cost of the path of that duration, otherwise of the path
+        that takes the least propellant.
         """
         cost: DivertCost = self.briefing.software.guidance.cost(
             estimate,
@@ -101,7 +102,7 @@ class Outlook:
             self.lander,
             self.briefing.weight,
             self.approach.limits,
-            # A law that knows of no times is not asked for them.
+            # Guidance laws need not accept times.
             *(() if times is None else (times,)),
         )
         return cost
@@ -109,10 +110,11 @@ class Outlook:
     def time_to(
         self, site: Array, estimate: Estimate, stretch: float | None = None
     ) -> tuple[float, str]:
-        """Return the time-to-go to a site (3,), s, and why it is not that of a stretch.
+        """Return the time-to-go to a site (3,), s, and why a time scale was refused.
 
-        That of the cheapest path within all limits, NaN without any; with a stretch so many times
-        it, if that keeps them too.
+        Without `stretch` it is the time-to-go of the minimum-propellant path within all limits, NaN
+        if there is none. With `stretch` it is that time multiplied by `stretch`, if this path also
+        keeps the limits. The reason is empty if nothing was refused.
         """
         one = np.asarray(site, dtype=np.float64)[None]
         cheapest = self.cost_of(one, estimate).time_to_go
@@ -124,16 +126,13 @@ class Outlook:
             return float(cheapest[0]), "beyond the limits"
         return stretch * float(cheapest[0]), ""
 
-    def in_sight(self, site: Array, estimate: Estimate) -> bool:
-        """Tell whether a site (3,) is seen through the window, where the scenario has one."""
+    def is_visible(self, site: Array, estimate: Estimate) -> bool:
+        """Return whether a site (3,) is visible; always True without a window."""
         window = self.briefing.software.window
         return window is None or bool(window.sees(estimate, site))
 
-    def _designable(self, sites: Array, estimate: Estimate) -> DivertCost:
-        """Return what sites cost (n, 3); those that are not seen through a window are out of reach.
-
-        A look angle is taken only where the scenario has a window.
-        """
+    def _cost_of_visible(self, sites: Array, estimate: Estimate) -> DivertCost:
+        """Return the cost of sites (n, 3), infinite for those that are not visible."""
         cost, window = self.cost_of(sites, estimate), self.briefing.software.window
         if window is None:
             return cost
@@ -145,29 +144,29 @@ class Outlook:
         )
 
     def observe(self, course: Course) -> Observation:
-        """Return what a policy is shown on a course.
+        """Return the observation of a policy at a given state of the descent.
 
         Raises
         ------
         RuntimeError
-            If there is no map.
+            If the lander has no mapper.
         """
         mapper = self.mapper
         if mapper is None:
-            raise RuntimeError("this lander has no mapper: there is nothing to decide on")
+            raise RuntimeError("this lander has no mapper, so no map is available for decisions")
         site, estimate = course.site, course.estimate
         part = self.briefing.software.mappers[self.decisions_map]
         hazard_map = asked_map(self.decisions_map, part, mapper, course.time)
         miss = float(self._miss_of(np.array([course.time_to_go]), course)[0])
-        aim = self._aim.spread(hazard_map, miss)
+        aim = self._dispersion.spread(hazard_map, miss)
         scoreboard = mapper.scoreboard(site)
-        designable = partial(self._designable, estimate=estimate)
-        reach = Reach.under(hazard_map, site, designable)
+        cost_of_visible = partial(self._cost_of_visible, estimate=estimate)
+        reach = Reach.under(hazard_map, site, cost_of_visible)
         candidates = candidate_sites(
             hazard_map,
             aim,
             site,
-            designable,
+            cost_of_visible,
             count=self.decisions.candidates,
             separation=self.decisions.separation,
             miss_of=partial(self._miss_of, course=course) if self._navigation.adrift else None,
@@ -196,6 +195,6 @@ class Outlook:
         )
 
     def _miss_of(self, time_to_go: Array, course: Course) -> Array:
-        """Return the expected miss of sites that take so long to reach (n,), s, an axis, m."""
+        """Return the expected miss for times-to-go (n,), s: 1 sigma per axis (n,), m."""
         until = np.where(np.isfinite(time_to_go), time_to_go, course.time_to_go)
-        return self._aim.misses(course.estimate, self._navigation.adrift, until)
+        return self._dispersion.misses(course.estimate, self._navigation.adrift, until)

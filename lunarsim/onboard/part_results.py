@@ -1,4 +1,4 @@
-"""Checks of what custom parts return: an error names the part, its method and the value."""
+"""Check the return values of custom parts; errors name the part and its method."""
 
 from __future__ import annotations
 
@@ -16,38 +16,42 @@ Array = NDArray[np.float64]
 def wrong_result(
     table: str, part: object, method: str, value: Any, wanted: str, time: float | None = None
 ) -> InputError:
-    """Return the error of a part that has returned something else than it must.
+    """Return the error for a part whose method returned an invalid value.
 
     Parameters
     ----------
     table
-        The scenario's table of the part.
-    part, method
-        Who returned it, and from which method; a part of None is one outside the simulation.
+        Scenario table of the part.
+    part
+        Part that returned the value; None for an external caller.
+    method
+        Method that returned the value.
     value
-        What was returned.
+        Value returned.
     wanted
-        What must be returned, in words.
+        Description of a valid return value, a noun phrase.
     time
-        When, s; None: not known to the caller.
+        Time of the call, s; None if unknown.
     """
     shown = value.tolist() if isinstance(value, np.ndarray) else value
-    said = shown if isinstance(shown, str) else reprlib.repr(shown)
+    short = reprlib.repr(shown)
+    if "..." in short:
+        shown = short
     kind = type(part)
     name = "external" if part is None else f"{kind.__module__}:{kind.__qualname__}"
-    when = "" if time is None else f" at {time:.1f} s"
-    return InputError(table, name, f"{method} returned {said}{when}. It must return {wanted}")
+    when = "" if time is None else f" (at {time:.1f} s)"
+    return InputError(table, shown, f"{name}.{method} must return {wanted}{when}")
 
 
 def checked_vector(
     table: str, part: object, method: str, value: Any, unit: str, time: float | None = None
 ) -> Array:
-    """Return a vector (3,) that a part has computed, in a unit; see `wrong_result`.
+    """Return a vector (3,) computed by a part as an array, in `unit`; refuse others.
 
     Raises
     ------
     InputError
-        If it is not three finite numbers.
+        If the value is not three finite numbers.
     """
     try:
         vector = np.asarray(value, dtype=np.float64)
@@ -59,11 +63,11 @@ def checked_vector(
 
 
 def checked_command(table: str, part: object, value: Any, time: float) -> Array:
-    """Return the thrust acceleration (3,) that a guidance law has commanded, m/s^2.
+    """Return the commanded thrust acceleration (3,) of a guidance law, m/s^2.
 
     Raises
     ------
     InputError
-        If it is not three finite numbers.
+        If the value is not three finite numbers.
     """
     return checked_vector(table, part, "command", value, "m/s^2", time)

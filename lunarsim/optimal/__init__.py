@@ -1,12 +1,12 @@
-"""Descents of least propellant: the yardstick of every law, and what the optimal one flies.
+"""Minimum-propellant descents: benchmark of laws, planner of the optimal law.
 
-`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` holds programs
-that were built once; `least_propellant` and `least_error` search the final time.
+`docs/theory/optimal.md` has the equations. A problem is a `Descent`; a `Planner` keeps compiled
+programs; `least_propellant` and `minimize_landing_error` search the final time.
 """
 
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
-from lunarsim.optimal.final_time import least_error, least_propellant
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.final_time import least_propellant, minimize_landing_error
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
 
@@ -14,10 +14,10 @@ __all__ = [
     "Cone",
     "Descent",
     "InfeasibleError",
-    "Path",
+    "OptimalPath",
     "Planner",
     "RelaxationError",
     "SolverError",
-    "least_error",
     "least_propellant",
+    "minimize_landing_error",
 ]

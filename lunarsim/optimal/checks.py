@@ -1,4 +1,4 @@
-"""Figures that are asked for: numbers, counts and vectors, or an error that names them."""
+"""Validation of numbers, counts and vectors in a problem."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from lunarsim.errors import InputError
 
 Array = NDArray[np.float64]
 
-LARGEST = 1e12  # of any figure of a descent, in its unit: squares and ratios of such are numbers
+LARGEST = 1e12  # maximum of any value of a descent, in its unit, so that squares do not overflow
 
 
 def is_number(value: Any) -> bool:
-    """Tell whether it is one finite real number; True and False are none."""
+    """Return whether a value is one finite real number, not a boolean."""
     real = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
     return real and bool(np.isfinite(float(value)))
 
 
 def count(name: str, value: Any, least: int) -> int:
-    """Return a whole number.
+    """Return an integer.
 
     Raises
     ------
     InputError
-        If it is none, or under the least.
+        If the value is not an integer or is below the minimum.
     """
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise InputError(f"optimal.{name}", value, f"a whole number, at least {least}")
+        raise InputError(f"optimal.{name}", value, f"must be an integer of at least {least}")
     return int(value)
 
 
 def numbers(name: str, value: Any, shape: tuple[int, ...], expected: str) -> Array:
-    """Return an array of finite real numbers of a shape.
+    """Return an array of finite real numbers of a given shape.
 
     Raises
     ------
     InputError
-        If it is none.
+        If the value is not such an array; `expected` is the problem that the message states.
     """
     try:
         found = np.asarray(value)
-    except ValueError:  # ragged
+    except ValueError:  # nested sequences of unequal length
         raise InputError(f"optimal.{name}", value, expected) from None
     if found.dtype.kind not in "fiu" or found.shape != shape or not np.isfinite(found).all():
         raise InputError(f"optimal.{name}", value if found.size < 10 else found.shape, expected)

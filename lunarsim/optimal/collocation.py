@@ -1,9 +1,9 @@
-"""The same descent without any convexification: direct collocation, solved by IPOPT.
+"""Direct collocation of a descent without convexification, solved by IPOPT.
 
-A yardstick that shares nothing with the cone programs: thrust, its limits and its pointing as they
-are, the mass by its own equation, a free final time as a variable. Radau points of degree three,
-thrust constant in each interval. CasADi (Andersson and others 2019) differentiates, IPOPT (Waechter
-and Biegler 2006) solves; it finds a local optimum, and takes a few hundred times as long.
+It is an independent check of the cone programs: thrust with its limits and pointing, the mass
+equation, and a free final time as a variable. Radau points of degree three; thrust is constant in
+each interval. CasADi (Andersson and others 2019) differentiates, IPOPT (Waechter and Biegler 2006)
+solves. It finds a local optimum and takes a few hundred times as long as the cone programs.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import count, is_number
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import first_time
+from lunarsim.optimal.final_time import minimum_effort_time
 from lunarsim.optimal.problem import Descent
 from lunarsim.optimal.units import Units
 
 Array = NDArray[np.float64]
 
-_Row = tuple[Any, Any, Any]  # an expression and its bounds
+_Row = tuple[Any, Any, Any]  # a constraint expression and its bounds
 
 _DEGREE = 3
 _STATES = 7
@@ -32,7 +32,7 @@ _STATES = 7
 
 @dataclass(frozen=True)
 class Collocated:
-    """A path by collocation.
+    """Path computed by collocation.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Collocated:
     thrust
         In the intervals (N, 3), N.
     iterations
-        Of IPOPT.
+        Number of iterations of IPOPT.
     """
 
     duration: float
@@ -60,41 +60,49 @@ class Collocated:
 
 
 def _state(units: Units) -> Array:
-    """Return the units of a state (7,)."""
+    """Return the scales of a state (7,)."""
     return np.array([units.length] * 3 + [units.speed] * 3 + [units.mass])
 
 
 def collocate(
-    descent: Descent, intervals: int = 50, *, duration: float | None = None, most: int = 400
+    descent: Descent,
+    intervals: int = 50,
+    *,
+    duration: float | None = None,
+    max_iterations: int = 400,
 ) -> Collocated:
-    """Return the path of least propellant by direct collocation.
+    """Compute the minimum-propellant path by direct collocation.
 
     Parameters
     ----------
     descent
-        The problem, with neither region, cone, end tilt nor spare thrust.
+        Problem without region, cone, end tilt and thrust slack.
     intervals
         N.
     duration
         Final time, s; None: free.
-    most
-        Iterations of IPOPT.
+    max_iterations
+        Maximum number of iterations of IPOPT.
 
     Raises
     ------
     InputError
-        If the descent has what it may not, the final time is no positive number, or numbers of
-        intervals or iterations are none.
+        If the descent has an unsupported constraint, or an argument is invalid.
     SolverError
         If IPOPT does not converge.
     """
-    intervals, most = count("intervals", intervals, 2), count("most", most, 0)
-    for name, other in (("region", 0.0), ("spare", 0.0), ("cone", None), ("end_tilt", None)):
+    intervals, max_iterations = (
+        count("intervals", intervals, 2),
+        count("max_iterations", max_iterations, 0),
+    )
+    for name, other in (("region", 0.0), ("thrust_slack", 0.0), ("cone", None), ("end_tilt", None)):
         if getattr(descent, name) != other:
-            raise InputError(f"optimal.{name}", getattr(descent, name), f"{other}: none but that")
+            raise InputError(
+                f"optimal.{name}", getattr(descent, name), f"must be {other} for collocation"
+            )
     if duration is not None and not (is_number(duration) and duration > 0.0):
-        raise InputError("optimal.duration", duration, "a positive final time in s")
-    guess = duration or 0.9 * first_time(descent)
+        raise InputError("optimal.duration", duration, "must be positive and finite")
+    guess = duration or 0.9 * minimum_effort_time(descent)
     units = Units(float(np.linalg.norm(descent.gap)) + 1.0, guess, descent.mass)
     variables, constraints, low, high = _program(descent, units, intervals, duration)
     problem: dict[str, Any] = {
@@ -103,20 +111,23 @@ def collocate(
         "g": constraints,
     }
     options: dict[str, Any] = {
-        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.max_iter": most,
-        "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
+        "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes",
+        "ipopt.max_iter": max_iterations, "ipopt.tol": 1e-8, "ipopt.mu_strategy": "adaptive",
     }  # fmt: skip
     solver = casadi.nlpsol("descent", "ipopt", problem, options)
     start = _start(descent, units, intervals)
     got = solver(x0=start, lbg=low, ubg=high)
     stats = solver.stats()
     if not stats["success"]:
-        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+        raise SolverError(
+            f"IPOPT does not converge: {stats['return_status']} after "
+            f"{stats['iter_count']} iterations."
+        )
     return _read(np.asarray(got["x"]).ravel(), descent, units, intervals, stats["iter_count"])
 
 
 def _start(descent: Descent, units: Units, n: int) -> Array:
-    """Return a first guess: straight from start to end, hovering thrust."""
+    """Return an initial guess: straight from start to end with hover thrust."""
     share = np.linspace(0.0, 1.0, n + 1)[:, None]
     position = (1.0 - share) * descent.gap
     velocity = (1.0 - share) * descent.velocity + share * descent.end_velocity
@@ -183,9 +194,9 @@ def _derivatives(tau: Array) -> Array:
 
 
 def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any, Any]]:
-    """Return the limits of size and lean of a thrust."""
-    least, most = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
-    rows = [(casadi.sumsqr(thrust), least**2, most**2)]
+    """Return the limits of thrust and tilt."""
+    lower, upper = (f / units.force for f in (descent.thrust_min, descent.thrust_max))
+    rows = [(casadi.sumsqr(thrust), lower**2, upper**2)]
     if descent.max_tilt is not None:
         lean = np.cos(descent.max_tilt) * casadi.norm_2(thrust)
         rows.append((thrust[2] - lean, 0.0, np.inf))
@@ -193,14 +204,14 @@ def _limits(descent: Descent, units: Units, thrust: Any) -> list[tuple[Any, Any,
 
 
 def _above(descent: Descent, units: Units, x: Any) -> _Row:
-    """Return the glideslope at one point."""
-    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
+    """Return the glideslope constraint at one point."""
+    horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-10)
     up = x[2] + descent.drop / units.length
-    return up - np.tan(descent.glideslope or 0.0) * aside, 0.0, np.inf
+    return up - np.tan(descent.glideslope or 0.0) * horizontal, 0.0, np.inf
 
 
 def _read(x: Array, descent: Descent, units: Units, n: int, iterations: int) -> Collocated:
-    """Return what the variables stand for."""
+    """Convert the solver's variables to a path."""
     nodes = x[: _STATES * (n + 1)].reshape(n + 1, _STATES) * _state(units)
     begin = _STATES * (n + 1) + _STATES * _DEGREE * n
     return Collocated(

@@ -1,10 +1,10 @@
-"""A second-order cone program, and the two solvers that it is given to.
+"""Second-order cone program and its two solvers.
 
     minimise c x   subject to   A x = b,   G x + s = h,   s in the non-negative orthant x cones
 
-QOCO (Chari and Acikmese 2025) is built once and updated: three to five times as fast here as
-Clarabel from nothing (``scripts/bench.py optimal``). It knows no certificate of infeasibility, so
-what it does not solve is given to Clarabel (Goulart and Chen 2024), which has one.
+QOCO (Chari and Acikmese 2025) is set up once and then updated; it is three to five times as fast
+here as Clarabel (``scripts/bench.py optimal``). It gives no certificate of infeasibility; programs
+that it does not solve go to Clarabel (Goulart and Chen 2024), which gives one.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from scipy import sparse
 Array = NDArray[np.float64]
 Status = Literal["solved", "infeasible", "unsolved", "failed"]
 
-_WIDER = 1e-6  # cones that must be widened by more hold nothing: lengths are scaled to about 1
+_INFEASIBLE_WIDENING = (
+    1e-6  # minimum widening of the cones that proves infeasibility; lengths are about 1
+)
 
 
 @dataclass(frozen=True)
 class Program:
-    """A cone program.
+    """Second-order cone program.
 
     Attributes
     ----------
@@ -35,9 +37,10 @@ class Program:
     a, g
         Sparse matrices, CSC.
     orthant
-        Number of rows of G that come first and ask for s >= 0.
+        Number of leading rows of G with s >= 0.
     cones
-        Dimensions of the second-order cones of the other rows, the first of a cone its bound.
+        Dimensions of the second-order cones of the other rows; the first row of a cone is its
+        bound.
     """
 
     c: Array
@@ -50,19 +53,19 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a solver gave.
+class SolverResult:
+    """Result of a solver.
 
     Attributes
     ----------
     status
-        "infeasible" is proven, "unsolved" one or the other of it and "failed".
+        "infeasible" is proven; "unsolved" is either infeasible or failed.
     x, y, z
         Variables, multipliers of the equalities and of the cones.
     iterations
-        Of the solver.
+        Number of iterations of the solver.
     solver
-        Its name.
+        Name of the solver.
     """
 
     status: Status
@@ -74,82 +77,82 @@ class Answer:
 
 
 class Qoco:
-    """A program kept in QOCO: what it holds is overwritten, its structure stays.
+    """Solve programs of one structure with QOCO, updating its data.
 
     Parameters
     ----------
-    most
-        Iterations after which it gives up.
+    max_iterations
+        Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 60) -> None:
-        self.most = most
-        self._held: Any = None
+    def __init__(self, max_iterations: int = 60) -> None:
+        self.max_iterations = max_iterations
+        self._solver: Any = None
 
-    def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+    def solve(self, program: Program) -> SolverResult:
+        """Solve a program with the same structure as the first one."""
         p = program
-        if self._held is None:
-            self._held = qoco.QOCO()
-            self._held.setup(
+        if self._solver is None:
+            self._solver = qoco.QOCO()
+            self._solver.setup(
                 len(p.c), len(p.h), len(p.b), None, p.c, p.a, p.b, p.g, p.h, p.orthant,
-                len(p.cones), np.array(p.cones), max_iters=self.most,
+                len(p.cones), np.array(p.cones), max_iters=self.max_iterations,
             )  # fmt: skip
         else:
-            self._held.update_vector_data(p.c, p.b, p.h)
-            self._held.update_matrix_data(None, None, p.g.data)
-        got = self._held.solve()
-        # What it calls inaccurate may be the best iterate of a program before.
-        good = got.status == "QOCO_SOLVED" and bool(np.isfinite(got.x).all())
-        status: Status = "solved" if good else "failed"
-        x, y, z = (np.array(v, dtype=np.float64) for v in (got.x, got.y, got.z))
-        if not good:
-            # What a failed solve leaves behind may be no number: the next one begins anew.
-            self._held = None
-        return Answer(status, x, y, z, int(got.iters), "qoco")
+            self._solver.update_vector_data(p.c, p.b, p.h)
+            self._solver.update_matrix_data(None, None, p.g.data)
+        result = self._solver.solve()
+        # An "inaccurate" result may be the best iterate of a previous program.
+        is_solved = result.status == "QOCO_SOLVED" and bool(np.isfinite(result.x).all())
+        status: Status = "solved" if is_solved else "failed"
+        x, y, z = (np.array(v, dtype=np.float64) for v in (result.x, result.y, result.z))
+        if not is_solved:
+            # A failed solve may leave NaN behind: set up again.
+            self._solver = None
+        return SolverResult(status, x, y, z, int(result.iters), "qoco")
 
 
 class Clarabel:
-    """Programs solved by Clarabel, each from nothing.
+    """Solve programs with Clarabel, without a warm start.
 
     Parameters
     ----------
-    most
-        Iterations after which it gives up.
+    max_iterations
+        Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 100) -> None:
-        self.most = most
+    def __init__(self, max_iterations: int = 100) -> None:
+        self.max_iterations = max_iterations
 
-    def solve(self, program: Program) -> Answer:
-        """Return the answer to a program."""
+    def solve(self, program: Program) -> SolverResult:
+        """Solve a program."""
         p = program
         settings = clarabel.DefaultSettings()
-        settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.most
+        settings.verbose, settings.max_threads, settings.max_iter = False, 1, self.max_iterations
         cones = [clarabel.ZeroConeT(len(p.b)), clarabel.NonnegativeConeT(p.orthant)]
         cones += [clarabel.SecondOrderConeT(n) for n in p.cones]
         rows = sparse.vstack([p.a, p.g], format="csc")
         nothing = sparse.csc_matrix((len(p.c), len(p.c)))
         both = np.concatenate((p.b, p.h))
-        got = clarabel.DefaultSolver(nothing, p.c, rows, both, cones, settings).solve()
-        said = str(got.status)
+        result = clarabel.DefaultSolver(nothing, p.c, rows, both, cones, settings).solve()
+        solver_status = str(result.status)
         status: Status = "failed"
-        if said in ("Solved", "AlmostSolved"):
+        if solver_status in ("Solved", "AlmostSolved"):
             status = "solved"
-        elif said == "PrimalInfeasible":
+        elif solver_status == "PrimalInfeasible":
             status = "infeasible"
         split = len(p.b)
-        multipliers = np.array(got.z, dtype=np.float64)
-        x = np.array(got.x, dtype=np.float64)
-        return Answer(
-            status, x, multipliers[:split], multipliers[split:], int(got.iterations), "clarabel"
+        multipliers = np.array(result.z, dtype=np.float64)
+        x = np.array(result.x, dtype=np.float64)
+        return SolverResult(
+            status, x, multipliers[:split], multipliers[split:], int(result.iterations), "clarabel"
         )
 
 
-def relaxed(program: Program) -> Program:
-    """Return the program of the least t by which all cones have to be widened: t > 0 is infeasible.
+def widened(program: Program) -> Program:
+    """Return the program of the minimum widening t of cones; t > 0: infeasible.
 
-    It has a solution whenever the equalities have one.
+    It has a solution if the equalities have one.
     """
     p = program
     first = p.orthant + np.concatenate(([0], np.cumsum(p.cones)[:-1])).astype(np.int64)
@@ -164,53 +167,53 @@ def relaxed(program: Program) -> Program:
     return Program(c, a, p.b, g, np.concatenate(([1.0], p.h)), p.orthant + 1, p.cones)
 
 
-class Judged:
-    """QOCO first; what it does not solve goes to Clarabel, which tells why.
+class FallbackSolver:
+    """Solve with QOCO, and with Clarabel what QOCO does not solve.
 
-    Where Clarabel has no certificate either, the least t of `relaxed` is asked for.
+    If Clarabel gives no certificate either, the minimum t of `widened` decides.
 
     Parameters
     ----------
-    most
-        Iterations after which QOCO gives up.
+    max_iterations
+        Maximum number of iterations of QOCO.
 
     Attributes
     ----------
-    referred
-        How many programs went to Clarabel.
+    fallback_count
+        Number of programs that went to Clarabel.
     """
 
-    def __init__(self, most: int = 40) -> None:
-        self.fast, self.judge = Qoco(most), Clarabel()
-        self.referred = 0
+    def __init__(self, max_iterations: int = 40) -> None:
+        self.fast, self.fallback = Qoco(max_iterations), Clarabel()
+        self.fallback_count = 0
 
-    def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+    def solve(self, program: Program) -> SolverResult:
+        """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         if answer.status == "solved":
             return answer
-        self.referred += 1
-        answer = self.judge.solve(program)
+        self.fallback_count += 1
+        answer = self.fallback.solve(program)
         if answer.status == "failed":
-            wider = self.judge.solve(relaxed(program))
-            if wider.status == "solved" and wider.x[-1] > _WIDER:
+            wider = self.fallback.solve(widened(program))
+            if wider.status == "solved" and wider.x[-1] > _INFEASIBLE_WIDENING:
                 answer = replace(answer, status="infeasible")
         return answer
 
 
-class Unjudged:
-    """QOCO alone: what it does not solve in so many iterations is "unsolved", whatever the reason.
+class QocoOnlySolver:
+    """Solve with QOCO only; a program not solved within the iterations is "unsolved".
 
     Parameters
     ----------
-    most
-        Iterations after which it gives up.
+    max_iterations
+        Maximum number of iterations.
     """
 
-    def __init__(self, most: int = 30) -> None:
-        self.fast = Qoco(most)
+    def __init__(self, max_iterations: int = 30) -> None:
+        self.fast = Qoco(max_iterations)
 
-    def solve(self, program: Program) -> Answer:
-        """Return the answer to a program of the same structure as the first."""
+    def solve(self, program: Program) -> SolverResult:
+        """Solve a program with the same structure as the first one."""
         answer = self.fast.solve(program)
         return answer if answer.status == "solved" else replace(answer, status="unsolved")

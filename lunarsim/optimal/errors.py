@@ -1,4 +1,4 @@
-"""What can go wrong with an optimal path: there is none, or the solver did not find it."""
+"""Errors of optimal planning: no feasible path, or no solution by the solver."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from lunarsim.errors import InputError
 
 
 class InfeasibleError(InputError):
-    """No path keeps all that is asked: proven by the solver for every final time that was tried.
+    """Report that no feasible path exists, proven for every tried final time.
 
-    Final times between and beyond those are not looked at.
+    Other final times are not examined.
 
     Attributes
     ----------
     nearest
-        The nearest end found that can be reached (3,), m, ENU; None where none was found.
+        Nearest reachable end position found (3,), m, ENU; None if none was found.
     miss
-        How far that is off, m.
+        Distance of that position from the target, m.
     """
 
     def __init__(
@@ -43,25 +43,32 @@ class InfeasibleError(InputError):
         )
 
     def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
-        return _again, (self.field, self.value, self.problem, self.remedy, self.nearest, self.miss)
+        return _restore, (
+            self.field,
+            self.value,
+            self.problem,
+            self.remedy,
+            self.nearest,
+            self.miss,
+        )
 
 
-def _again(
+def _restore(
     field: str, value: object, problem: str, remedy: str, nearest: object, miss: float
 ) -> InfeasibleError:
-    """Return an error as it was before it was sent to another process."""
-    made = InfeasibleError.__new__(InfeasibleError)
-    InputError.__init__(made, field, value, problem, remedy)
-    made.nearest, made.miss = nearest, miss  # type: ignore[assignment]
-    return made
+    """Restore an error after unpickling."""
+    error = InfeasibleError.__new__(InfeasibleError)
+    InputError.__init__(error, field, value, problem, remedy)
+    error.nearest, error.miss = nearest, miss  # type: ignore[assignment]
+    return error
 
 
 class SolverError(RuntimeError):
-    """The solver ended without an answer: whether there is a path is not known."""
+    """Report that the solver ended without a solution; feasibility is unknown."""
 
 
 class RelaxationError(SolverError):
-    """The relaxed problem has an answer that the engine cannot fly: relaxing was not lossless.
+    """Report that the solution of the relaxed problem violates the thrust limits.
 
-    Whether there is a path is not known.
+    The relaxation is not lossless in this case; feasibility is unknown.
     """

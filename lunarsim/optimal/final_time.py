@@ -1,7 +1,7 @@
-"""The best final time: bracketed by the derivative of the cost, which each solve gives for nothing.
+"""Search for the optimal final time by the derivative of the cost.
 
-Neither solver takes a starting iterate, so that what is saved from the last solution is its final
-time, its masses and the curvature of its cost.
+Neither solver accepts a starting iterate. The information reused from the last solution is its
+final time, its masses and the curvature of its cost.
 """
 
 from __future__ import annotations
@@ -15,28 +15,33 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import is_number
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.transcription import Walls
+from lunarsim.optimal.transcription import HalfSpaces
 
 Array = NDArray[np.float64]
 
-_WARM, _COLD = 4, 16  # solves at most
-_GAIN = 5e-5  # of the increment that another solve may save at most: then it is not made
-_NEAR = 1e-3  # of an error of a metre
-# Shares of the first final time that are tried until one can be flown.
-_LADDER = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
-_LOSSY = 0.05  # of the greatest thrust by which a path may break its limits
-_STEP = 0.04  # share of the final time that is tried where nothing is known of the slope's change
+_MAX_WARM_SOLVES, _MAX_COLD_SOLVES = (
+    4,
+    16,
+)  # maximum number of solves, with and without a last solution
+_MIN_RELATIVE_SAVING = 5e-5  # relative saving of delta-v below which no further solve is made
+_LANDING_ERROR_TOLERANCE_M = 1e-3  # tolerance of the landing error, m
+# Multiples of the first final time, tried until one is feasible.
+_TIME_FACTORS = (0.8, 1.0, 0.9, 1.25, 0.65, 1.6, 0.5, 2.0, 0.4, 2.6, 0.32, 3.3, 0.25, 4.2, 0.2, 5.3)
+_MAX_THRUST_VIOLATION = (
+    0.05  # tolerated violation of the thrust limits, as a fraction of the maximum thrust
+)
+_FIRST_STEP = 0.04  # relative first step of the final time if the curvature is unknown
 
 
-def first_time(descent: Descent) -> float:
-    """Return the final time of the path of least effort, s: a first guess.
+def minimum_effort_time(descent: Descent) -> float:
+    """Return the final time of the minimum-effort path, s, as an initial guess.
 
-    The least of ``int |a_T|^2 dt`` over paths and final times is at the least positive root of
-    ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, d from end to start
-    (D'Souza 1997).
+    The minimum of ``int |a_T|^2 dt`` over paths and final times is at the smallest positive root of
+    ``g^2/2 T^4 - 2 (v v + v v_f + v_f v_f) T^2 - 12 (v + v_f) d T - 18 d d``, with d from end to
+    start (D'Souza 1997).
     """
     d, v, w = descent.gap, descent.velocity, descent.end_velocity
     squares = float(v @ v + v @ w + w @ w)
@@ -55,33 +60,33 @@ def first_time(descent: Descent) -> float:
 
 @dataclass
 class _Search:
-    """A search for the final time at which a slope is zero.
+    """Search for the final time at which the slope of the cost is zero.
 
     Attributes
     ----------
     limit
-        What the slope tends to where the lander only hovers longer, m/s^2: the slope is about
+        Slope at which the lander only hovers longer, m/s^2. The slope is about
         ``limit (1 - A / (T - T_0)^2)``, so that ``(limit - slope)^(-1/2)`` is about linear in T.
-        inf: the slope is taken for linear itself.
+        inf: the slope itself is assumed linear.
     step
-        Share of the first final time by which it is left at most.
-    bend
-        The slope's derivative in a problem like this one; 0: not known.
+        Maximum relative step from the first final time.
+    curvature_guess
+        Derivative of the slope in a similar problem; 0: unknown.
     low, high
-        Final times between which it is.
+        Bracket of the optimal final time.
     known
         Final times and slopes so far.
     """
 
     limit: float = np.inf
-    step: float = _STEP
-    bend: float = 0.0
+    step: float = _FIRST_STEP
+    curvature_guess: float = 0.0
     low: float = 0.0
     high: float = np.inf
     known: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, time: float, slope: float) -> None:
-        """Note a slope."""
+        """Add a slope and update the bracket."""
         self.known.append((time, slope))
         if slope < 0.0:
             self.low = max(self.low, time)
@@ -89,235 +94,253 @@ class _Search:
             self.high = min(self.high, time)
 
     def exclude(self, time: float, flown: float) -> None:
-        """Note a final time that cannot be flown, on one side of one that can."""
+        """Exclude an infeasible final time, on one side of a feasible one."""
         if time < flown:
             self.low = max(self.low, time)
         else:
             self.high = min(self.high, time)
 
-    def saves(self, best: Path) -> float:
-        """Return what a final time within the bracket saves at most, the cost being convex."""
+    def max_saving(self, best: OptimalPath) -> float:
+        """Return the maximum saving within the bracket, for a convex cost."""
         to = self.low if best.slope > 0.0 else self.high
         return abs(best.slope) * abs(best.duration - to)
 
     @property
     def curvature(self) -> float:
-        """The slope's derivative by the last two, or a guess."""
+        """Derivative of the slope from the last two values, or a guess."""
         (t1, s1) = self.known[-1]
         (t0, s0) = self.known[-2] if len(self.known) > 1 else (t1, s1)
         found = (s1 - s0) / (t1 - t0) if t1 != t0 else 0.0
-        return found if found > 0.0 else self.bend or 2.0 / t1
+        return found if found > 0.0 else self.curvature_guess or 2.0 / t1
 
-    def _straight(self, slope: float) -> float:
-        """Return what of a slope is about linear in the time, zero with the slope."""
+    def _linearise_slope(self, slope: float) -> float:
+        """Transform a slope to a value that is about linear in time and keeps its zero."""
         if not np.isfinite(self.limit):
             return slope
         return float((1.05 - min(slope / self.limit, 1.0)) ** -0.5 - 1.05**-0.5)
 
     def next(self) -> float:
-        """Return the time to try next."""
+        """Return the next final time to try."""
         time, slope = self.known[-1]
-        by = min(self.step * time, abs(slope) / self.bend if self.bend else np.inf)
-        wanted = time - np.copysign(by, slope)
+        step = min(
+            self.step * time, abs(slope) / self.curvature_guess if self.curvature_guess else np.inf
+        )
+        candidate = time - np.copysign(step, slope)
         if len(self.known) > 1:
             before, s0 = self.known[-2]
-            rise = self._straight(slope) - self._straight(s0)
+            rise = self._linearise_slope(slope) - self._linearise_slope(s0)
             if rise * (time - before) > 0.0:
-                wanted = time - self._straight(slope) * (time - before) / rise
-                wanted = min(max(wanted, 0.8 * time), 1.25 * time)
+                candidate = time - self._linearise_slope(slope) * (time - before) / rise
+                candidate = min(max(candidate, 0.8 * time), 1.25 * time)
             elif slope * s0 > 0.0:
-                # Two slopes alike tell nothing of where it is zero, only on which side.
-                wanted = 0.8 * time if slope > 0.0 else 1.25 * time
-        if not self.low < wanted < self.high:
-            wanted = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
-        return float(wanted)
+                # Two equal slopes do not locate the zero; they only give its side.
+                candidate = 0.8 * time if slope > 0.0 else 1.25 * time
+        if not self.low < candidate < self.high:
+            candidate = 0.5 * (self.low + self.high) if np.isfinite(self.high) else 1.2 * self.low
+        return float(candidate)
 
 
 def least_propellant(
     planner: Planner,
     descent: Descent,
     *,
-    last: Path | None = None,
+    last: OptimalPath | None = None,
     elapsed: float = 0.0,
-    walls: Walls | None = None,
-    lossy: bool = False,
-) -> Path:
-    """Return the path of least propellant over all final times.
+    half_spaces: HalfSpaces | None = None,
+    allow_lossy: bool = False,
+) -> OptimalPath:
+    """Find the minimum-propellant path over all final times.
 
-    `Path.settled` tells whether the search came to its end.
+    `OptimalPath.converged` states whether the search converged.
 
     Parameters
     ----------
     planner
-        Solves.
+        Planner that solves for one final time.
     descent
-        The problem.
+        Problem.
     last
-        A solution of nearly the same problem, `elapsed` s ago: four solves from there, one more
-        where its masses are off. Where its final time cannot be flown, it is as without it.
+        Solution of a similar problem, `elapsed` s ago: the search starts there with four solves,
+        and one more if its masses deviate. If its final time is infeasible, it is not used.
     elapsed
         s.
-    walls
-        Half-spaces in place of the descent's cone.
-    lossy
-        Whether a path that breaks the limits of thrust by more than 5 % of the greatest is welcome
-        as well: a bound of what can be flown, or a first guess.
+    half_spaces
+        Half-spaces that replace the descent's cone.
+    allow_lossy
+        Whether to accept a path that violates the thrust limits by more than 5 % of the maximum,
+        as a bound or as an initial guess.
 
     Raises
     ------
     InputError
-        If the time elapsed is no number, 0 or more.
+        If the elapsed time is negative or not finite.
     InfeasibleError
-        If there is none, with the nearest end found that can be reached.
+        If no path exists, with the nearest reachable end that was found.
     SolverError
-        If the solver fails; a `RelaxationError` where its answer breaks the limits of thrust.
+        If the solver fails; a `RelaxationError` if its solution violates the thrust limits.
     """
     if not (is_number(elapsed) and elapsed >= 0.0):
-        raise InputError("optimal.elapsed", elapsed, "a time in s, 0 or more")
+        raise InputError("optimal.elapsed", elapsed, "must be 0 s or more, and finite")
     before = planner.solves
-    path = _warm(planner, descent, last, elapsed, walls) if last is not None else None
+    path = _search_warm(planner, descent, last, elapsed, half_spaces) if last is not None else None
     if path is None:
-        path = _cold(planner, descent, walls)
+        path = _search_cold(planner, descent, half_spaces)
     if path is None:
-        path = _rescued(planner, descent, walls)
-    if not (lossy or flyable(path)):
+        path = _search_from_landing_error(planner, descent, half_spaces)
+    if not (allow_lossy or is_flyable(path)):
         raise RelaxationError(
-            f"in the relaxed problem's answer thrust breaks its limits by {100.0 * path.excess:.0f}"
-            f" % of the greatest ({path.duration:.1f} s): relaxing was not lossless"
+            f"The relaxed solution violates the thrust limits by {100.0 * path.excess:.0f} % of "
+            f"the maximum thrust (final time {path.duration:.1f} s), so it cannot be flown."
         )
     return replace(path, solves=planner.solves - before)
 
 
-def flyable(path: Path) -> bool:
-    """Tell whether a path's thrust keeps its limits but for 5 % of the greatest, as they are flown.
+def is_flyable(path: OptimalPath) -> bool:
+    """Return whether the thrust limits are violated by at most 5 % of the maximum.
 
-    Where they are broken by more, relaxing was not lossless: too few intervals about a switch, or a
-    bound on the state that binds for long.
+    A larger violation means that the relaxation is not lossless: too few intervals around a switch,
+    or a state constraint that is active for long.
     """
-    return path.excess <= _LOSSY
+    return path.excess <= _MAX_THRUST_VIOLATION
 
 
-def _rescued(planner: Planner, descent: Descent, walls: Walls | None) -> Path:
-    """Search about the final time of the least landing error.
+def _search_from_landing_error(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
+) -> OptimalPath:
+    """Search around the final time of the minimum landing error.
 
-    Where fuel is short few final times can be flown: the error leads to them.
+    If propellant is scarce, few final times are feasible; the landing error leads to them.
     """
-    near = nearest(planner, descent, walls=walls)
-    if near is not None and near.miss < max(10.0 * _NEAR, descent.region):
+    near = nearest(planner, descent, half_spaces=half_spaces)
+    if near is not None and near.miss < max(10.0 * _LANDING_ERROR_TOLERANCE_M, descent.region):
         first = iter((near.duration, 1.01 * near.duration, 0.99 * near.duration))
-        path = search_about(planner, descent, first, walls=walls, log_mass=near.log_mass)
+        path = search_near(planner, descent, first, half_spaces=half_spaces, log_mass=near.log_mass)
         if path is not None:
             return path
-    why = "proven infeasible at every final time that was tried"
+    why = "infeasible at every tried final time"
     if near is None:
-        raise InfeasibleError(descent.end_position, why + "; nor is another end at that height")
+        raise InfeasibleError(descent.end_position, why + "; no end at that height is reachable")
     raise InfeasibleError(descent.end_position, why, near.position[-1])
 
 
-def _warm(
-    planner: Planner, descent: Descent, last: Path, elapsed: float, walls: Walls | None
-) -> Path | None:
-    """Search from a last solution; None where its final time cannot be flown."""
+def _search_warm(
+    planner: Planner,
+    descent: Descent,
+    last: OptimalPath,
+    elapsed: float,
+    half_spaces: HalfSpaces | None,
+) -> OptimalPath | None:
+    """Search from the last solution; return None if its final time is infeasible."""
     first = last.duration - elapsed
     if not first > 0.0:
         return None
-    log_mass = masses_left(last, elapsed, planner.intervals)
-    return search_about(
-        planner, descent, iter((first,)), walls=walls, most=_WARM, log_mass=log_mass,
-        bend=last.curvature,
+    log_mass = remaining_log_mass(last, elapsed, planner.intervals)
+    return search_near(
+        planner, descent, iter((first,)), half_spaces=half_spaces, max_solves=_MAX_WARM_SOLVES,
+        log_mass=log_mass, curvature_guess=last.curvature,
     )  # fmt: skip
 
 
-def masses_left(last: Path, elapsed: float, intervals: int) -> Array:
-    """Return ln(mass / mass now) in the middle of each interval (N,) of what is left of a path."""
+def remaining_log_mass(last: OptimalPath, elapsed: float, intervals: int) -> Array:
+    """Return ln(mass / current mass) at interval centres (N,) of the rest of a path."""
     share = (np.arange(intervals) + 0.5) / intervals
     now = min(max(elapsed, 0.0), last.duration)
     at = now + share * (last.duration - now)
     return np.asarray(np.log(last.mass_at(at) / float(last.mass_at(now))))
 
 
-def _cold(planner: Planner, descent: Descent, walls: Walls | None) -> Path | None:
-    first = first_time(descent)
-    return search_about(planner, descent, (s * first for s in _LADDER), walls=walls)
+def _search_cold(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None
+) -> OptimalPath | None:
+    first = minimum_effort_time(descent)
+    return search_near(
+        planner, descent, (s * first for s in _TIME_FACTORS), half_spaces=half_spaces
+    )
 
 
-def search_about(
+def search_near(
     planner: Planner,
     descent: Descent,
     first: Iterator[float],
     *,
-    walls: Walls | None = None,
-    most: int = _COLD,
+    half_spaces: HalfSpaces | None = None,
+    max_solves: int = _MAX_COLD_SOLVES,
     log_mass: Array | None = None,
-    step: float = _STEP,
-    bend: float = 0.0,
-) -> Path | None:
-    """Return the best path found from first final times on; None where none of them can be flown.
+    step: float = _FIRST_STEP,
+    curvature_guess: float = 0.0,
+) -> OptimalPath | None:
+    """Find the best path from given final times; None if none is feasible.
 
     Parameters
     ----------
-    planner, descent, walls
-        See `least_propellant`.
+    planner, descent, half_spaces
+        Those of `least_propellant`.
     first
-        Final times, s: the next one is tried while none could be flown.
-    most
-        Solves at most, from the first final time on that can be flown.
+        Final times, s, tried in order until one is feasible.
+    max_solves
+        Maximum number of solves, counted from the first feasible final time.
     log_mass
-        Guess of ln(mass / mass at the start) in the middle of each interval (N,).
+        Guess of ln(mass / initial mass) at the interval centres (N,).
     step
-        Share of the final time by which the first one that can be flown is left at most.
-    bend
-        `curvature` of the path of a problem like this one; 0: not known.
+        Maximum relative first step from the first feasible final time.
+    curvature_guess
+        `curvature` of the path of a similar problem; 0: unknown.
     """
-    search, best, failure = _Search(descent.gravity, step, bend), None, None
-    settled, budget = False, np.inf
+    search, best, failure = _Search(descent.gravity, step, curvature_guess), None, None
+    converged, budget = False, np.inf
     time: float | None = next(first)
     while time is not None and planner.solves < budget:
         before = planner.solves
         try:
-            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls)
-        except SolverError as error:  # another final time may do
+            path = planner.at_time(descent, time, log_mass=log_mass, half_spaces=half_spaces)
+        except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
             if best is None:
                 time = next(first, None)
                 continue
-            # Between what can be flown and what cannot the limit is approached by halves.
+            # Bisect between feasible and infeasible final times.
             search.exclude(time, best.duration)
-            if settled := search.saves(best) < _GAIN * best.cost:
+            if converged := search.max_saving(best) < _MIN_RELATIVE_SAVING * best.cost:
                 break
             time = 0.5 * (time + best.duration)
             continue
         log_mass = path.log_mass
-        budget = before + most if best is None else budget
+        budget = before + max_solves if best is None else budget
         best = path if best is None or path.cost < best.cost else best
         search.add(time, path.slope)
-        settled = path.slope**2 < 2.0 * search.curvature * _GAIN * path.cost
-        if settled or (settled := search.saves(best) < _GAIN * best.cost):
+        converged = path.slope**2 < 2.0 * search.curvature * _MIN_RELATIVE_SAVING * path.cost
+        if converged or (converged := search.max_saving(best) < _MIN_RELATIVE_SAVING * best.cost):
             break
         time = search.next()
     if best is None and failure is not None:
         raise failure
-    return best and replace(best, curvature=search.curvature, settled=settled)
+    return best and replace(best, curvature=search.curvature, converged=converged)
 
 
-def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> Path | None:
-    """Return a path whose end comes nearest; None: it cannot land anywhere at that height.
+def nearest(
+    planner: Planner, descent: Descent, half_spaces: HalfSpaces | None = None
+) -> OptimalPath | None:
+    """Return the path whose end is nearest to the target, or None if it cannot land.
 
-    Spare thrust is had for nothing.
+    Only the height of the end is fixed. Thrust slack has no penalty here.
     """
-    if descent.spare > 0.0:
-        descent = replace(descent, thrust_max=descent.thrust_max + descent.spare, spare=0.0)
-    first = first_time(descent)
+    if descent.thrust_slack > 0.0:
+        descent = replace(
+            descent, thrust_max=descent.thrust_max + descent.thrust_slack, thrust_slack=0.0
+        )
+    first = minimum_effort_time(descent)
     search, best, log_mass = _Search(), None, None
-    times = [s * first for s in _LADDER]
+    times = [s * first for s in _TIME_FACTORS]
     time: float | None = times.pop(0)
-    budget = planner.solves + 2 * _COLD + len(_LADDER)
+    budget = planner.solves + 2 * _MAX_COLD_SOLVES + len(_TIME_FACTORS)
     failure: SolverError | None = None
     while time is not None and planner.solves < budget:
         try:
-            path = planner.at_time(descent, time, log_mass=log_mass, walls=walls, nearest=True)
-        except SolverError as error:  # another final time may do
+            path = planner.at_time(
+                descent, time, log_mass=log_mass, half_spaces=half_spaces, nearest=True
+            )
+        except SolverError as error:  # another final time may succeed
             path, failure = None, error
         if path is None:
             if best is not None:
@@ -331,19 +354,22 @@ def nearest(planner: Planner, descent: Descent, walls: Walls | None = None) -> P
         search.add(time, path.slope)
         time = search.next()
         left = abs(time - path.duration) * abs(path.slope)
-        if path.miss < _NEAR or left < 0.05 * _NEAR * path.miss:
+        if (
+            path.miss < _LANDING_ERROR_TOLERANCE_M
+            or left < 0.05 * _LANDING_ERROR_TOLERANCE_M * path.miss
+        ):
             break
     if best is None and failure is not None:
         raise failure
     return best
 
 
-def least_error(planner: Planner, descent: Descent) -> Path | None:
-    """Return the path whose end comes nearest, and of these the one of least propellant.
+def minimize_landing_error(planner: Planner, descent: Descent) -> OptimalPath | None:
+    """Return a path of minimum landing error, with minimum propellant among those.
 
     Blackmore, Acikmese and Scharf, "Minimum-landing-error powered-descent guidance for Mars landing
-    using convex optimization", Journal of Guidance, Control, and Dynamics 33(4), 2010. The slope of
-    the cone over the end goes where the end goes. None: it cannot land anywhere at that height.
+    using convex optimization", Journal of Guidance, Control, and Dynamics 33(4), 2010. The cone
+    constraint moves with the end. None: no landing is possible at that height.
     """
     near = nearest(planner, descent)
     if near is None:

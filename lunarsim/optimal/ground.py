@@ -1,10 +1,10 @@
-"""Terrain under an optimal path: a convex majorant that touches the end, then the terrain itself.
+"""Terrain constraint of optimal paths: convex majorant, then linearisation.
 
-A path may not pass through the ground, and the space above terrain is not convex. What is above a
-cone of half-spaces over the end, one slope an azimuth sector, is; the slopes are the least with
-which each sector's plane lies above all terrain in its sector. Where that costs something, the
-terrain is taken as it is about the last path: over each interval by a plane above all posts about
-it, anew until path and planes agree. The terrain itself has the last word.
+The space above terrain is not convex. A cone of half-spaces over the end, one per azimuth sector,
+is convex. Each sector's slope is the minimum with which its plane is above all terrain of the
+sector. If this cone costs propellant, the terrain is linearised about the last path: the path over
+each interval must be above a plane over all nearby posts. This is repeated until path and planes
+agree. The final path is checked against the terrain itself.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from lunarsim.grid import Grid
 from lunarsim.optimal.checks import count, is_number, numbers
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone, Descent
-from lunarsim.optimal.transcription import Walls
+from lunarsim.optimal.transcription import HalfSpaces
 
 Array = NDArray[np.float64]
 
-_BINDS = 1e-4  # share of the greatest multiplier of a half-space under which none costs anything
-_SAME = 1e-4  # change of the increment under which rounds have settled
-_SAMPLES = 16  # of an interval, where the terrain is looked at
+_ACTIVE_MULTIPLIER = 1e-4  # relative multiplier of a half-space below which it costs no propellant
+_CONVERGED_CHANGE = 1e-4  # relative change of delta-v below which the iteration has converged
+_SAMPLES_PER_INTERVAL = 16  # terrain samples per interval
 
 
 @dataclass(frozen=True)
-class Relief:
-    """Elevations of posts, bilinear between them.
+class TerrainRaster:
+    """Terrain raster: elevations of posts, bilinear between them.
 
     Attributes
     ----------
     grid
-        Of the posts.
+        Grid of the posts.
     elevation
         m (rows, cols).
 
     Raises
     ------
     InputError
-        If elevations are missing or of another shape.
+        If elevations are missing or have the wrong shape.
     """
 
     grid: Grid
@@ -53,26 +53,28 @@ class Relief:
 
     def __post_init__(self) -> None:
         if not isinstance(self.grid, Grid):
-            raise InputError("optimal.grid", type(self.grid).__name__, "a Grid")
+            raise InputError("optimal.grid", type(self.grid).__name__, "must be a Grid")
         if np.shape(self.elevation) != self.grid.shape:
             raise InputError(
-                "optimal.elevation", np.shape(self.elevation), f"an array of {self.grid.shape}"
+                "optimal.elevation", np.shape(self.elevation), f"must have shape {self.grid.shape}"
             )
         if np.asarray(self.elevation).dtype.kind not in "fiu":
-            raise InputError("optimal.elevation", "no numbers", "finite heights in m")
+            raise InputError(
+                "optimal.elevation", "an array without numbers", "must be finite heights in m"
+            )
         missing = int((~np.isfinite(self.elevation)).sum())
         if missing:
-            raise InputError("optimal.elevation", f"{missing} posts without one", "finite heights")
+            raise InputError("optimal.elevation", f"{missing} posts without data", "must be finite")
 
     @property
     def posts(self) -> Array:
-        """All posts (n, 3), m."""
+        """Positions of all posts (n, 3), m."""
         east = np.tile(self.grid.x, self.grid.rows)
         north = np.repeat(self.grid.y, self.grid.cols)
         return np.column_stack((east, north, np.asarray(self.elevation, dtype=np.float64).ravel()))
 
     def height(self, points: ArrayLike) -> Array:
-        """Return the elevation (n,) under points (n, 2) or (n, 3); NaN off the posts."""
+        """Return the elevation (n,) at points (n, 2) or (n, 3); NaN outside the posts."""
         xy = np.asarray(points, dtype=np.float64)[:, :2]
         g = self.grid
         u, v = (xy[:, 0] - g.x0) / g.posting, (xy[:, 1] - g.y0) / g.posting
@@ -87,57 +89,57 @@ class Relief:
         return np.where(inside, (1.0 - t) * low + t * high, np.nan)
 
     def majorant(self, end: ArrayLike, sectors: int = 12, clearance: float = 0.0) -> Cone:
-        """Return half-spaces over an end (3,) that all terrain with its clearance lies under.
+        """Return half-spaces over an end (3,) above all terrain plus clearance.
 
-        Terrain below the end asks for nothing: no slope is negative.
+        Terrain below the end is not constrained: no slope is negative.
 
         Raises
         ------
         InputError
-            If the end is no place, there are fewer than 3 sectors (each is under 180 deg wide) or
-            the clearance is no number.
+            If the end is not a position, there are fewer than 3 sectors (each must be narrower than
+            180 deg), or the clearance is invalid.
         """
         sectors = count("sectors", sectors, 3)
-        end = numbers("end_position", end, (3,), "three finite coordinates")
+        end = numbers("end_position", end, (3,), "must be three finite coordinates")
         _check_clearance(clearance)
-        gap = self.posts - end
-        far = np.hypot(gap[:, 0], gap[:, 1])
-        seen = far > 1e-9
-        azimuth = np.arctan2(gap[seen, 1], gap[seen, 0])
+        offsets = self.posts - end
+        distance = np.hypot(offsets[:, 0], offsets[:, 1])
+        is_beside = distance > 1e-9
+        azimuth = np.arctan2(offsets[is_beside, 1], offsets[is_beside, 0])
         width = 2.0 * np.pi / sectors
         sector = np.round(azimuth / width).astype(int) % sectors
-        off = np.cos(azimuth - sector * width)
-        steep = (gap[seen, 2] + clearance) / (far[seen] * off)
+        cosine = np.cos(azimuth - sector * width)
+        slopes_needed = (offsets[is_beside, 2] + clearance) / (distance[is_beside] * cosine)
         slopes = np.zeros(sectors)
-        np.maximum.at(slopes, sector, steep)
+        np.maximum.at(slopes, sector, slopes_needed)
         angles = width * np.arange(sectors)
         return Cone(
             np.column_stack((-slopes * np.cos(angles), -slopes * np.sin(angles), np.ones(sectors)))
         )
 
-    def above(self, path: Path) -> float:
-        """Return the least height of a path above the terrain between its nodes, m.
+    def above(self, path: OptimalPath) -> float:
+        """Return the minimum height of a path above the terrain, m.
 
         Raises
         ------
         InputError
-            If it leaves the posts.
+            If the path leaves the posts.
         """
-        times = np.linspace(0.0, path.duration, _SAMPLES * path.intervals + 1)
+        times = np.linspace(0.0, path.duration, _SAMPLES_PER_INTERVAL * path.intervals + 1)
         points = path.at(times)[0]
         height = self.height(points)
         if np.isnan(height).any():
             at = points[np.isnan(height)][0]
             raise InputError(
-                "optimal.terrain", self.grid.extent, f"elevations under the path, at {at[:2]} too"
+                "optimal.terrain", self.grid.extent, f"must cover the path, which passes {at[:2]}"
             )
         return float((points[:, 2] - height).min())
 
-    def walls(self, path: Path, clearance: float) -> Walls:
-        """Return three planes for each control point, above the terrain about it and the next.
+    def half_spaces(self, path: OptimalPath, clearance: float) -> HalfSpaces:
+        """Return three planes per control point: its own and its neighbours'.
 
-        The piece of the path over an interval lies between its own control point and its
-        neighbours', and all three keep above the plane of that interval.
+        The path over an interval lies in the hull of its own control point and its neighbours';
+        all three are therefore above the plane of that interval.
         """
         control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
         spans = np.linalg.norm(np.diff(path.position[:, :2], axis=0), axis=1)
@@ -152,14 +154,16 @@ class Relief:
         near = np.clip(np.arange(n)[:, None] + [-1, 0, 1], 0, n - 1)
         normals = np.concatenate((-planes[near][..., :2], np.ones((n, 3, 1))), axis=2)
         level = planes[near][..., 2] + clearance
-        return Walls(normals, level - normals @ path.descent.end_position, moves=False)
+        return HalfSpaces(normals, level - normals @ path.descent.end_position, moves=False)
 
     @staticmethod
     def _plane(posts: Array, about: Array, reach: float) -> Array:
-        """Return slopes and height at the origin (3,) of a plane above all posts within reach."""
+        """Return slopes and height at the origin (3,) of a plane above nearby posts."""
         near = posts[np.hypot(*(posts[:, :2] - about[:2]).T) <= reach]
         if len(near) < 3:
-            raise InputError("optimal.terrain", about[:2].tolist(), "elevations under the path")
+            raise InputError(
+                "optimal.terrain", about[:2].tolist(), "must have elevations under the path"
+            )
         rows = np.column_stack((near[:, :2] - about[:2], np.ones(len(near))))
         slope = np.linalg.lstsq(rows, near[:, 2], rcond=None)[0][:2]
         return np.array([*slope, (near[:, 2] - near[:, :2] @ slope).max()])
@@ -168,127 +172,128 @@ class Relief:
 def least_propellant_over(
     planner: Planner,
     descent: Descent,
-    relief: Relief,
+    terrain: TerrainRaster,
     *,
     clearance: float = 0.0,
     sectors: int = 12,
     rounds: int = 10,
-) -> Path:
-    """Return the path of least propellant that keeps above the terrain.
+) -> OptimalPath:
+    """Find the minimum-propellant path above the terrain.
 
     Parameters
     ----------
-    planner
-        Solves.
-    descent
-        The problem, without a cone of its own.
-    relief
-        The terrain; the end lies at least `clearance` above it.
+    planner, descent
+        Planner, and problem without a cone.
+    terrain
+        Terrain; the end is at least `clearance` above it.
     clearance
-        Height of the path above it, m.
-    sectors
-        Of the majorant.
-    rounds
-        Of taking the terrain anew about the last path.
+        Minimum height of the path above the terrain, m.
+    sectors, rounds
+        Number of azimuth sectors of the majorant; maximum number of linearisations.
 
     Raises
     ------
     InputError
-        If start or end lie lower, the path leaves the posts, or a figure cannot be.
+        If start or end is too low, the path leaves the posts, or an argument is invalid.
     InfeasibleError
-        If there is no path even over flat ground.
+        If no path exists even over flat terrain.
     SolverError
-        If no path above the terrain was found.
+        If no path above the terrain is found.
     """
-    if not isinstance(relief, Relief):
-        raise InputError("optimal.terrain", type(relief).__name__, "a Relief")
+    if not isinstance(terrain, TerrainRaster):
+        raise InputError("optimal.terrain", type(terrain).__name__, "must be a TerrainRaster")
     _check_clearance(clearance)
     rounds, sectors = count("rounds", rounds, 1), count("sectors", sectors, 3)
-    _check_ends(descent, relief, clearance)
-    kept, best = None, None
+    _check_ends(descent, terrain, clearance)
+    majorant_path, best = None, None
     try:
-        cone = relief.majorant(descent.end_position, sectors, clearance)
-        kept = least_propellant(planner, replace(descent, cone=cone))
+        cone = terrain.majorant(descent.end_position, sectors, clearance)
+        majorant_path = least_propellant(planner, replace(descent, cone=cone))
     except (InfeasibleError, SolverError):
-        pass  # a majorant may leave no way in, or bind for so long that relaxing is not lossless
-    # The majorant touches posts; between them, and off them, the terrain has the last word.
-    if kept is not None and relief.above(kept) > clearance - 1e-3:
-        if kept.bars.max(initial=0.0) < _BINDS * np.linalg.norm(kept.primer, axis=1).max():
-            return kept
-        best = kept
-    starts = _starts(planner, descent, kept)
+        pass  # a majorant may block every path, or be active so long that relaxation is lossy
+    # The majorant considers posts only; between and outside them, check the terrain itself.
+    if majorant_path is not None and terrain.above(majorant_path) > clearance - 1e-3:
+        if (
+            majorant_path.half_space_multipliers.max(initial=0.0)
+            < _ACTIVE_MULTIPLIER * np.linalg.norm(majorant_path.primer, axis=1).max()
+        ):
+            return majorant_path
+        best = majorant_path
+    starts = _initial_paths(planner, descent, majorant_path)
     for start in starts:
-        alone = best is None and start is starts[-1]
-        found = _linearised(planner, descent, relief, clearance, start, rounds, alone)
+        is_last = best is None and start is starts[-1]
+        found = _linearise_terrain(planner, descent, terrain, clearance, start, rounds, is_last)
         if best is None or (found is not None and found.increment < best.increment):
             best = found
     if best is None:
-        raise SolverError(f"no path {clearance} m above the terrain was found in {rounds} rounds")
+        raise SolverError(f"No path {clearance} m above the terrain in {rounds} linearisations.")
     return best
 
 
-def _starts(planner: Planner, descent: Descent, kept: Path | None) -> list[Path]:
-    """Return the paths about which the terrain is taken first: over flat ground, over a majorant.
+def _initial_paths(
+    planner: Planner, descent: Descent, majorant_path: OptimalPath | None
+) -> list[OptimalPath]:
+    """Return initial paths for linearisation: over flat terrain and majorant.
 
-    A majorant that makes a wall of a near rim is climbed straight up and down: planes about that
-    path never lead back to the short one, those about the path over flat ground do.
+    A majorant that is steep at a near rim leads to a vertical path. Linearisation about that path
+    never finds the short path, but linearisation about the path over flat terrain does.
     """
     try:
         flat = least_propellant(planner, descent)
     except (InfeasibleError, SolverError):
-        if kept is None:
+        if majorant_path is None:
             raise
-        return [kept]
-    return [flat] if kept is None else [flat, kept]
+        return [majorant_path]
+    return [flat] if majorant_path is None else [flat, majorant_path]
 
 
 def _check_clearance(clearance: float) -> None:
     if not (is_number(clearance) and clearance >= 0.0):
-        raise InputError("optimal.clearance", clearance, "a height of 0 m or more")
+        raise InputError("optimal.clearance", clearance, "must be 0 m or more, and finite")
 
 
-def _check_ends(descent: Descent, relief: Relief, clearance: float) -> None:
-    """Refuse a start or an end off the posts or too near the ground."""
-    for name, what in (("end_position", "an end"), ("position", "a start")):
+def _check_ends(descent: Descent, terrain: TerrainRaster, clearance: float) -> None:
+    """Reject a start or an end outside the posts or too near the terrain."""
+    for name, what in (("end_position", "the end"), ("position", "the start")):
         at = getattr(descent, name)
-        height = float(relief.height(at[None])[0])
+        height = float(terrain.height(at[None])[0])
         if not at[2] >= height + clearance - 1e-9:
             raise InputError(
                 f"optimal.{name}", at.tolist(),
-                f"{what} on the posts, at least {clearance} m above the ground at {height:.2f} m",
+                f"{what} must be on the posts, {clearance} m above the terrain at {height:.2f} m",
             )  # fmt: skip
 
 
-def _linearised(
+def _linearise_terrain(
     planner: Planner,
     descent: Descent,
-    relief: Relief,
+    terrain: TerrainRaster,
     clearance: float,
-    path: Path,
+    path: OptimalPath,
     rounds: int,
-    alone: bool,
-) -> Path | None:
-    """Take the terrain about the last path until both agree; None where no path is above it.
+    is_last: bool,
+) -> OptimalPath | None:
+    """Linearise the terrain until it agrees with the path; None if no path is found.
 
-    A path off the posts is an error where it is `alone`: there is no other one, nor another start.
+    A path outside the posts raises an error if `is_last`: no other path or start is left.
     """
-    best: Path | None = None
+    best: OptimalPath | None = None
     for _ in range(rounds):
         try:
-            walls = relief.walls(path, clearance)
-            found = least_propellant(planner, descent, last=path, walls=walls)
-            above = relief.above(found)
+            half_spaces = terrain.half_spaces(path, clearance)
+            found = least_propellant(planner, descent, last=path, half_spaces=half_spaces)
+            above = terrain.above(found)
         except (InfeasibleError, SolverError):
             return best
         except InputError:
-            if alone and best is None:
+            if is_last and best is None:
                 raise
             return best
-        settled = abs(found.increment - path.increment) < _SAME * path.increment
-        keeps = above > clearance - 1e-3
-        if keeps and (best is None or found.increment < best.increment):
+        converged = abs(found.increment - path.increment) < _CONVERGED_CHANGE * path.increment
+        is_above = above > clearance - 1e-3
+        if is_above and (best is None or found.increment < best.increment):
             best = found
-        if settled and keeps:
+        if converged and is_above:
             return best
         path = found
     return best

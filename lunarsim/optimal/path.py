@@ -1,4 +1,4 @@
-"""A path as it was solved for: what it does at any time, and how well it keeps what was asked."""
+"""Optimal path: states at any time, and violation of its constraints."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Path:
-    """A descent in N intervals of constant thrust over mass.
+class OptimalPath:
+    """Descent in N intervals of constant thrust over mass.
 
     Attributes
     ----------
     descent
-        The problem.
+        Problem.
     duration
         Final time, s.
     position, velocity
@@ -29,26 +29,26 @@ class Path:
     thrust
         Thrust over mass (N, 3), m/s^2.
     bound
-        What the program takes for its size (N,): the same where nothing was lost by relaxing.
+        Relaxed magnitude of the thrust over mass (N,); equal to it if the relaxation is lossless.
     increment
-        Integral of `bound`, m/s.
+        Delta-v: integral of `bound`, m/s.
     cost
-        What was made least: increment and the price of spare thrust, m/s, or the landing error, m.
+        Minimised quantity: delta-v plus penalty on thrust slack, m/s, or the landing error, m.
     slope
-        Derivative of the least cost with the final time, m/s^2 or m/s; zero at the best one.
+        Derivative of the minimum cost by the final time, m/s^2 or m/s; zero at the optimum.
     hamiltonian
-        Minus the derivative with the length of each interval (N,), as `slope`.
+        Minus the derivative by the length of each interval (N,), as `slope`.
     primer
-        Multipliers of the thrust in each interval (N, 3), along it where tilt does not bind.
-    bars
-        Multipliers of the half-spaces (N - 2, planes), of any unit: more than 0 where one binds.
+        Multipliers of the thrust in each interval (N, 3), parallel to it if tilt is not active.
+    half_space_multipliers
+        Multipliers of the half-spaces (N - 2, planes), in any unit; positive if active.
     curvature
-        Second derivative of the least cost with the final time, as a search saw it; 0: not known.
-    settled
-        Whether a search for the best final time came to its end; False where its solves ran out, so
-        that another final time may cost less. True where none was searched for.
+        Second derivative of the minimum cost by the final time, from a search; 0: unknown.
+    converged
+        Whether the search for the final time converged; False if its solves ran out, so that
+        another final time may cost less. True without a search.
     solves, iterations, solver
-        What it took, and who gave the answer.
+        Number of solves and iterations, and name of the solver.
     """
 
     descent: Descent
@@ -63,9 +63,9 @@ class Path:
     slope: float
     hamiltonian: Array
     primer: Array
-    bars: Array
+    half_space_multipliers: Array
     curvature: float = 0.0
-    settled: bool = True
+    converged: bool = True
     solves: int = 1
     iterations: int = 0
     solver: str = ""
@@ -82,49 +82,49 @@ class Path:
 
     @property
     def times(self) -> Array:
-        """Of the nodes (N + 1,), s."""
+        """Times of the nodes (N + 1,), s."""
         return np.linspace(0.0, self.duration, self.intervals + 1)
 
     @property
     def propellant(self) -> float:
-        """Kg."""
-        return self.descent.burnt(self.increment)
+        """Propellant used, kg."""
+        return self.descent.propellant_used(self.increment)
 
     @property
     def miss(self) -> float:
-        """How far from the place asked for it ends, m."""
+        """Distance of the end from the target, m."""
         return float(np.linalg.norm(self.position[-1] - self.descent.end_position))
 
     @property
     def log_mass(self) -> Array:
-        """ln(mass / mass at the start) in the middle of each interval (N,)."""
+        """ln(mass / initial mass) at the interval centres (N,)."""
         z = np.log(self.mass / self.mass[0])
         return np.asarray(0.5 * (z[1:] + z[:-1]))
 
     @property
     def forces(self) -> Array:
-        """Thrust in the middle of each interval (N,), N."""
+        """Thrust at the interval centres (N,), N."""
         size = np.linalg.norm(self.thrust, axis=1)
         return np.asarray(self.descent.mass * np.exp(self.log_mass) * size)
 
     @property
     def loss(self) -> float:
-        """By how much the bound exceeds the thrust at most, over the thrust: 0 if none is lost."""
+        """Maximum relative excess of the bound over the thrust; 0 for lossless relaxation."""
         size = np.linalg.norm(self.thrust, axis=1)
         return float((self.bound / np.maximum(size, 1e-12)).max() - 1.0)
 
     @property
     def excess(self) -> float:
-        """By how much the thrust breaks its limits at most, over the greatest thrust."""
+        """Maximum violation of the thrust limits, over the maximum thrust."""
         d, f = self.descent, self.forces
         return float(
-            max((f - d.thrust_max - d.spare).max(), (d.thrust_min - f).max()) / d.thrust_max
+            max((f - d.thrust_max - d.thrust_slack).max(), (d.thrust_min - f).max()) / d.thrust_max
         )
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """Return position, velocity and thrust over mass (..., 3) at times `t` (...), s.
 
-        Before the start the first interval is carried on, after the end the last one.
+        Times outside the path extrapolate the first or the last interval.
         """
         t = np.asarray(t, dtype=np.float64)
         k = np.clip((t / self.step).astype(np.int64), 0, self.intervals - 1)
@@ -138,5 +138,5 @@ class Path:
         """Return the mass (...) at times `t` (...), kg."""
         t = np.asarray(t, dtype=np.float64)
         k = np.clip((t / self.step).astype(np.int64), 0, self.intervals - 1)
-        burnt = (t - k * self.step) * self.bound[k] / self.descent.exhaust_velocity
-        return np.asarray(self.mass[k] * np.exp(-burnt))
+        log_ratio = (t - k * self.step) * self.bound[k] / self.descent.exhaust_velocity
+        return np.asarray(self.mass[k] * np.exp(-log_ratio))

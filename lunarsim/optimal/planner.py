@@ -1,4 +1,4 @@
-"""Paths of least propellant or of least landing error at a final time."""
+"""Minimum-propellant or minimum-landing-error paths of a given final time."""
 
 from __future__ import annotations
 
@@ -10,53 +10,53 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.optimal.checks import LARGEST, count, is_number, numbers
-from lunarsim.optimal.cone_program import Answer, Judged, Program
+from lunarsim.optimal.cone_program import FallbackSolver, Program, SolverResult
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.reading import path_of
-from lunarsim.optimal.transcription import Structure, Transcription, Walls
+from lunarsim.optimal.reading import build_path
+from lunarsim.optimal.transcription import HalfSpaces, Structure, Transcription
 
 Array = NDArray[np.float64]
 
-# exp(-z) is convex: linear about a mass that is off by this share, it errs by 2e-4 of the thrust.
-_MASS_OFF = 0.02
+# exp(-z) is linearised: a relative mass error of this size causes a thrust error of 2e-4.
+_MAX_LOG_MASS_ERROR = 0.02
 
 
 class ConeSolver(Protocol):
-    """Anything that answers programs of one structure."""
+    """Interface of solvers for programs of one structure."""
 
-    def solve(self, program: Program) -> Answer:
-        """Return the answer."""
+    def solve(self, program: Program) -> SolverResult:
+        """Solve a program."""
         ...
 
 
 class Planner:
-    """Plans descents; programs of a structure that was met before are updated, not built.
+    """Plan descents; programs with a known structure are updated instead of built.
 
     Parameters
     ----------
     intervals
-        N of the paths.
+        Number of intervals of the paths, N.
     solver
-        Makes what answers the programs of a structure.
+        Class of the solver; each structure gets one instance.
 
     Raises
     ------
     InputError
-        If the number of intervals is none, or under 4.
+        If the number of intervals is not an integer of at least 4.
 
     Attributes
     ----------
     solves, iterations
-        So far.
+        Total numbers so far.
     """
 
-    def __init__(self, intervals: int = 40, solver: type[ConeSolver] = Judged) -> None:
+    def __init__(self, intervals: int = 40, solver: type[ConeSolver] = FallbackSolver) -> None:
         self.intervals = count("intervals", intervals, 4)
         self.solves = self.iterations = 0
         self._solver = solver
-        self._made: dict[Structure, tuple[Transcription, ConeSolver]] = {}
+        self._programs: dict[Structure, tuple[Transcription, ConeSolver]] = {}
 
     def at_time(
         self,
@@ -64,86 +64,87 @@ class Planner:
         duration: float,
         *,
         log_mass: Array | None = None,
-        walls: Walls | None = None,
+        half_spaces: HalfSpaces | None = None,
         nearest: bool = False,
-    ) -> Path | None:
-        """Return the best path of a final time; None: there is none.
+    ) -> OptimalPath | None:
+        """Return the best path of a final time, or None if no path exists.
 
-        That is proven, unless the solver is one that does not ask why. Whether the engine can fly
-        what is found is told by its `loss` and `excess`.
+        None is a proof of infeasibility, unless the solver does not give proofs. The path's `loss`
+        and `excess` state whether the engine can fly it.
 
         Parameters
         ----------
         descent
-            The problem.
+            Problem.
         duration
             Final time, s.
         log_mass
-            Guess of ln(mass / mass at the start) in the middle of each interval (N,).
-        walls
-            Half-spaces in place of the descent's cone.
+            Guess of ln(mass / initial mass) at the interval centres (N,).
+        half_spaces
+            Half-spaces that replace the descent's cone.
         nearest
-            The least distance of the end from its place is asked for, not the least propellant.
+            Whether to minimise the landing error instead of propellant.
 
         Raises
         ------
         InputError
-            If the final time is no positive number, or masses or half-spaces are not those of so
-            many intervals.
+            If the final time is not positive, or masses or half-spaces do not have N intervals.
         SolverError
             If the solver fails.
         """
         if not (is_number(duration) and 0.0 < duration <= LARGEST):
-            told = f"a positive final time up to {LARGEST:g} s"
-            raise InputError("optimal.duration", duration, told)
-        if descent.outside and not nearest:
+            problem = f"must be positive and at most {LARGEST:g} s"
+            raise InputError("optimal.duration", duration, problem)
+        if descent.violates_glideslope and not nearest:
             return None
-        if walls is None:
-            walls = Walls.over(descent, self.intervals)
-        elif len(walls.normals) != self.intervals:
+        if half_spaces is None:
+            half_spaces = HalfSpaces.over(descent, self.intervals)
+        elif len(half_spaces.normals) != self.intervals:
             raise InputError(
-                "optimal.walls", walls.normals.shape, f"planes of {self.intervals} intervals"
+                "optimal.half_spaces",
+                half_spaces.normals.shape,
+                f"must have planes of {self.intervals} intervals",
             )
         if log_mass is None:
-            log_mass = self._burning(descent, duration)
+            log_mass = self._guess_log_mass(descent, duration)
         else:
-            expected = f"finite numbers ({self.intervals},)"
+            expected = f"must be {self.intervals} finite numbers"
             log_mass = numbers("log_mass", log_mass, (self.intervals,), expected)
-        path = self._solved(descent, duration, log_mass, walls, nearest)
-        if path is not None and np.abs(path.log_mass - log_mass).max() > _MASS_OFF:
-            again = self._solved(descent, duration, path.log_mass, walls, nearest)
+        path = self._solve(descent, duration, log_mass, half_spaces, nearest)
+        if path is not None and np.abs(path.log_mass - log_mass).max() > _MAX_LOG_MASS_ERROR:
+            again = self._solve(descent, duration, path.log_mass, half_spaces, nearest)
             path = None if again is None else replace(again, solves=2)
         return path
 
-    def _burning(self, descent: Descent, duration: float) -> Array:
-        """Return a first guess of ln(mass): what gravity and the change of speed want, evenly."""
+    def _guess_log_mass(self, descent: Descent, duration: float) -> Array:
+        """Guess ln(mass) from constant consumption by gravity and the velocity change."""
         change = descent.end_velocity - descent.velocity
         change = change + np.array([0.0, 0.0, descent.gravity * duration])
         rates = np.array([descent.thrust_min, descent.thrust_max]) / descent.mass
         wanted = np.clip(np.linalg.norm(change), *(rates * duration))
-        spent = min(float(wanted), descent.tanks) / descent.exhaust_velocity
+        spent = min(float(wanted), descent.delta_v_available) / descent.exhaust_velocity
         return np.asarray(-spent * (np.arange(self.intervals) + 0.5) / self.intervals)
 
-    def _solved(
+    def _solve(
         self,
         descent: Descent,
         duration: float,
         log_mass: Array,
-        walls: Walls | None,
+        half_spaces: HalfSpaces | None,
         nearest: bool,
-    ) -> Path | None:
+    ) -> OptimalPath | None:
         structure = Structure(
             self.intervals,
             descent.max_tilt is not None or descent.end_tilt is not None,
             descent.glideslope is not None,
-            0 if walls is None else walls.normals.shape[1],
+            0 if half_spaces is None else half_spaces.normals.shape[1],
             nearest or descent.region > 0.0,
-            descent.spare > 0.0 and not nearest,
+            descent.thrust_slack > 0.0 and not nearest,
         )
-        if structure not in self._made:
-            self._made[structure] = Transcription(structure), self._solver()
-        made, solver = self._made[structure]
-        program = made.program(descent, duration, log_mass, walls, nearest=nearest)
+        if structure not in self._programs:
+            self._programs[structure] = Transcription(structure), self._solver()
+        transcription, solver = self._programs[structure]
+        program = transcription.program(descent, duration, log_mass, half_spaces, nearest=nearest)
         answer = solver.solve(program)
         self.solves += 1
         self.iterations += answer.iterations
@@ -151,7 +152,7 @@ class Planner:
             return None
         if answer.status == "failed":
             raise SolverError(
-                f"{answer.solver} gave up after {answer.iterations} iterations on a descent of "
-                f"{duration:.1f} s"
+                f"{answer.solver} fails after {answer.iterations} iterations for a descent of "
+                f"{duration:.1f} s."
             )
-        return path_of(made, program, answer, descent, duration)
+        return build_path(transcription, program, answer, descent, duration)

@@ -1,18 +1,19 @@
-"""The descent as a cone program: matrices built once for a structure, and what changes filled in.
+"""Transcription of the descent to a cone program with a fixed sparsity pattern.
 
 Acikmese and Ploen, "Convex programming approach to powered descent guidance for Mars landing",
 Journal of Guidance, Control, and Dynamics 30(5), 2007, with pointing as in Acikmese, Carson and
 Blackmore, IEEE Transactions on Control Systems Technology 21(6), 2013. `docs/theory/optimal.md`
-derives what is done otherwise here:
+derives the differences from these papers:
 
-- Thrust over mass is constant in each of N intervals, so that it is a difference of velocities and
-  no variable; nor is its bound, a difference of logarithms of mass. Seven variables a node remain.
-- Time is counted in final times: no coefficient of the dynamics depends on the final time.
-- What a path keeps between its nodes: in each interval it is a parabola, within the triangle of its
-  nodes and its control point ``r + v h / 2``. A node is the middle of two control points, so a
-  convex set that holds all of these holds the path.
-- exp(-z) in the bounds of the thrust is linear about the mass of the solution before, not about
-  that of full thrust all the way.
+- Thrust over mass is constant in each of N intervals. It is a difference of velocities, and its
+  bound is a difference of logarithms of mass; neither is a variable. Seven variables per node
+  remain.
+- Time is scaled by the final time: no coefficient of the dynamics depends on the final time.
+- Constraints hold between the nodes: the path over an interval is a parabola within the triangle of
+  its nodes and its control point ``r + v h / 2``. A node is the midpoint of two control points. A
+  convex set that contains all control points therefore contains the path.
+- exp(-z) in the thrust bounds is linearised about the mass of the last solution, not about that of
+  constant full thrust.
 """
 
 from __future__ import annotations
@@ -31,30 +32,30 @@ from lunarsim.optimal.problem import Descent
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_NODE = 7  # variables: position, velocity, logarithm of mass, all scaled
+_NODE = 7  # variables per node: position, velocity, logarithm of mass, all scaled
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Which rows a program has.
+    """Types of constraints in a program.
 
     Attributes
     ----------
     intervals
         N.
     tilt, glideslope
-        Whether there are such rows.
+        Whether there are such constraints.
     planes
-        Half-spaces for each control point.
+        Number of half-spaces for each control point.
     free
-        Whether the end lies anywhere in a disc, whose radius is a variable.
-    spare
-        Whether more thrust than the greatest may be had at a price; its share is a variable.
+        Whether the end lies in a disc, whose radius is a variable.
+    thrust_slack
+        Whether thrust above the maximum is available at a penalty; its fraction is a variable.
 
     Raises
     ------
     InputError
-        If there are too few intervals, or both a disc and spare thrust.
+        If there are too few intervals, or both a disc and thrust slack.
     """
 
     intervals: int
@@ -62,17 +63,17 @@ class Structure:
     glideslope: bool
     planes: int
     free: bool
-    spare: bool = False
+    thrust_slack: bool = False
 
     def __post_init__(self) -> None:
         if self.intervals < 4:
-            raise InputError("optimal.intervals", self.intervals, "at least 4")
-        if self.free and self.spare:
-            raise InputError("optimal.spare", True, "a single end where spare thrust may be taken")
+            raise InputError("optimal.intervals", self.intervals, "must be at least 4")
+        if self.free and self.thrust_slack:
+            raise InputError("optimal.thrust_slack", True, "must be false if the end is a region")
 
 
 @dataclass(frozen=True)
-class Walls:
+class HalfSpaces:
     """Half-spaces ``normals @ r >= offsets`` for the control points of each interval.
 
     Attributes
@@ -80,14 +81,14 @@ class Walls:
     normals
         (N, planes, 3).
     offsets
-        From the end of the descent (N, planes), m.
+        Relative to the end of the descent (N, planes), m.
     moves
-        Whether they go where the end goes, if that lies in a disc: terrain does not.
+        Whether they move with the end if that lies in a disc; terrain does not.
 
     Raises
     ------
     InputError
-        If shapes do not fit, or a figure is not finite.
+        If shapes are inconsistent, or a value is not finite.
     """
 
     normals: Array
@@ -97,13 +98,13 @@ class Walls:
     def __post_init__(self) -> None:
         shape = np.shape(self.normals) if np.ndim(self.normals) == 3 else (1, 1, 3)
         for name, wanted in (("normals", (*shape[:2], 3)), ("offsets", shape[:2])):
-            found = numbers("walls", getattr(self, name), wanted, f"{name} of finite numbers, "
+            found = numbers("half_spaces", getattr(self, name), wanted, f"must have finite {name}, "
                             "normals (N, planes, 3) and offsets (N, planes)")  # fmt: skip
             object.__setattr__(self, name, found)
 
     @classmethod
-    def over(cls, descent: Descent, intervals: int) -> Walls | None:
-        """Return the descent's cone for every interval; None without one."""
+    def over(cls, descent: Descent, intervals: int) -> HalfSpaces | None:
+        """Return the descent's cone for every interval; None without a cone."""
         if descent.cone is None:
             return None
         normals = np.broadcast_to(descent.cone.normals, (intervals, *descent.cone.normals.shape))
@@ -111,16 +112,16 @@ class Walls:
 
 
 @dataclass(frozen=True)
-class Scales:
-    """Units of a program: length and time, and what a unit of Z is in ln(mass)."""
+class ProgramScales:
+    """Units of a program: length, time, and ln(mass) per scaled mass variable."""
 
     length: float
     time: float
     kappa: float
 
     @classmethod
-    def of(cls, descent: Descent, duration: float) -> Scales:
-        """Return units of which the descent spans a few; the length knows no duration."""
+    def of(cls, descent: Descent, duration: float) -> ProgramScales:
+        """Return units in which the descent is of order 1; length does not depend on time."""
         fall = float(descent.velocity @ descent.velocity) / (2.0 * descent.gravity)
         length = float(np.linalg.norm(descent.gap)) + fall + 1.0
         return cls(length, duration, length / (duration * descent.exhaust_velocity))
@@ -132,18 +133,18 @@ class Transcription:
     Parameters
     ----------
     structure
-        Which rows there are.
+        Types of constraints.
     """
 
     def __init__(self, structure: Structure) -> None:
         self.structure = s = structure
         n = s.intervals
-        self.variables = _NODE * (n + 1) + (1 if s.free or s.spare else 0)
+        self.variables = _NODE * (n + 1) + (1 if s.free or s.thrust_slack else 0)
         self._node = _NODE * np.arange(n + 1)
-        self.inner = np.arange(1, n - 1)  # control points of the first and last are given
+        self.inner = np.arange(1, n - 1)  # the ends fix the first and last control point
         self.rows: dict[str, slice] = {}
         self._columns: dict[str, Indices] = {}
-        self._lay_out()
+        self._set_columns()
         columns = [self._columns[name] for name in self.rows]
         self._height = sum(len(c) for c in columns)
         wide = np.concatenate([np.full(len(c), c.shape[1]) for c in columns])
@@ -158,32 +159,34 @@ class Transcription:
 
     # --- structure ------------------------------------------------------------------------
 
-    def _lay_out(self) -> None:
-        """Write the columns of each family of rows, those of the orthant first."""
+    def _set_columns(self) -> None:
+        """Set the columns of each group of rows, first those of the orthant."""
         s, node = self.structure, self._node
         z0, z1 = node[:-1] + 6, node[1:] + 6
         last = np.full(s.intervals, self.variables - 1)
-        self._add("high", np.column_stack((z0, z1, last) if s.spare else (z0, z1)))
+        self._add("high", np.column_stack((z0, z1, last) if s.thrust_slack else (z0, z1)))
         self._add("low", np.column_stack((z0, z1)))
         if s.tilt:
             self._add("tilt", np.column_stack((z0, z1, node[:-1] + 5, node[1:] + 5)))
         self._add("mass", np.array([[node[-1] + 6]]))
         if s.planes:
-            self._add("planes", np.repeat(self._point(np.arange(3)), s.planes, axis=0))
+            self._add(
+                "planes", np.repeat(self._control_point_columns(np.arange(3)), s.planes, axis=0)
+            )
         if s.free:
             self._add("reach", np.array([[self.variables - 1]]))
-        if s.spare:
-            self._add("spare", np.full((2, 1), self.variables - 1))
+        if s.thrust_slack:
+            self._add("thrust_slack", np.full((2, 1), self.variables - 1))
         self.orthant = sum(len(c) for c in self._columns.values())
         speeds = [np.column_stack((node[1:] + c, node[:-1] + c)) for c in (3, 4, 5)]
         thrust = np.stack([np.column_stack((z0, z1)), *speeds], axis=1)
         self._add("thrust", thrust.reshape(-1, 2))
         cones = [4] * s.intervals
         if s.glideslope:
-            axes = [self._point(np.array([c])) for c in (2, 0, 1)]
+            axes = [self._control_point_columns(np.array([c])) for c in (2, 0, 1)]
             self._add("glideslope", np.stack(axes, axis=1).reshape(-1, axes[0].shape[1]))
             cones += [3] * len(self.inner)
-            if s.free:  # the end may not leave the start outside of what goes with it
+            if s.free:  # the start must satisfy the glideslope of the chosen end
                 ends = [[node[0] + c, node[-1] + c] for c in (2, 0, 1)]
                 self._add("start", np.array(ends))
                 cones += [3]
@@ -197,8 +200,8 @@ class Transcription:
         self.rows[name] = slice(begin, begin + len(columns))
         self._columns[name] = columns
 
-    def _point(self, axes: Indices) -> Indices:
-        """Return the columns of some coordinates of each inner control point, less the end's."""
+    def _control_point_columns(self, axes: Indices) -> Indices:
+        """Return the columns of coordinates of inner control points, relative to the end."""
         node = self._node[self.inner][:, None]
         parts = [node + axes, node + axes + 3]
         if self.structure.free:
@@ -206,7 +209,7 @@ class Transcription:
         return np.concatenate(parts, axis=1)
 
     def _dynamics(self) -> sparse.csc_matrix:
-        """Return the matrix of the equalities: positions from speeds, then both ends."""
+        """Return the matrix of the equalities: positions from velocities, then both ends."""
         n, node, s = self.structure.intervals, self._node, self.structure
         half = 0.5 / n
         row, col, value = [], [], []
@@ -232,7 +235,7 @@ class Transcription:
         descent: Descent,
         duration: float,
         log_mass: Array,
-        walls: Walls | None = None,
+        half_spaces: HalfSpaces | None = None,
         *,
         nearest: bool = False,
     ) -> Program:
@@ -241,63 +244,70 @@ class Transcription:
         Parameters
         ----------
         descent
-            The problem.
+            Problem.
         duration
             Final time, s.
         log_mass
-            z = ln(mass / mass at the start) in the middle of each interval (N,), about which
-            exp(-z) is linear.
-        walls
+            z = ln(mass / initial mass) at the interval centres (N,), about which exp(-z) is
+            linearised.
+        half_spaces
             Half-spaces; as many as the structure has.
         nearest
-            Ask for the least distance of the end from its place, not for the least propellant.
+            Whether to minimise the landing error instead of propellant.
         """
-        units = Scales.of(descent, duration)
-        families = self._values(descent, units, log_mass, walls, nearest)
-        if self.structure.spare:
+        units = ProgramScales.of(descent, duration)
+        families = self._constraint_values(descent, units, log_mass, half_spaces, nearest)
+        if self.structure.thrust_slack:
             entries, h = families["high"]
-            more = descent.spare * self._unit_force(descent, units) * np.exp(-log_mass)
+            more = descent.thrust_slack * self._unit_force(descent, units) * np.exp(-log_mass)
             families["high"] = np.column_stack((entries, -more)), h
-            families["spare"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
+            families["thrust_slack"] = np.array([[1.0], [-1.0]]), np.array([1.0, 0.0])
         values = np.concatenate([families[name][0].ravel() for name in self.rows])
         h = np.concatenate([families[name][1] for name in self.rows])
         p = self._pattern
         g = sparse.csc_matrix((values[self._order], p.indices, p.indptr), shape=p.shape)
         c = np.zeros(self.variables)
-        if self.structure.spare:
-            c[-1] = descent.spare_price * units.time / units.length
+        if self.structure.thrust_slack:
+            c[-1] = descent.thrust_slack_penalty * units.time / units.length
         c[-1 if nearest else self._node[-1] + 6] = 1.0 if nearest else -1.0
-        b = np.concatenate((np.zeros(3 * self.structure.intervals), self._ends(descent, units)))
+        b = np.concatenate(
+            (np.zeros(3 * self.structure.intervals), self._end_values(descent, units))
+        )
         return Program(c, self._equalities, b, g, h, self.orthant, self.cones)
 
-    def _ends(self, descent: Descent, units: Scales) -> Array:
-        """Return both ends of the path, scaled."""
+    def _end_values(self, descent: Descent, units: ProgramScales) -> Array:
+        """Return initial and final state, scaled."""
         speed = units.time / units.length
         end = np.concatenate((np.zeros(3), descent.end_velocity * speed))
         start = (descent.gap / units.length, descent.velocity * speed, [0.0])
         return np.concatenate((*start, end[2 if self.structure.free else 0 :]))
 
-    def _values(
-        self, d: Descent, units: Scales, log_mass: Array, walls: Walls | None, nearest: bool
+    def _constraint_values(
+        self,
+        d: Descent,
+        units: ProgramScales,
+        log_mass: Array,
+        half_spaces: HalfSpaces | None,
+        nearest: bool,
     ) -> dict[str, tuple[Array, Array]]:
-        """Return entries and right-hand side of each family of rows."""
+        """Return entries and right-hand side of each group of rows."""
         s, n = self.structure, self.structure.intervals
-        out = self._bounds(d, units, log_mass)
+        out = self._thrust_bounds(d, units, log_mass)
         weight = d.gravity * units.time**2 / units.length / n
         drop = d.drop / units.length
         if s.tilt:
-            # The middles of the intervals, where thrust is bounded too.
+            # At interval centres, where thrust is bounded too.
             tilts = d.tilts(units.time * (1.0 - (np.arange(n) + 0.5) / n))
             lean = np.cos(tilts if tilts is not None else np.zeros(n))
             ones = np.ones(n)
             out["tilt"] = np.column_stack((lean, -lean, ones, -ones)), np.full(n, weight)
         least = np.log(d.dry_mass / d.mass) / units.kappa
         out["mass"] = np.array([[-1.0]]), np.array([-least])
-        if s.planes and walls is not None:
-            a = walls.normals[self.inner].reshape(-1, 3)
-            offsets = walls.offsets[self.inner].ravel() / units.length
-            rows = self._weighed(-a)
-            if s.free and not walls.moves:
+        if s.planes and half_spaces is not None:
+            a = half_spaces.normals[self.inner].reshape(-1, 3)
+            offsets = half_spaces.offsets[self.inner].ravel() / units.length
+            rows = self._control_point_entries(-a)
+            if s.free and not half_spaces.moves:
                 rows[:, 6:] = 0.0
             out["planes"] = rows, -offsets
         if s.free:
@@ -310,21 +320,23 @@ class Transcription:
         if s.glideslope:
             tan = np.tan(d.glideslope if d.glideslope is not None else 0.0)
             count = len(self.inner)
-            row = self._weighed(np.array([[-1.0], [-tan], [-tan]]))
+            row = self._control_point_entries(np.array([[-1.0], [-tan], [-tan]]))
             out["glideslope"] = np.tile(row, (count, 1)), np.tile([drop, 0.0, 0.0], count)
             if s.free:
                 start = np.array([[-1.0, 1.0], [-tan, tan], [-tan, tan]])
                 out["start"] = start, np.array([drop, 0.0, 0.0])
         return out
 
-    def _weighed(self, a: Array) -> Array:
-        """Return entries (n, 2 m or 3 m) of coefficients (n, m) of control points."""
+    def _control_point_entries(self, a: Array) -> Array:
+        """Return entries (n, 2 m or 3 m) for coefficients (n, m) of control points."""
         half = 0.5 / self.structure.intervals
         parts = [a, half * a] + ([-a] if self.structure.free else [])
         return np.concatenate(parts, axis=1)
 
-    def _bounds(self, d: Descent, units: Scales, log_mass: Array) -> dict[str, tuple[Array, Array]]:
-        """Return the rows of the greatest and least thrust, in the middle of each interval."""
+    def _thrust_bounds(
+        self, d: Descent, units: ProgramScales, log_mass: Array
+    ) -> dict[str, tuple[Array, Array]]:
+        """Return the rows of maximum and minimum thrust, at the interval centres."""
         k = units.kappa
         whole = self._unit_force(d, units) * np.exp(-log_mass)
         out = {}
@@ -335,6 +347,6 @@ class Transcription:
             out[name] = entries, sign * most * (1.0 + log_mass)
         return out
 
-    def _unit_force(self, d: Descent, units: Scales) -> float:
-        """Return what a newton adds to the scaled velocity in an interval at the first mass."""
+    def _unit_force(self, d: Descent, units: ProgramScales) -> float:
+        """Return the scaled velocity change per newton in an interval at the initial mass."""
         return units.time**2 / (units.length * self.structure.intervals * d.mass)

@@ -1,4 +1,4 @@
-"""Units in which the numbers of a program are about 1."""
+"""Scales that make the variables of a program about 1."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Units:
-    """What one is: m, s, kg."""
+    """Scales of length, time and mass: m, s, kg."""
 
     length: float
     time: float
@@ -15,10 +15,10 @@ class Units:
 
     @property
     def speed(self) -> float:
-        """m/s."""
+        """Scale of velocity, m/s."""
         return self.length / self.time
 
     @property
     def force(self) -> float:
-        """N."""
+        """Scale of force, N."""
         return self.mass * self.length / self.time**2

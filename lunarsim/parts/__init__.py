@@ -1,8 +1,8 @@
-"""Parts: dataclasses that declare their settings once, and the registry that finds them by name.
+"""Parts: dataclasses with declared settings, and the registry of their names.
 
-A part is a frozen dataclass in SI units and radians. What stands in its fields (name, default,
-unit, bounds, meaning) is all there is to its table in a scenario file: keys, checks and reference
-are made from it.
+A part is a frozen dataclass in SI units and radians. Its fields (name, default, unit, bounds,
+meaning) define its table in a scenario file: the keys, the checks and the reference are generated
+from them.
 """
 
 from lunarsim.parts.allowed import allow_modules

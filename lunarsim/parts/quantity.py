@@ -1,4 +1,4 @@
-"""Fields of parts: default, unit, bounds and meaning in one place."""
+"""Fields of parts: default, unit, bounds and meaning in one declaration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from lunarsim.errors import InputError, check_types
 
-# Unit to the ending of the scenario's key. Radians are degrees in scenarios.
+# Suffix of the scenario key for each unit. Scenario files give angles in degrees.
 _SUFFIXES = {
     "": "",
     "1": "",
@@ -39,25 +39,25 @@ _SUFFIXES = {
     "N s/m": "_n_s_m1",
     "1/s": "_per_s",
 }
-_KEY = "lunarsim"
+_METADATA_KEY = "lunarsim"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a field says of itself.
+    """Declaration of a setting: default, unit, bounds and meaning.
 
     Attributes
     ----------
     default
-        As a scenario file would give it: angles in degrees.
+        Default in the unit of the scenario file: angles in degrees.
     unit
-        Of the scenario's value; "" or "1" for a number without one.
+        Unit of the scenario value; "" or "1" for a dimensionless number.
     gt, ge, lt, le
-        Bounds of the scenario's value, or of each of its elements.
+        Bounds of the scenario value, or of each of its elements.
     help
         Meaning in a few words.
     hidden
-        Not to be set from a scenario.
+        Whether scenarios cannot set the field.
     """
 
     default: Any
@@ -71,7 +71,7 @@ class Quantity:
 
     @property
     def suffix(self) -> str:
-        """Ending of the scenario's key."""
+        """Suffix of the scenario key, such as ``_m``."""
         return _SUFFIXES[self.unit]
 
     @property
@@ -89,7 +89,7 @@ class Quantity:
         return (" and ".join(words) or "a finite number") + unit
 
     def allows(self, value: float) -> bool:
-        """Tell whether a number, in the scenario's unit, is finite and within the bounds."""
+        """Return whether a number in the scenario's unit is finite and within bounds."""
         return bool(
             np.isfinite(value)
             and (self.gt is None or value > self.gt)
@@ -99,27 +99,27 @@ class Quantity:
         )
 
     def to_si(self, value: Any) -> Any:
-        """Return the scenario's value as the part wants it: angles in radians."""
+        """Convert a scenario value to the unit of the part: angles to radians."""
         if self.unit in ("deg", "deg/s"):
-            return _each(lambda v: float(np.deg2rad(v)), value)
+            return _map_nested(lambda v: float(np.deg2rad(v)), value)
         if self.unit == "mrad":
-            return _each(lambda v: 1e-3 * v, value)
+            return _map_nested(lambda v: 1e-3 * v, value)
         return value
 
     def from_si(self, value: Any) -> Any:
-        """Return a part's value as a scenario would give it; the default itself for the default."""
+        """Convert a part's value to the scenario's unit, and keep the default exact."""
         if value == self.to_si(self.default):
             return self.default
         if self.unit in ("deg", "deg/s"):
-            return _each(lambda v: round(float(np.rad2deg(v)), 12), value)
+            return _map_nested(lambda v: round(float(np.rad2deg(v)), 12), value)
         if self.unit == "mrad":
-            return _each(lambda v: 1e3 * v, value)
+            return _map_nested(lambda v: 1e3 * v, value)
         return value
 
 
-def _each(function: Any, value: Any) -> Any:
+def _map_nested(function: Any, value: Any) -> Any:
     if isinstance(value, list | tuple):
-        return tuple(_each(function, v) for v in value)
+        return tuple(_map_nested(function, v) for v in value)
     return None if value is None else function(value)
 
 
@@ -133,65 +133,65 @@ def quantity(
     le: float | None = None,
     help: str = "",
 ) -> Any:
-    """Return a dataclass field that says default, unit, bounds and meaning of a setting.
+    """Declare a dataclass field with default, unit, bounds and meaning.
 
     Parameters
     ----------
     default
-        As a scenario file would give it: ``quantity(10.0, "deg")`` is 0.1745 rad in the object.
+        In the unit of the scenario file: ``quantity(10.0, "deg")`` is 0.1745 rad in the object.
     unit
-        Of that value; it ends the scenario's key: ``quantity(0.2, "m")`` of a field ``posting`` is
-        ``posting_m``.
+        Unit of the default. It also sets the suffix of the scenario key: ``quantity(0.2, "m")`` for
+        a field ``posting`` gives the key ``posting_m``.
     gt, ge, lt, le
-        Bounds, of each element where there are several.
+        Bounds of the value, or of each element of a sequence.
     help
         Meaning in a few words.
     """
     if unit not in _SUFFIXES:
-        raise ValueError(f"unit {unit!r}: known are {', '.join(map(repr, _SUFFIXES))}")
+        raise ValueError(f"unit {unit!r} must be one of {', '.join(map(repr, _SUFFIXES))}")
     q = Quantity(default, unit, gt, ge, lt, le, help)
-    return field(default=q.to_si(default), metadata={_KEY: q})
+    return field(default=q.to_si(default), metadata={_METADATA_KEY: q})
 
 
 def hidden(default: Any) -> Any:
-    """Return a dataclass field that scenarios cannot set."""
-    return field(default=default, metadata={_KEY: Quantity(default, hidden=True)})
+    """Declare a dataclass field that scenarios cannot set."""
+    return field(default=default, metadata={_METADATA_KEY: Quantity(default, hidden=True)})
 
 
 def quantity_of(metadata: Any) -> Quantity | None:
-    """Return what a field says of itself, None for a plain one."""
-    found = metadata.get(_KEY)
+    """Return the declaration of a field, or None if it has none."""
+    found = metadata.get(_METADATA_KEY)
     return found if isinstance(found, Quantity) else None
 
 
 def check_direction(field: str, vector: Any) -> None:
-    """Refuse what is no unit vector (3,).
+    """Reject a value that is not a unit vector (3,).
 
     Raises
     ------
     InputError
-        Naming the field.
+            Error for the given field.
     """
     if np.shape(vector) != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-6):
-        raise InputError(field, vector, "a unit vector")
+        raise InputError(field, vector, "must be a unit vector")
 
 
 def check_bounds(part: Any, table: str) -> None:
-    """Refuse numbers of a dataclass that are none, or beyond what its fields declare.
+    """Check the numbers of a dataclass against the bounds that its fields declare.
 
-    Scenario files are checked before the part is made; this is for parts made in Python.
+    Scenario files are checked before the part exists; this function checks parts made in Python.
 
     Parameters
     ----------
     part
-        The dataclass, angles in radians.
+        Dataclass with angles in radians.
     table
-        Put before the field's name in the message.
+        Prefix of the field name in the message.
 
     Raises
     ------
     InputError
-        Naming the first such field; value and bounds are in the scenario's unit.
+        For the first invalid field; value and bounds are in the unit of the scenario.
     """
     for f in fields(part):
         q = quantity_of(f.metadata)
@@ -200,7 +200,7 @@ def check_bounds(part: Any, table: str) -> None:
             continue
         if str(f.type).startswith(("float", "int")) and isinstance(value, str | bytes):
             raise InputError(
-                f"{table}.{f.name}", value, f"must be a number, not text, {q.expected}"
+                f"{table}.{f.name}", value, f"must be a number ({q.expected}), not text"
             )
         given = q.from_si(tuple(value) if isinstance(value, list | np.ndarray) else value)
         for one in given if isinstance(given, tuple) else (given,):

@@ -1,8 +1,8 @@
-"""One registry for every contract: what parts there are, and where their classes stand.
+"""Registry of the parts of every contract.
 
-A new part is its own file and one line here. From outside, an entry point of the group
-``lunarsim.CONTRACT`` adds a name, or a scenario gives ``kind = "module:Class"`` of a module that
-the user allows (`lunarsim.parts.allowed`).
+A new part takes one file and one line here. Another package can add a name by an entry point of the
+group ``lunarsim.CONTRACT``, or a scenario can give ``kind = "module:Class"`` if the user allows the
+module (`lunarsim.parts.allowed`).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from lunarsim.parts.allowed import check_allowed
 
 @dataclass(frozen=True)
 class Contract:
-    """A kind of part.
+    """Category of parts that share an interface.
 
     Attributes
     ----------
     summary
-        What it is, in a few words.
+        What the part is, in a few words.
     kinds
-        Name to "module:Class" of the parts that come with the package.
+        Registered name to "module:Class", for the parts of this package.
     needs
-        Names that every part has.
+        Names of the members that every part must have.
     """
 
     summary: str
@@ -42,12 +42,12 @@ class Contract:
     needs: tuple[str, ...]
 
 
-# Names of fields that tables have for themselves.
+# Field names that the settings tables use themselves.
 RESERVED = {"kind", "make", "model_config", "copy", "json", "dict"}
 
 CONTRACTS: dict[str, Contract] = {
     "terrain": Contract(
-        "the ground",
+        "terrain",
         {
             "fractal": "lunarsim.world.grounds.fractal:FractalGround",
             "dtm": "lunarsim.world.grounds.measured:MeasuredGround",
@@ -56,7 +56,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build",),
     ),
     "vehicle": Contract(
-        "the lander",
+        "lander",
         {
             "lander": "lunarsim.models.lander:Lander",
             "jet-lander": "lunarsim.models.jet_lander:JetLander",
@@ -64,7 +64,7 @@ CONTRACTS: dict[str, Contract] = {
         ("pads", "wet_mass", "check_hover"),
     ),
     "sensor": Contract(
-        "what measures",
+        "sensor",
         {
             "imu": "lunarsim.sensors.imu:InertialUnit",
             "navigation-fix": "lunarsim.sensors.navigation_fix:NavigationFixes",
@@ -77,7 +77,7 @@ CONTRACTS: dict[str, Contract] = {
         ("gives", "tasked", "calibration"),
     ),
     "tasking": Contract(
-        "where a sensor points and when it measures",
+        "pointing and timing of a sensor's measurements",
         {
             "at-altitudes": "lunarsim.onboard.tasking.schedules:AtAltitudes",
             "periodic": "lunarsim.onboard.tasking.schedules:Periodic",
@@ -86,7 +86,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build",),
     ),
     "navigation": Contract(
-        "where the lander believes it is",
+        "state estimation",
         {
             "inertial": "lunarsim.onboard.navigation.kinds:InertialNavigation",
             "fixes": "lunarsim.onboard.navigation.fixes:Fixes",
@@ -97,7 +97,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build", "needs", "takes", "needs_prior_map", "uses_prior_map"),
     ),
     "mapper": Contract(
-        "where it is safe to land",
+        "hazard map of the landing area",
         {
             "gaussian-dem": "lunarsim.onboard.hazards.gaussian_dem.mapper:GaussianDemMapping",
             "shadow": "lunarsim.onboard.hazards.shadows.mapping:ShadowMapping",
@@ -107,7 +107,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build", "takes", "sensor"),
     ),
     "policy": Contract(
-        "where to land",
+        "selection of the landing site",
         {
             "no-divert": "lunarsim.onboard.policies.library:NoDivert",
             "safest": "lunarsim.onboard.policies.library:Safest",
@@ -120,7 +120,7 @@ CONTRACTS: dict[str, Contract] = {
         ("decide", "name"),
     ),
     "guidance": Contract(
-        "how to fly to the end of the approach",
+        "guidance law of the approach",
         {
             "apollo": "lunarsim.onboard.guidance.apollo:ApolloLaw",
             "modified-apollo": "lunarsim.onboard.guidance.modified_apollo:ModifiedApolloLaw",
@@ -137,7 +137,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build", "cost"),
     ),
     "descent": Contract(
-        "how to come down after the approach",
+        "guidance law of the terminal descent",
         {
             "rate-of-descent": "lunarsim.onboard.guidance.rate_of_descent:RateOfDescent",
             "gravity-turn": "lunarsim.onboard.guidance.gravity_turn:GravityTurn",
@@ -146,7 +146,7 @@ CONTRACTS: dict[str, Contract] = {
         ("build",),
     ),
     "control": Contract(
-        "how the attitude follows guidance",
+        "attitude control",
         {
             "pd": "lunarsim.onboard.control.attitude:ProportionalDerivative",
             "ideal": "lunarsim.onboard.control.attitude:IdealAttitude",
@@ -161,12 +161,12 @@ CONTRACTS: dict[str, Contract] = {
 
 
 def kinds(contract: str) -> dict[str, str]:
-    """Return name and "module:Class" of all parts of a contract, those of entry points included.
+    """Return name and "module:Class" of all parts, including entry points.
 
     Raises
     ------
     InputError
-        If two packages give the same name.
+        If two packages register the same name.
 
     Examples
     --------
@@ -179,7 +179,7 @@ def kinds(contract: str) -> dict[str, str]:
             raise InputError(
                 f"entry point lunarsim.{contract}",
                 point.name,
-                f"a name of its own: {found[point.name]} has it already",
+                f"must be a unique name; {found[point.name]} already has it",
             )
         found[point.name] = point.value
     return found
@@ -189,8 +189,8 @@ def kinds(contract: str) -> dict[str, str]:
 def installed_parts(group: str, search_path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     """Return the entry points of a group that installed packages declare.
 
-    The metadata of all packages are read once per search path and process, because a scan takes
-    10 ms and each part of a scenario asks for its kinds.
+    The result is cached per search path and process, because a scan of all installed packages
+    takes 10 ms and each part of a scenario needs it.
     """
     return tuple(_entry_points(search_path).select(group=group))
 
@@ -201,12 +201,12 @@ def _entry_points(search_path: tuple[str, ...]) -> Any:
 
 
 def loadable(contract: str) -> Iterator[tuple[str, Any]]:
-    """Yield kind and class of the parts of a contract that can be loaded."""
+    """Yield kind and class of those parts of a contract that can be loaded."""
     for kind in kinds(contract):
         try:
             yield kind, resolve(contract, kind)
         except InputError:
-            continue  # `lunarsim parts` says why
+            continue  # `lunarsim parts` reports the reason
 
 
 def resolve(contract: str, kind: str, field: str | None = None) -> type:
@@ -215,16 +215,16 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     Parameters
     ----------
     contract
-        A key of `CONTRACTS`.
+        Key of `CONTRACTS`.
     kind
-        A registered name, or "module:Class".
+        Registered name, or "module:Class".
     field
-        Where it was given, for the message.
+        Field that gave the kind, for the message.
 
     Raises
     ------
     InputError
-        If there is no such part, its module is not allowed, or it cannot be imported.
+        If the part does not exist, its module is not allowed, or it cannot be imported.
 
     Examples
     --------
@@ -233,16 +233,16 @@ def resolve(contract: str, kind: str, field: str | None = None) -> type:
     """
     field = field or f"{contract}.kind"
     module, colon, _ = kind.partition(":")
-    # Entry points are looked up in all installed packages, which takes 10 ms: only if needed.
+    # A look-up of entry points scans all installed packages (10 ms): only if needed.
     if colon and kind not in kinds(contract).values():
         check_allowed(field, kind, module)
     return _resolve(contract, kind, field)
 
 
 def imported(module: str) -> ModuleType:
-    """Return a module; one that is found nowhere is looked for in the working directory too.
+    """Import a module, also from the working directory if it is not found elsewhere.
 
-    A command that is installed, other than ``python -m``, does not look there.
+    An installed command, unlike ``python -m``, does not search the working directory.
     """
     here, first = Path.cwd(), module.partition(".")[0]
     beside = (here / f"{first}.py").is_file() or (here / first / "__init__.py").is_file()
@@ -257,29 +257,28 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     where = kind if ":" in kind else known.get(kind)
     if where is None:
         near = suggestion(kind, known)
-        more = ' Or "module:Class"' if near.endswith("?") else ', or "module:Class"'
-        raise InputError(field, kind, near + more)
+        raise InputError(field, kind, f'must be a known kind or "module:Class" ({near})')
     module, _, name = where.partition(":")
     try:
         found = getattr(imported(module), name)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever somebody else's module raises, an exit included
+    except BaseException as error:  # a custom module can raise anything, including SystemExit
         said = str(error).split("\n")[0]
         raise InputError(
             field, kind,
-            "a class that can be imported, from the working directory or an installed package "
-            f"({type(error).__name__}: {said})",
+            f"must be a class that can be imported ({type(error).__name__}: {said})",
+            "Run in its directory or install its package.",
         ) from error  # fmt: skip
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise InputError(field, kind, f"a dataclass; {where} is none")
+        raise InputError(field, kind, f"must be a dataclass, but {where} is not")
     if not found.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        raise InputError(field, kind, f"a frozen dataclass; {where} is not frozen")
+        raise InputError(field, kind, f"must be a frozen dataclass, but {where} is not frozen")
     names = {f.name for f in dataclasses.fields(found)}
     missing = [n for n in CONTRACTS[contract].needs if n not in names and not hasattr(found, n)]
     if missing:
-        raise InputError(field, kind, f"a {contract}; {where} has no {missing[0]!r}")
+        raise InputError(field, kind, f"must be a {contract}, but {where} has no {missing[0]!r}")
     reserved = names & RESERVED
     if reserved:
-        raise InputError(field, kind, f"a dataclass without a field named {min(reserved)!r}")
+        raise InputError(field, kind, f"must not have a field named {min(reserved)!r}")
     return found

@@ -1,9 +1,9 @@
-"""The lander: geometry and masses, propulsion, rigid-body motion, touchdown."""
+"""True vehicle: actuators, rigid-body dynamics, faults and touchdown."""
 
 from lunarsim.vehicle.dynamics import Dynamics
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import (
-    Ground,
+    ElevationModel,
     Touchdown,
     Verdict,
     judge_touchdown,
@@ -13,7 +13,7 @@ from lunarsim.vehicle.touchdown import (
 
 __all__ = [
     "Dynamics",
-    "Ground",
+    "ElevationModel",
     "State",
     "Touchdown",
     "Verdict",

@@ -10,21 +10,20 @@ import numpy as np
 from lunarsim._frame_kernels import rotation_between
 from lunarsim._jit import kernel
 
-# Bodies that are best advanced side by side.
+# Batch size of the specialised (SIMD) code path.
 WIDE = 32
 
 
 @kernel(exact=True)
 def rates(
-    y, at, out, into, n, width, asked, tx, ty, tz, gravity, exhaust, lag, dry, wet, i_dry, i_wet,
-    rig,
+    y, at, out, into, n, width, thrust_command, tx, ty, tz, gravity, exhaust, lag, dry, wet,
+    i_dry, i_wet, rig,
 ):  # fmt: skip
-    """Write dy/dt of body n of `width`; see `Dynamics` for the equations and `rig_of`.
+    """Write dy/dt of body n of `width`, by the equations of `Dynamics`.
 
-    States lie flat in y from `at` on, row by row and bodies side by side, and so does what is
-    written into `out` from `into` on: where `width` is a constant the compiler sees that no row
-    runs into another, and takes some bodies at a time. Torques are about the origin of the body
-    axes.
+    States lie flat in y from `at` on, row by row with bodies side by side, and so does the result
+    in `out` from `into` on. If `width` is a constant, the compiler sees that rows do not overlap
+    and vectorises over bodies. Torques are about the origin of the body axes.
     """
     qx = y[at + 6 * width + n]
     qy = y[at + 7 * width + n]
@@ -41,7 +40,7 @@ def rates(
     out[into + n] = y[at + 3 * width + n]
     out[into + width + n] = y[at + 4 * width + n]
     out[into + 2 * width + n] = y[at + 5 * width + n]
-    # The engine alone pushes along body z, the third column of the direction cosine matrix.
+    # The engine thrust alone is along body z, the third column of the direction cosine matrix.
     out[into + 3 * width + n] = az * 2.0 * (qx * qz + qw * qy) + (
         ax * (1.0 - 2.0 * (qy * qy + qz * qz)) + ay * 2.0 * (qx * qy - qw * qz)
     )
@@ -64,7 +63,7 @@ def rates(
     cx = rig[10] + full * (rig[13] - rig[10])
     cy = rig[11] + full * (rig[14] - rig[11])
     cz = rig[12] + full * (rig[15] - rig[12])
-    # The engine pushes at its pivot; all forces turn the body about its centre of mass.
+    # The engine pushes at its pivot; all forces cause torques about the centre of mass.
     mx = rig[8] * ez - rig[9] * ey - (cy * fz - cz * fy)
     my = rig[9] * ex - rig[7] * ez - (cz * fx - cx * fz)
     mz = rig[7] * ey - rig[8] * ex - (cx * fy - cy * fx)
@@ -72,15 +71,15 @@ def rates(
     out[into + 11 * width + n] = (ty + my - (ix - iz) * wz * wx) / iy
     out[into + 12 * width + n] = (tz + mz - (iy - ix) * wx * wy) / iz
     out[into + 13 * width + n] = -thrust / exhaust - rig[3]
-    out[into + 14 * width + n] = (asked - thrust) / lag if lag > 0.0 else 0.0
+    out[into + 14 * width + n] = (thrust_command - thrust) / lag if lag > 0.0 else 0.0
 
 
 @kernel(exact=True)
 def curve(y, at, out, into, n, width, gravity, rig):
-    """Add to dy/dt of body n what a round, turning Moon changes; see `rates` and `Dynamics`.
+    """Add the terms of a round, rotating Moon to dy/dt of body n, as in `Dynamics`.
 
-    Gravity grows and turns with the place, and the frame's turning adds Coriolis and centrifugal
-    accelerations. `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
+    Gravity varies with position, and the rotation adds Coriolis and centrifugal accelerations.
+    `rig[17]` is the radius, m, and `rig[18:21]` the spin, ENU, rad/s.
     """
     radius = rig[17]
     wx = rig[18]
@@ -93,7 +92,7 @@ def curve(y, at, out, into, n, width, gravity, rig):
     vz = y[at + 5 * width + n]
     square = x * x + y[at + width + n] * y[at + width + n] + z * z
     pull = gravity * radius * radius / (square * np.sqrt(square))
-    # Of the frame at this place: spin x r.
+    # Velocity of the frame at this position: spin x r.
     fx = wy * z - wz * y[at + width + n]
     fy = wz * x - wx * z
     fz = wx * y[at + width + n] - wy * x
@@ -107,7 +106,7 @@ def curve(y, at, out, into, n, width, gravity, rig):
 
 @kernel()
 def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, i_dry, i_wet, rig):
-    """Write dy/dt (15,) of one body; see `rates`."""
+    """Write dy/dt (15,) of one body, as `rates`."""
     rates(
         y, 0, out, 0, 0, 1, thrust_command, torque[0], torque[1], torque[2], gravity, exhaust, lag,
         dry, wet, i_dry, i_wet, rig,
@@ -117,19 +116,19 @@ def derivative(y, out, thrust_command, torque, gravity, exhaust, lag, dry, wet, 
 
 
 @kernel(exact=True)
-def _flat_step(y, dt, asked, torque, figures, inertia, rig, work, width):
-    """Advance bodies by one step in place; all but `inertia` (2, 3) and `rig` lies flat."""
+def _flat_step(y, dt, thrust_command, torque, params, inertia, rig, work, width):
+    """Advance bodies by one step in place; arrays of bodies are flat."""
     size = 15 * width
     i_dry = (inertia[0, 0], inertia[0, 1], inertia[0, 2])
     i_wet = (inertia[1, 0], inertia[1, 1], inertia[1, 2])
-    own = (
+    rig_values = (
         rig[0], rig[1], rig[2], rig[3], rig[4], rig[5], rig[6], rig[7], rig[8], rig[9], rig[10],
         rig[11], rig[12], rig[13], rig[14], rig[15], rig[16], rig[17], rig[18], rig[19], rig[20],
     )  # fmt: skip
     for n in range(width):
-        if figures[2 * width + n] == 0.0:
-            y[14 * width + n] = asked[n]
-    # Where the derivatives are taken, behind the four of them.
+        if params[2 * width + n] == 0.0:
+            y[14 * width + n] = thrust_command[n]
+    # Stage states are stored behind the four derivatives.
     at = 4 * size
     for j in range(size):
         work[at + j] = y[j]
@@ -137,13 +136,13 @@ def _flat_step(y, dt, asked, torque, figures, inertia, rig, work, width):
         into = stage * size
         for n in range(width):
             rates(
-                work, at, work, into, n, width, asked[n], torque[n], torque[width + n],
-                torque[2 * width + n], figures[n], figures[width + n], figures[2 * width + n],
-                figures[3 * width + n], figures[4 * width + n], i_dry, i_wet, own,
+                work, at, work, into, n, width, thrust_command[n], torque[n], torque[width + n],
+                torque[2 * width + n], params[n], params[width + n], params[2 * width + n],
+                params[3 * width + n], params[4 * width + n], i_dry, i_wet, rig_values,
             )  # fmt: skip
-        if own[17] > 0.0:
+        if rig_values[17] > 0.0:
             for n in range(width):
-                curve(work, at, work, into, n, width, figures[n], own)
+                curve(work, at, work, into, n, width, params[n], rig_values)
         if stage < 3:
             part = dt if stage == 2 else 0.5 * dt
             for j in range(size):
@@ -164,63 +163,63 @@ def _flat_step(y, dt, asked, torque, figures, inertia, rig, work, width):
 
 
 @kernel(inner=True)
-def rk4_step(y, dt, asked, torque, figures, inertia, rig, work):
+def rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work):
     """Advance bodies (15, N) by one classical Runge-Kutta step in place.
 
-    `asked` (N,) and `torque` (3, N) are what each is commanded, `figures` (5, N) its own; `work` is
-    scratch (5, 15, N); for the others see `advance_body`. Of `WIDE` bodies some are taken at a
-    time.
+    `thrust_command` (N,) and `torque` (3, N) are the commands of each body, `params` (5, N) its
+    parameters; `work` is scratch (5, 15, N); the others are those of `advance_body`. A batch of
+    `WIDE` bodies is vectorised.
     """
     n = y.shape[1]
     flat, turn = y.reshape(15 * n), torque.reshape(3 * n)
-    own, spare = figures.reshape(5 * n), work.reshape(75 * n)
+    rig_values, work_flat = params.reshape(5 * n), work.reshape(75 * n)
     if n == WIDE:
-        _flat_step(flat, dt, asked, turn, own, inertia, rig, spare, WIDE)
+        _flat_step(flat, dt, thrust_command, turn, rig_values, inertia, rig, work_flat, WIDE)
     else:
-        _flat_step(flat, dt, asked, turn, own, inertia, rig, spare, n)
+        _flat_step(flat, dt, thrust_command, turn, rig_values, inertia, rig, work_flat, n)
 
 
 @kernel()
-def advance_bodies(y, dt, asked, torque, figures, inertia, rig, work):
-    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N) in place.
+def advance_bodies(y, dt, thrust_command, torque, params, inertia, rig, work):
+    """Advance bodies (15, N) by one step under thrusts (N,) and torques (3, N).
 
-    What is asked of an engine without propellant becomes 0. `figures` (5, N) are each body's own;
-    for the others see `advance_body`; `work` is scratch (5, 15, N).
+    The commanded thrust of an engine without propellant becomes 0. `params` (5, N) are the
+    parameters of each body; the others are those of `advance_body`; `work` is scratch (5, 15, N).
     """
-    # What thrusters have spent is summed up elsewhere: leave room for its rounding.
-    room = (1.0 - 1e-6) * rig[16]
+    # Thruster propellant is summed elsewhere: allow for rounding.
+    thruster_propellant = (1.0 - 1e-6) * rig[16]
     for n in range(y.shape[1]):
-        if y[13, n] <= figures[3, n] - room:
-            asked[n] = 0.0
+        if y[13, n] <= params[3, n] - thruster_propellant:
+            thrust_command[n] = 0.0
             y[14, n] = 0.0
-    rk4_step(y, dt, asked, torque, figures, inertia, rig, work)
+    rk4_step(y, dt, thrust_command, torque, params, inertia, rig, work)
     for n in range(y.shape[1]):
-        y[13, n] = max(y[13, n], figures[3, n] - rig[16] - dt * rig[3])
+        y[13, n] = max(y[13, n], params[3, n] - rig[16] - dt * rig[3])
 
 
 @kernel()
-def advance_body(y, dt, thrust, torque, figures, inertia, rig, work):
+def advance_body(y, dt, thrust, torque, params, inertia, rig, work):
     """Advance y (15,) by one step under a thrust and torques (3,) in place.
 
-    `figures` is gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3) the
-    principal moments with tanks empty and full; `rig` (21,) see `rig_of`; `work` scratch (5, 15).
+    `params`: gravity, exhaust velocity, thrust lag, dry and wet mass; `inertia` (2, 3): principal
+    moments with tanks empty and full; `rig` (21,): from `build_rig`; `work`: scratch (5, 15).
     """
-    asked = np.empty(1)
-    asked[0] = thrust
+    thrust_command = np.empty(1)
+    thrust_command[0] = thrust
     turn = np.empty((3, 1))
     for k in range(3):
         turn[k, 0] = torque[k]
     advance_bodies(
-        y.reshape(15, 1), dt, asked, turn, figures.reshape(5, 1), inertia, rig,
+        y.reshape(15, 1), dt, thrust_command, turn, params.reshape(5, 1), inertia, rig,
         work.reshape(5, 15, 1),
     )  # fmt: skip
 
 
 @kernel()
-def advance_ideal(y, steps, dt, thrust, target, slew, figures, inertia, rig):
-    """Advance y by `steps` steps with an ideal attitude actuator; return every state (steps, 15).
+def advance_ideal(y, steps, dt, thrust, target, slew, params, inertia, rig):
+    """Advance y with an ideal attitude actuator; return every state (steps, 15).
 
-    The attitude goes along the great circle to `target` at no more than `slew` (rad/s).
+    The attitude follows the great circle to `target` at `slew` (rad/s) or less.
     """
     history = np.empty((steps, 15))
     work = np.empty((5, 15))
@@ -243,7 +242,7 @@ def advance_ideal(y, steps, dt, thrust, target, slew, figures, inertia, rig):
         q[3] = y[9] * rw - y[6] * rx - y[7] * ry - y[8] * rz
         for s in range(3):
             y[10 + s] = 0.0
-        advance_body(y, dt, thrust, torque, figures, inertia, rig, work)
+        advance_body(y, dt, thrust, torque, params, inertia, rig, work)
         for s in range(4):
             y[6 + s] = q[s]
         for s in range(3):

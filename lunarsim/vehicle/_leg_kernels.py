@@ -1,7 +1,7 @@
-"""Compiled contact of legs with the ground, on top of the body's one derivative.
+"""Compiled contact of legs with the terrain, added to the rigid-body derivative.
 
-The state of a leg is (5,): crushed length, compression of spring and damper, and the point on the
-ground that its pad holds on to (3,), NaN while the pad is free.
+The state of a leg is (5,): crushed length, compression of spring and damper, and the contact point
+to which its pad sticks (3,), NaN while the pad is free.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from lunarsim.vehicle._touchdown_kernels import height_at
 
 
 @kernel(inner=True)
-def limit(leg, law):
-    """Return the force at which a leg gives way (N); none once its stroke is spent."""
-    return law[2] if leg[0] < law[5] else np.inf
+def crush_limit(leg, leg_params):
+    """Return the crush force of a leg (N); infinite once its stroke is used up."""
+    return leg_params[2] if leg[0] < leg_params[5] else np.inf
 
 
 @kernel()
-def touch(y, pad, leg, law, ground, frame, out):
-    """Write how a pad meets the ground; return whether it is under it.
+def compute_contact(y, pad, leg, leg_params, heights, frame, out):
+    """Write the contact of a pad with the terrain; return whether it is in contact.
 
-    `law` is stiffness, damping, crush force, friction, radius of the pad, stroke. `out` (12,):
-    force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper, its
-    rate, and the normal force before the crush limit.
+    `leg_params` is stiffness, damping, crush force, friction, radius of the pad, stroke. `out`
+    (12,): force (3), position (3), velocity (3) of the pad, ENU; compression of spring and damper,
+    its rate, and the normal force before the crush limit.
     """
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     wx, wy, wz = y[10], y[11], y[12]
@@ -47,10 +47,10 @@ def touch(y, pad, leg, law, ground, frame, out):
             out[7] = y[4] + v[1] + 2.0 * (qz * cx - qx * cz)
             out[8] = y[5] + v[2] + 2.0 * (qx * cy - qy * cx)
     out[0] = out[1] = out[2] = out[9] = out[10] = out[11] = 0.0
-    px, py, r = out[3], out[4], law[4]
-    top = height_at(ground, frame, px, py)
-    gx = (height_at(ground, frame, px + r, py) - height_at(ground, frame, px - r, py)) / (2.0 * r)
-    gy = (height_at(ground, frame, px, py + r) - height_at(ground, frame, px, py - r)) / (2.0 * r)
+    px, py, r = out[3], out[4], leg_params[4]
+    top = height_at(heights, frame, px, py)
+    gx = (height_at(heights, frame, px + r, py) - height_at(heights, frame, px - r, py)) / (2.0 * r)
+    gy = (height_at(heights, frame, px, py + r) - height_at(heights, frame, px, py - r)) / (2.0 * r)
     if not (np.isfinite(top) and np.isfinite(gx) and np.isfinite(gy)):
         return False
     nz = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
@@ -60,41 +60,41 @@ def touch(y, pad, leg, law, ground, frame, out):
         return False
     into = -(out[6] * nx + out[7] * ny + out[8] * nz)
     out[9], out[10] = pressed, into
-    out[11] = law[0] * pressed + law[1] * into
-    normal = min(max(out[11], 0.0), limit(leg, law))
-    slide(out, leg, law, (nx, ny, nz), normal)
+    out[11] = leg_params[0] * pressed + leg_params[1] * into
+    normal = min(max(out[11], 0.0), crush_limit(leg, leg_params))
+    add_friction(out, leg, leg_params, (nx, ny, nz), normal)
     return True
 
 
 @kernel(inner=True)
-def slide(out, leg, law, n, normal):
-    """Add normal force and friction: the pad holds on to a point with a spring and a damper."""
+def add_friction(out, leg, leg_params, n, normal):
+    """Add normal force and friction from a spring and damper at the contact point."""
     hold = np.zeros(3)
     if np.isfinite(leg[2]):
         off = np.empty(3)
         for k in range(3):
-            off[k] = law[0] * (out[3 + k] - leg[2 + k]) + law[1] * out[6 + k]
+            off[k] = leg_params[0] * (out[3 + k] - leg[2 + k]) + leg_params[1] * out[6 + k]
         along = off[0] * n[0] + off[1] * n[1] + off[2] * n[2]
         size = 0.0
         for k in range(3):
             hold[k] = -(off[k] - along * n[k])
             size += hold[k] * hold[k]
         size = np.sqrt(size)
-        if size > law[3] * normal:
+        if size > leg_params[3] * normal:
             for k in range(3):
-                hold[k] *= law[3] * normal / size
+                hold[k] *= leg_params[3] * normal / size
     for k in range(3):
         out[k] = normal * n[k] + hold[k]
 
 
 @kernel(inner=True)
-def loads(y, pads, legs, law, ground, frame, rig, torque, out):
-    """Write the legs' force into `rig` and their torque, body axes; return the power they take."""
+def compute_loads(y, pads, legs, leg_params, heights, frame, rig, torque, out):
+    """Write the legs' force into `rig`, and their torque; return absorbed power."""
     power = 0.0
     total = np.zeros(3)
     turn = np.zeros(3)
     for n in range(pads.shape[0]):
-        if not touch(y, pads[n], legs[n], law, ground, frame, out):
+        if not compute_contact(y, pads[n], legs[n], leg_params, heights, frame, out):
             continue
         ax, ay, az = out[3] - y[0], out[4] - y[1], out[5] - y[2]
         turn[0] += ay * out[2] - az * out[1]
@@ -117,56 +117,59 @@ def loads(y, pads, legs, law, ground, frame, rig, torque, out):
 
 
 @kernel(inner=True)
-def yielded(y, dt, pads, legs, law, ground, frame, out):
-    """Let legs crush and pads slip after a step."""
+def update_yield(y, dt, pads, legs, leg_params, heights, frame, out):
+    """Update crushed lengths and slipping contact points after a step."""
     for n in range(pads.shape[0]):
         leg = legs[n]
-        if not touch(y, pads[n], leg, law, ground, frame, out):
+        if not compute_contact(y, pads[n], leg, leg_params, heights, frame, out):
             leg[1] = 0.0
             leg[2] = leg[3] = leg[4] = np.nan
             continue
-        most = limit(leg, law)
+        most = crush_limit(leg, leg_params)
         give = 0.0
         if out[11] > most:
-            # At the crush force spring and damper relax towards it; the honeycomb takes the rest.
-            level = most / law[0]
-            left = level + (leg[1] - level) * np.exp(-dt * law[0] / law[1])
+            # At the crush force, spring and damper relax towards it; the honeycomb crushes by the
+            # rest.
+            level = most / leg_params[0]
+            left = level + (leg[1] - level) * np.exp(-dt * leg_params[0] / leg_params[1])
             give = max(out[9] - left, 0.0)
             leg[0] += give
         leg[1] = out[9] - give
-        normal = min(max(out[11], 0.0), limit(leg, law))
+        normal = min(max(out[11], 0.0), crush_limit(leg, leg_params))
         if not np.isfinite(leg[2]):
             for k in range(3):
                 leg[2 + k] = out[3 + k]
             continue
         size = 0.0
         for k in range(3):
-            off = law[0] * (out[3 + k] - leg[2 + k])
+            off = leg_params[0] * (out[3 + k] - leg[2 + k])
             size += off * off
         size = np.sqrt(size)
-        if size > law[3] * normal:
+        if size > leg_params[3] * normal:
             for k in range(3):
-                leg[2 + k] = out[3 + k] - (out[3 + k] - leg[2 + k]) * law[3] * normal / size
+                leg[2 + k] = out[3 + k] - (out[3 + k] - leg[2 + k]) * leg_params[3] * normal / size
 
 
 @kernel()
-def settle(y, steps, dt, pads, legs, law, ground, frame, figures, inertia, rig):
-    """Advance a lander with its engine off by steps on its legs, in place.
+def settle(y, steps, dt, pads, legs, leg_params, heights, frame, figures, inertia, rig):
+    """Advance a lander with its engine off on its legs, in place.
 
     Returns
     -------
-    taken
-        Energy that the legs took, J: what they store included.
+    absorbed
+        Energy absorbed by the legs, including stored energy, J.
     """
     work = np.empty((5, 15))
     out = np.empty(12)
     torque = np.empty(3)
     power = np.empty(4)
-    taken = 0.0
+    absorbed = 0.0
     for _ in range(steps):
         for stage in range(4):
             here = y if stage == 0 else work[4]
-            power[stage] = loads(here, pads, legs, law, ground, frame, rig, torque, out)
+            power[stage] = compute_loads(
+                here, pads, legs, leg_params, heights, frame, rig, torque, out
+            )
             derivative(
                 here, work[stage], 0.0, torque, figures[0], figures[1], 0.0, figures[3], figures[4],
                 inertia[0], inertia[1], rig,
@@ -177,9 +180,9 @@ def settle(y, steps, dt, pads, legs, law, ground, frame, figures, inertia, rig):
                     work[4, s] = y[s] + reach * work[stage, s]
         for s in range(15):
             y[s] += dt / 6.0 * (work[0, s] + 2.0 * (work[1, s] + work[2, s]) + work[3, s])
-        taken += dt / 6.0 * (power[0] + 2.0 * (power[1] + power[2]) + power[3])
+        absorbed += dt / 6.0 * (power[0] + 2.0 * (power[1] + power[2]) + power[3])
         norm = np.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
         for s in range(6, 10):
             y[s] /= norm
-        yielded(y, dt, pads, legs, law, ground, frame, out)
-    return taken
+        update_yield(y, dt, pads, legs, leg_params, heights, frame, out)
+    return absorbed

@@ -1,10 +1,10 @@
-"""Compiled motion of a body in whose tanks pendulums swing; without tanks nothing of it runs.
+"""Compiled motion of a body with slosh pendulums in its tanks.
 
-A pendulum of mass w and length L hangs from h; its bob is at r = h + L u, all from the centre of
-mass that the body has with its liquid at rest, in body axes. The rod's pull N = w (L |u'|^2 -
+A pendulum of mass w and length L hangs from h; its bob is at r = h + L u. All are relative to the
+centre of mass of the body with liquid at rest, in body axes. The rod tension N = w (L |u'|^2 -
 u . (a + alpha x r + omega x (omega x r) + 2 omega x L u')) acts on the body at h along u. The
-body's own figures count the bobs where they are at rest, so that those are taken out of it. Of six
-equations for a and alpha come a symmetric matrix and a right-hand side, tank by tank.
+body's mass properties include the bobs at rest; these are subtracted here. The six equations for a
+and alpha form a symmetric matrix and a right-hand side, assembled tank by tank.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.models.slosh import FIRST_MODE, LEAST_FILL
+from lunarsim.models.slosh import FIRST_MODE, MIN_FILL
 from lunarsim.vehicle._kernels import derivative
 
-_LEAST_FILL = LEAST_FILL
+_MIN_FILL = MIN_FILL
 _MODE = FIRST_MODE
 
 
@@ -29,7 +29,7 @@ def _cross(a, b, out):
 
 @kernel(exact=True)
 def pendulum(tank, fill, bob):
-    """Return mass, kg, and length, m, and write where the bob rests (3,); see `Slosh`."""
+    """Return mass, kg, and length, m, and write the bob's rest position (3,)."""
     radius, depth = tank[3], fill * tank[5] / tank[3]
     steep = np.tanh(_MODE * depth)
     bob[0] = tank[0]
@@ -40,8 +40,8 @@ def pendulum(tank, fill, bob):
 
 
 @kernel()
-def _take_out(mass, bob, rate, matrix, right):
-    """Take a bob at rest out of the body's matrix (6, 6) and right-hand side (6,)."""
+def _subtract_bob(mass, bob, rate, matrix, right):
+    """Subtract a bob at rest from the body's matrix (6, 6) and right-hand side (6,)."""
     square = bob[0] * bob[0] + bob[1] * bob[1] + bob[2] * bob[2]
     for k in range(3):
         matrix[k, k] -= mass
@@ -66,8 +66,8 @@ def _take_out(mass, bob, rate, matrix, right):
 
 
 @kernel()
-def _own(rate, arm, swing, out):
-    """Write what a bob at `arm` feels without a and alpha: turning and Coriolis (3,)."""
+def _inertial_acceleration(rate, arm, swing, out):
+    """Write the centripetal and Coriolis acceleration of a bob at `arm` (3,)."""
     turn = np.empty(3)
     _cross(rate, arm, turn)
     for k in range(3):
@@ -98,8 +98,8 @@ def _solve(matrix, right):
 
 
 @kernel()
-def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
-    """Add tank t, swinging, to the equations, in place of what the body counts at rest."""
+def _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, right):
+    """Add the pendulum of tank t to the equations, in place of its bob at rest."""
     bob, own, swing, drag, turn = (
         np.empty(3),
         np.empty(3),
@@ -107,7 +107,7 @@ def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
         np.empty(3),
         np.empty(3),
     )
-    one = np.empty(6)
+    generalised = np.empty(6)
     u = s[t, :3]
     m, length = pendulum(tanks[t], fill, bob)
     square = 0.0
@@ -115,35 +115,35 @@ def _hang(t, s, rate, com, fill, push, tanks, matrix, right):
         bob[k] -= com[k]
         swing[k] = length * s[t, 3 + k]
         square += s[t, 3 + k] * s[t, 3 + k]
-        # Of the liquid on the tank: what slows the swing down.
-        drag[k] = 2.0 * tanks[t, 6] * np.sqrt(push / length) * m * swing[k]
-    _take_out(m, bob, rate, matrix, right)
-    bob[2] += length  # now the hinge
+        # Damping force of the liquid on the tank.
+        drag[k] = 2.0 * tanks[t, 6] * np.sqrt(thrust_acceleration / length) * m * swing[k]
+    _subtract_bob(m, bob, rate, matrix, right)
+    bob[2] += length  # the hinge
     _cross(bob, u, turn)
     for k in range(3):
-        one[k] = u[k]
-        one[3 + k] = turn[k]
-        bob[k] += length * u[k]  # now the bob as it hangs
-    _own(rate, bob, swing, own)
+        generalised[k] = u[k]
+        generalised[3 + k] = turn[k]
+        bob[k] += length * u[k]  # the bob at its swing angle
+    _inertial_acceleration(rate, bob, swing, own)
     pull = length * square - (u[0] * own[0] + u[1] * own[1] + u[2] * own[2])
     _cross(bob, drag, turn)
     for i in range(6):
-        right[i] += m * pull * one[i] + (drag[i] if i < 3 else turn[i - 3])
+        right[i] += m * pull * generalised[i] + (drag[i] if i < 3 else turn[i - 3])
         for j in range(6):
-            matrix[i, j] += m * one[i] * one[j]
+            matrix[i, j] += m * generalised[i] * generalised[j]
 
 
 @kernel()
-def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
-    """Write how tank t's rod moves when the body's acceleration and turn are `moved` (6,)."""
+def _rod_motion(t, s, rate, moved, com, fill, thrust_acceleration, tanks, sout):
+    """Write the rod motion of tank t for the body's acceleration (6,)."""
     bob, own, swing, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     _, length = pendulum(tanks[t], fill, bob)
-    slow = 2.0 * tanks[t, 6] * np.sqrt(push / length)
+    slow = 2.0 * tanks[t, 6] * np.sqrt(thrust_acceleration / length)
     for k in range(3):
         bob[k] += length * s[t, k] - com[k]
         swing[k] = length * s[t, 3 + k]
     bob[2] += length
-    _own(rate, bob, swing, own)
+    _inertial_acceleration(rate, bob, swing, own)
     _cross(moved[3:], bob, turn)
     along, square = 0.0, 0.0
     for k in range(3):
@@ -157,76 +157,84 @@ def _swing(t, s, rate, moved, com, fill, push, tanks, sout):
 
 
 @kernel()
-def _couple(s, out, felt, rate, mass, moments, com, fill, tanks, sout):
-    """Correct what a body with its liquid at rest would do, and write the swings' rates.
+def _correct_accelerations(s, out, specific_force, rate, mass, moments, com, fill, tanks, sout):
+    """Correct accelerations of a body with liquid at rest; write swing rates.
 
-    `felt` is the acceleration (3,), body axes, without gravity, as if nothing swung, `out` that
-    of the state (15,); both are set to what they are. `s` and `sout` (n, 6): direction u of each
-    rod and its rate in body axes.
+    `specific_force` is the acceleration (3,), body axes, without gravity; `out` is dy/dt (15,).
+    Both are given for liquid at rest and are corrected in place. `s` and `sout` (n, 6): direction u
+    of each rod and its rate, body axes.
     """
     matrix = np.zeros((6, 6))
     right = np.empty(6)
-    push = np.sqrt(felt[0] * felt[0] + felt[1] * felt[1] + felt[2] * felt[2])
+    thrust_acceleration = np.sqrt(
+        specific_force[0] * specific_force[0]
+        + specific_force[1] * specific_force[1]
+        + specific_force[2] * specific_force[2]
+    )
     for k in range(3):
         matrix[k, k] = mass
         matrix[3 + k, 3 + k] = moments[k]
-        right[k] = mass * felt[k]
+        right[k] = mass * specific_force[k]
         right[3 + k] = moments[k] * out[10 + k]
     for t in range(tanks.shape[0]):
-        _hang(t, s, rate, com, fill, push, tanks, matrix, right)
+        _add_pendulum(t, s, rate, com, fill, thrust_acceleration, tanks, matrix, right)
     _solve(matrix, right)
     for k in range(3):
-        felt[k] = right[k]
+        specific_force[k] = right[k]
         out[10 + k] = right[3 + k]
     for t in range(tanks.shape[0]):
-        _swing(t, s, rate, right, com, fill, push, tanks, sout)
+        _rod_motion(t, s, rate, right, com, fill, thrust_acceleration, tanks, sout)
 
 
 @kernel()
-def rates(y, s, out, sout, asked, torque, figures, inertia, rig, tanks):
+def rates(y, s, out, sout, thrust_command, torque, params, inertia, rig, tanks):
     """Write the rates of change of the state (15,) and of the swings (n, 6)."""
-    dry, wet = figures[3], figures[4]
+    dry, wet = params[3], params[4]
     derivative(
-        y, out, asked, torque, figures[0], figures[1], figures[2], dry, wet, inertia[0],
+        y, out, thrust_command, torque, params[0], params[1], params[2], dry, wet, inertia[0],
         inertia[1], rig,
     )  # fmt: skip
     sout[:] = 0.0
     fill = (y[13] + rig[16] - dry) / (wet - dry)
-    if fill < _LEAST_FILL:
+    if fill < _MIN_FILL:
         return
     full = (y[13] - dry) / (wet - dry)
-    felt, moments, com, before = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    specific_force, moments, com, before = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
-        felt[k] = (y[14] * rig[4 + k] + rig[k]) / y[13]
-        before[k] = felt[k]
+        specific_force[k] = (y[14] * rig[4 + k] + rig[k]) / y[13]
+        before[k] = specific_force[k]
         moments[k] = inertia[0, k] + full * (inertia[1, k] - inertia[0, k])
         com[k] = rig[10 + k] + full * (rig[13 + k] - rig[10 + k])
-    _couple(s, out, felt, y[10:13], y[13], moments, com, fill, tanks, sout)
+    _correct_accelerations(s, out, specific_force, y[10:13], y[13], moments, com, fill, tanks, sout)
     x, u, z, w = y[6], y[7], y[8], y[9]
-    a, b, c = felt[0] - before[0], felt[1] - before[1], felt[2] - before[2]
+    a, b, c = (
+        specific_force[0] - before[0],
+        specific_force[1] - before[1],
+        specific_force[2] - before[2],
+    )
     out[3] += (1 - 2 * (u * u + z * z)) * a + 2 * (x * u - w * z) * b + 2 * (x * z + w * u) * c
     out[4] += 2 * (x * u + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (u * z - w * x) * c
     out[5] += 2 * (x * z - w * u) * a + 2 * (u * z + w * x) * b + (1 - 2 * (x * x + u * u)) * c
 
 
 @kernel()
-def advance(y, s, dt, asked, torque, figures, inertia, rig, tanks):
+def advance(y, s, dt, thrust_command, torque, params, inertia, rig, tanks):
     """Advance the state (15,) and the swings (n, 6) by one Runge-Kutta step in place.
 
-    For the arguments see `advance_body` and `Slosh.table`.
+    The arguments are those of `advance_body`; `tanks` is from `Slosh.table`.
     """
-    dry = figures[3]
+    dry = params[3]
     if y[13] <= dry - (1.0 - 1e-6) * rig[16]:
-        asked = 0.0
+        thrust_command = 0.0
         y[14] = 0.0
-    if figures[2] == 0.0:
-        y[14] = asked
+    if params[2] == 0.0:
+        y[14] = thrust_command
     n = s.shape[0]
     at, swung = y.copy(), s.copy()
     out, sout = np.empty(15), np.empty((n, 6))
     total, stotal = np.zeros(15), np.zeros((n, 6))
     for stage in range(4):
-        rates(at, swung, out, sout, asked, torque, figures, inertia, rig, tanks)
+        rates(at, swung, out, sout, thrust_command, torque, params, inertia, rig, tanks)
         weight = 1.0 if stage % 3 == 0 else 2.0
         part = dt if stage == 2 else 0.5 * dt
         total += weight * out

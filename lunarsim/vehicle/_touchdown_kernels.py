@@ -1,7 +1,7 @@
-"""Compiled touchdown on ground that is a raster: first contact, and the verdict of `touchdown.py`.
+"""Compiled touchdown on raster terrain: first contact and landing outcome.
 
-Ground is a raster of heights (rows, cols) with its corner and posting, linear between four posts;
-`frame` (3,) is the coordinates of post (0, 0) and the posting, m. Beyond its posts it is unknown.
+Terrain is a raster of heights (rows, cols), bilinear between posts; `frame` (3,) holds the
+coordinates of post (0, 0) and the posting, m. Terrain outside the posts is unknown.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# What a verdict says, a bit each, in the order of `judge_touchdown`.
+# Bits of the violated limits, in the order of `judge_touchdown`.
 OFF_MAP, VERTICAL_SPEED, HORIZONTAL_SPEED, TILT, RATE = 1, 2, 4, 8, 16
 SLOPE, ROUGHNESS, BELLY, TIP_OVER = 32, 64, 128, 256
 
 
 @kernel()
 def height_at(z, frame, x, y):
-    """Return the height of a raster at a point, m; NaN beyond its posts."""
+    """Return the height of a raster at a point, m; NaN outside its posts."""
     rows, cols = z.shape
     u = (x - frame[0]) / frame[2]
     v = (y - frame[1]) / frame[2]
@@ -32,8 +32,8 @@ def height_at(z, frame, x, y):
 
 
 @kernel()
-def pad_at(y, pad, out):
-    """Write where a point of the body (3,) is, ENU."""
+def body_point(y, pad, out):
+    """Write the position of a body point (3,), ENU."""
     qx, qy, qz, qw = y[6], y[7], y[8], y[9]
     cx = qy * pad[2] - qz * pad[1] + qw * pad[0]
     cy = qz * pad[0] - qx * pad[2] + qw * pad[1]
@@ -45,7 +45,7 @@ def pad_at(y, pad, out):
 
 @kernel()
 def highest(z, frame, x, y, disc):
-    """Return the highest ground under a pad that stands at a point, m; NaN where unknown."""
+    """Return the highest terrain under a pad at a point, m; NaN where unknown."""
     best = -np.inf
     for k in range(len(disc)):
         here = height_at(z, frame, x + disc[k, 0], y + disc[k, 1])
@@ -57,11 +57,11 @@ def highest(z, frame, x, y, disc):
 
 @kernel()
 def touches(y, pads, disc, z, frame):
-    """Tell whether a pad is at or below the ground under it."""
+    """Return whether a pad is at or below the terrain under it."""
     at = np.empty(3)
     for k in range(len(pads)):
-        pad_at(y, pads[k], at)
-        # Most of the flight is too high for any ground: one look at the middle spares the disc.
+        body_point(y, pads[k], at)
+        # Most of the flight is far above the terrain: a check at the centre avoids the disc.
         if at[2] <= height_at(z, frame, at[0], at[1]) + 2.0 and at[2] <= highest(
             z, frame, at[0], at[1], disc
         ):
@@ -70,7 +70,7 @@ def touches(y, pads, disc, z, frame):
 
 
 @kernel()
-def _plane(a, b, c, out):
+def _fit_plane(a, b, c, out):
     """Write z0 and the slopes east and north of the plane through three points."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -81,25 +81,25 @@ def _plane(a, b, c, out):
 
 
 @kernel()
-def support(legs, planes):
-    """Write the planes that a lander stands on (2, 3), both the same for three legs.
+def write_support_planes(legs, planes):
+    """Write the planes that a lander can stand on (2, 3); equal for three legs.
 
-    See `touchdown.support_planes`.
+    They are those of `touchdown.support_planes`.
     """
     if len(legs) == 3:
-        _plane(legs[0], legs[1], legs[2], planes[0])
-        _plane(legs[0], legs[1], legs[2], planes[1])
+        _fit_plane(legs[0], legs[1], legs[2], planes[0])
+        _fit_plane(legs[0], legs[1], legs[2], planes[1])
     elif legs[0, 2] + legs[2, 2] >= legs[1, 2] + legs[3, 2]:
-        _plane(legs[0], legs[1], legs[2], planes[0])
-        _plane(legs[0], legs[2], legs[3], planes[1])
+        _fit_plane(legs[0], legs[1], legs[2], planes[0])
+        _fit_plane(legs[0], legs[2], legs[3], planes[1])
     else:
-        _plane(legs[0], legs[1], legs[3], planes[0])
-        _plane(legs[1], legs[2], legs[3], planes[1])
+        _fit_plane(legs[0], legs[1], legs[3], planes[0])
+        _fit_plane(legs[1], legs[2], legs[3], planes[1])
 
 
 @kernel()
 def _inside(x, y, legs):
-    """Tell whether a point lies in the polygon of the legs, counter-clockwise."""
+    """Return whether a point lies in the counter-clockwise polygon of the legs."""
     n = len(legs)
     for k in range(n):
         a, b = legs[k], legs[(k + 1) % n]
@@ -110,19 +110,19 @@ def _inside(x, y, legs):
 
 @kernel()
 def ground_fit(legs, spacing, z, frame, out):
-    """Write slope (rad) and roughness (m) under the legs; see `touchdown.ground_fit`."""
+    """Write slope (rad) and roughness (m) under the legs, as `touchdown.ground_fit`."""
     planes = np.empty((2, 3))
-    support(legs, planes)
+    write_support_planes(legs, planes)
     n = len(legs)
     west, east, south, north = legs[0, 0], legs[0, 0], legs[0, 1], legs[0, 1]
     for k in range(1, n):
         west, east = min(west, legs[k, 0]), max(east, legs[k, 0])
         south, north = min(south, legs[k, 1]), max(north, legs[k, 1])
     slope, rough = 0.0, 0.0
-    stretch = np.empty(2)
+    plane_norm = np.empty(2)
     for p in range(len(planes)):
-        stretch[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
-        slope = max(slope, np.arccos(1.0 / stretch[p]))
+        plane_norm[p] = np.hypot(1.0, np.hypot(planes[p, 1], planes[p, 2]))
+        slope = max(slope, np.arccos(1.0 / plane_norm[p]))
     for i in range(int(np.ceil((north + spacing - south) / spacing))):
         y = south + i * spacing
         for j in range(int(np.ceil((east + spacing - west) / spacing))):
@@ -132,8 +132,8 @@ def ground_fit(legs, spacing, z, frame, out):
             ground = height_at(z, frame, x, y)
             for p in range(2):
                 above = ground - planes[p, 0] - planes[p, 1] * x - planes[p, 2] * y
-                if not above / stretch[p] <= rough:  # so that NaN stays
-                    rough = above / stretch[p]
+                if not above / plane_norm[p] <= rough:  # NaN must propagate
+                    rough = above / plane_norm[p]
             if np.isnan(rough):
                 out[0], out[1] = slope, rough
                 return
@@ -143,7 +143,7 @@ def ground_fit(legs, spacing, z, frame, out):
 
 @kernel()
 def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
-    """Return the least margin over the edges of the legs; see `touchdown.tip_margin`."""
+    """Return the minimum margin over the edges of the legs, as `touchdown.tip_margin`."""
     full = (y[13] - dry) / (wet - dry)
     least = min(
         inertia[0, 0] + full * (inertia[1, 0] - inertia[0, 0]),
@@ -154,69 +154,69 @@ def tip_margin(y, legs, slope, com_height, gravity, dry, wet, inertia):
     for i in range(n):
         j = (i + 1) % n
         ex, ey = legs[j, 0] - legs[i, 0], legs[j, 1] - legs[i, 1]
-        long = np.hypot(ex, ey)
-        nx, ny = ey / long, -ex / long
+        edge_length = np.hypot(ex, ey)
+        nx, ny = ey / edge_length, -ex / edge_length
         arm = nx * (legs[i, 0] - y[0]) + ny * (legs[i, 1] - y[1])
         if arm < 0.0:
             nx, ny, arm = -nx, -ny, -arm
-        lean = np.arctan2(arm, com_height) - slope
-        if lean <= 0.0:
+        tip_angle = np.arctan2(arm, com_height) - slope
+        if tip_angle <= 0.0:
             return -np.inf
         length = np.hypot(arm, com_height)
-        barrier = y[13] * gravity * length * (1.0 - np.cos(lean))
-        about = least + y[13] * length * length
+        barrier = y[13] * gravity * length * (1.0 - np.cos(tip_angle))
+        inertia_about_edge = least + y[13] * length * length
         momentum = y[13] * max(0.0, nx * y[3] + ny * y[4]) * com_height
-        margin = min(margin, 1.0 - 0.5 * momentum * momentum / about / barrier)
+        margin = min(margin, 1.0 - 0.5 * momentum * momentum / inertia_about_edge / barrier)
     return margin
 
 
 @kernel()
-def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, told):
-    """Return the limits that a touchdown fails, a bit each; 0 is a safe landing.
+def judge(y, pads, disc, spacing, z, frame, limits, com_height, gravity, dry, wet, inertia, out):
+    """Return the limits that a touchdown violates, one bit each; 0 is a safe landing.
 
     Parameters
     ----------
     y
         State at the touchdown (15,).
     pads, disc, spacing
-        Pads' centres in body axes (n, 3), points of a pad (m, 2), and the distance of points
+        Pad centres in body axes (n, 3), sample points of a pad (m, 2), and spacing of samples
         between the legs, m.
     z, frame
-        The ground.
+        Terrain raster.
     limits
-        Vertical and horizontal speed, tilt, rate, slope, roughness, belly's clearance (7,), SI.
+        Vertical and horizontal speed, tilt, rate, slope, roughness, belly clearance (7,), SI.
     com_height, gravity, dry, wet, inertia
-        Of the lander; `inertia` (2, 3) with tanks empty and full.
-    told
-        Takes vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
+        Lander parameters and gravity; `inertia` (2, 3) with tanks empty and full.
+    out
+        Output: vertical and horizontal speed, tilt, rate, slope, roughness and tip margin (7,).
     """
     n = len(pads)
     legs = np.empty((n, 3))
     known = True
     for k in range(n):
-        pad_at(y, pads[k], legs[k])
+        body_point(y, pads[k], legs[k])
         legs[k, 2] = highest(z, frame, legs[k, 0], legs[k, 1], disc)
         known = known and not np.isnan(legs[k, 2])
-    told[0] = -y[5]
-    told[1] = np.hypot(y[3], y[4])
-    told[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
-    told[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
-    told[4] = told[5] = told[6] = np.nan
+    out[0] = -y[5]
+    out[1] = np.hypot(y[3], y[4])
+    out[2] = np.arccos(min(max(1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7]), -1.0), 1.0))
+    out[3] = np.sqrt(y[10] * y[10] + y[11] * y[11] + y[12] * y[12])
+    out[4] = out[5] = out[6] = np.nan
     if known:
-        ground_fit(legs, spacing, z, frame, told[4:6])
-        known = not np.isnan(told[5])
+        ground_fit(legs, spacing, z, frame, out[4:6])
+        known = not np.isnan(out[5])
     if known:
-        told[6] = tip_margin(y, legs, told[4], com_height, gravity, dry, wet, inertia)
+        out[6] = tip_margin(y, legs, out[4], com_height, gravity, dry, wet, inertia)
     failed = 0 if known else OFF_MAP
     for k in range(4):
-        if told[k] > limits[k]:
+        if out[k] > limits[k]:
             failed |= 2 << k
-    if told[4] >= limits[4]:
+    if out[4] >= limits[4]:
         failed |= SLOPE
-    if told[5] >= limits[5]:
+    if out[5] >= limits[5]:
         failed |= ROUGHNESS
-    if told[5] >= limits[6]:
+    if out[5] >= limits[6]:
         failed |= BELLY
-    if told[6] < 0.0:
+    if out[6] < 0.0:
         failed |= TIP_OVER
     return failed

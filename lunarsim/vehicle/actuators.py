@@ -1,4 +1,4 @@
-"""Valves, gimbal and throttle of the true vehicle: what becomes of the orders it is given."""
+"""Valves, gimbal and throttle of the true vehicle: response to commands."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.models.jet_lander import JetLander
-from lunarsim.vehicle.dynamics import Dynamics, rig_of
+from lunarsim.vehicle.dynamics import Dynamics, build_rig
 from lunarsim.vehicle.faults import Faults
-from lunarsim.vehicle.slosh import Liquid
+from lunarsim.vehicle.slosh import SloshPendulums
 from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
@@ -17,30 +17,29 @@ Array = NDArray[np.float64]
 class Actuators:
     """Thrusters and engine of one flight.
 
-    A valve opens at once and pushes fully; a share of a step counts as that share of the force.
-    An order replaces what is left of the one before, but a valve that has opened stays open for
-    its least time. The gimbal turns at its rate towards where it is told to be, no farther than
-    its limit.
+    A valve opens instantly with full force; a fraction of a step counts as that fraction of the
+    force. A command replaces the rest of the previous one, but an open valve stays open for its
+    minimum on-time. The gimbal moves towards the commanded angle at its rate, within its limit.
 
     Parameters
     ----------
     lander
-        Figures.
+        Lander model.
     step
-        Of the integration, s.
+        Integration step, s.
     faults
-        What fails.
+        Faults of the vehicle.
 
     Attributes
     ----------
     gimbal
-        Swing of the engine about body x and body y (2,), rad.
+        Gimbal angles of the engine about body x and body y (2,), rad.
     spent
-        Propellant of the thrusters burnt, kg.
+        Thruster propellant used, kg.
     on_time, firings
-        Of each thruster (n,): s, and how often its valve opened.
+        On-time (s) and number of valve openings of each thruster (n,).
     liquid
-        What swings in the tanks; None: nothing does.
+        Sloshing propellant; None: no slosh.
     """
 
     def __init__(self, lander: JetLander, step: float, faults: Faults | None = None) -> None:
@@ -50,32 +49,32 @@ class Actuators:
         self.faults.check_count(lander.thrusters.count)
         self._forces, self._torques = lander.thrusters.forces, lander.thrusters.torques
         n = lander.thrusters.count
-        self._left = np.zeros(n)
+        self._remaining_on_time = np.zeros(n)
         self._open_for = np.zeros(n)
-        self._target = np.zeros(2)
+        self._gimbal_command = np.zeros(2)
         self._throttle: float | None = None
         self._time = 0.0
         self.gimbal = np.zeros(2)
         self.spent = 0.0
         self.on_time = np.zeros(n)
         self.firings = np.zeros(n, dtype=np.int64)
-        self.liquid = Liquid(lander) if lander.slosh.tanks else None
+        self.liquid = SloshPendulums(lander) if lander.slosh.tanks else None
 
     def order(self, on_times: Array, gimbal: Array) -> None:
-        """Take over on-times of the thrusters (n,), s, and the wanted swing (2,), rad."""
+        """Set on-times of the thrusters (n,), s, and gimbal commands (2,), rad."""
         least = self.lander.thrusters.minimum_on
         wanted = np.where(on_times > 0.0, np.maximum(on_times, least), 0.0)
-        # What has just opened cannot shut before its least time is over.
-        held = np.where(self._left > 0.0, np.maximum(least - self._open_for, 0.0), 0.0)
+        # A valve that has just opened cannot close before its minimum on-time.
+        held = np.where(self._remaining_on_time > 0.0, np.maximum(least - self._open_for, 0.0), 0.0)
         left = np.maximum(wanted, held)
-        self.firings += (left > 0.0) & (self._left <= 0.0)
-        self._open_for[self._left <= 0.0] = 0.0
-        self._left = left
+        self.firings += (left > 0.0) & (self._remaining_on_time <= 0.0)
+        self._open_for[self._remaining_on_time <= 0.0] = 0.0
+        self._remaining_on_time = left
         limit = self.lander.engine.gimbal_limit
-        self._target = np.clip(gimbal, -limit, limit)
+        self._gimbal_command = np.clip(gimbal, -limit, limit)
 
     def throttled(self, wanted: float) -> float:
-        """Return what the throttle is set to when a thrust is asked for, N; 0 shuts the engine."""
+        """Return the throttle setting for a commanded thrust, N; 0 shuts the engine down."""
         engine, stuck = self.lander.engine, self.faults.engine_stuck_from
         if stuck is not None and self._time >= stuck:
             self._throttle = self.faults.throttle(self._time, self._throttle, wanted)
@@ -91,45 +90,45 @@ class Actuators:
             thrust = engine.gap_to if thrust > middle else engine.gap_from
         elif engine.throttle_step > 0.0:
             thrust = engine.throttle_step * round(thrust / engine.throttle_step)
-            # No step leads into the gap.
+            # Quantization must not lead into the gap.
             most = engine.gap_from if engine.has_gap else self.lander.thrust_max
             thrust = min(max(thrust, self.lander.thrust_min), most)
         self._throttle = thrust
         return thrust
 
     def advance(self, dynamics: Dynamics, state: State, throttle: float) -> State:
-        """Return the state a step later, with the valves as ordered and the throttle set."""
-        share = self._shares()
+        """Return the state one step later for a throttle setting, N."""
+        share = self._on_fractions()
         limit = self.step * self.lander.engine.gimbal_rate
-        self.gimbal = self.gimbal + np.clip(self._target - self.gimbal, -limit, limit)
+        self.gimbal = self.gimbal + np.clip(self._gimbal_command - self.gimbal, -limit, limit)
         flow = self.lander.thrusters.flow * float(share.sum())
         rig = dynamics.on_moon(self.rig(share @ self._forces, flow))
         torque = share @ self._torques
         if self.liquid is None:
-            moved = dynamics.advance_rigged(state, throttle, torque, rig)
+            moved = dynamics.advance_with_rig(state, throttle, torque, rig)
         else:
             moved = self.liquid.advance(dynamics, state, throttle, torque, rig)
         self.spent += flow * self.step
         self.on_time += share * self.step
-        self._open_for += np.minimum(self._left, self.step)
-        self._left = np.maximum(self._left - self.step, 0.0)
-        self._left[self._left < 1e-9] = 0.0
+        self._open_for += np.minimum(self._remaining_on_time, self.step)
+        self._remaining_on_time = np.maximum(self._remaining_on_time - self.step, 0.0)
+        self._remaining_on_time[self._remaining_on_time < 1e-9] = 0.0
         self._time += self.step
         return moved
 
     def rig(self, force: Array, flow: float) -> Array:
-        """Return what acts on the body besides torques, for the kernel; see `rig_of`."""
+        """Return forces and geometry other than torques for the kernel, as `build_rig` does."""
         v, (x, y) = self.lander, self.gimbal
         engine = (np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x))
         pivot = (0.0, 0.0, -v.engine.pivot_depth)
-        return rig_of(
+        return build_rig(
             force=force, flow=flow, engine=engine, pivot=pivot, com_dry=v.com_dry,
             com_full=v.com_full, spent=self.spent,
         )  # fmt: skip
 
-    def _shares(self) -> Array:
-        """Return the share of the coming step for which each thruster pushes (n,)."""
-        share = np.minimum(self._left, self.step) / self.step
+    def _on_fractions(self) -> Array:
+        """Return the fraction of the next step in which each thruster pushes (n,)."""
+        share = np.minimum(self._remaining_on_time, self.step) / self.step
         if self._time >= self.faults.jets_from:
             share[list(self.faults.jets_shut)] = 0.0
             share[list(self.faults.jets_open)] = 1.0

@@ -1,4 +1,4 @@
-"""Six-degree-of-freedom motion of the lander at a fixed step."""
+"""Six-degree-of-freedom motion of the lander with a fixed step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lunarsim.vehicle.state import State
 Array = NDArray[np.float64]
 
 
-def rig_of(
+def build_rig(
     *,
     force: ArrayLike = (0.0, 0.0, 0.0),
     flow: float = 0.0,
@@ -29,57 +29,58 @@ def rig_of(
     radius: float = 0.0,
     spin: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Array:
-    """Return what acts on the body besides thrust along body z and torques, for kernels (21,).
+    """Return forces and geometry for kernels (21,), other than torques.
 
     Parameters
     ----------
     force, flow
-        Of all thrusters, body axes (3,), N, and the propellant that they burn, kg/s.
+        Total force of the thrusters, body axes (3,), N, and their propellant flow, kg/s.
     engine, pivot
-        Unit vector (3,) along which the engine pushes, and where, body axes, m.
+        Unit vector of the engine's thrust (3,), and its point of application, body axes, m.
     com_dry, com_full
         Centre of mass with tanks empty and full (3,), body axes, m.
     spent
-        Propellant of the thrusters burnt so far, kg.
+        Thruster propellant used so far, kg.
     radius, spin
-        Of the Moon, m, and angular velocity of the frame (3,), ENU, rad/s; radius 0: level ground.
+        Radius of the Moon, m, and angular velocity of the frame (3,), ENU, rad/s; radius 0: flat
+        Moon.
     """
     parts = (force, flow, engine, pivot, com_dry, com_full, spent, radius, spin)
     return np.concatenate([np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts])
 
 
-# One engine through a centre of mass that stays where it is, and torques.
-PLAIN_RIG = rig_of()
+# One engine through a fixed centre of mass, and torques.
+PLAIN_RIG = build_rig()
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Rigid body with variable mass, integrated by classical Runge-Kutta.
+    """Rigid body with variable mass, integrated by the classical Runge-Kutta method.
 
     ``r' = v``, ``v' = R(q) (0, 0, T) / m - (0, 0, g)``, ``q' = q (w, 0) / 2``,
     ``I(m) w' = tau - w x I(m) w``, ``m' = -T / (Isp g0)``, ``T' = (T_c - T) / lag``. Inertia is
-    linear in the propellant left; the momentum that leaves with the exhaust balances the change
-    of inertia, so no jet damping appears. Fuel slosh and plume effects are not modelled.
+    linear in propellant mass; the angular momentum of the exhaust balances the change of inertia,
+    so that no jet damping appears. Slosh and plume effects are not modelled.
 
-    With a `rig` thrusters push as well, the engine is swung, and all torques are about a centre of
-    mass that moves in the body as tanks empty: ``v' = R(q) (T d + F) / m - (0, 0, g)``,
+    With a `rig`, thrusters also push, the engine is gimballed, and torques act about a centre of
+    mass that moves in the body: ``v' = R(q) (T d + F) / m - (0, 0, g)``,
     ``I w' = tau + p x T d - c(m) x (T d + F) - w x I w``, ``m' = -T / (Isp g0) - f``. The position
-    is that of the centre of mass; its slow drift in the body adds no momentum of its own.
+    is that of the centre of mass; the momentum of its slow drift in the body is neglected.
 
-    On a round `moon` gravity is ``-g R^2 r / |r|^3`` with r from its centre, and the frame turns:
-    ``- 2 W x v - W x (W x r)`` comes to v'. Attitude and body rate are those against the frame;
-    what its turning, 2.7e-6 rad/s, does to Euler's equations is left out.
+    On a round `moon`, gravity is ``-g R^2 r / |r|^3`` with r from the centre. The frame rotates,
+    which adds ``- 2 W x v - W x (W x r)`` to v'. Attitude and body rate are relative to the frame;
+    the effect of its rotation (2.7e-6 rad/s) on Euler's equations is neglected.
 
     Attributes
     ----------
     lander
-        The vehicle.
+        Vehicle model.
     gravity
         Downward acceleration at the frame's origin, m/s^2.
     step
         Integration step, s.
     moon
-        Central gravity in a turning frame; None: level ground and uniform gravity.
+        Central gravity in a rotating frame; None: flat Moon and uniform gravity.
     """
 
     lander: Lander
@@ -91,56 +92,56 @@ class Dynamics:
         for name in ("gravity", "step"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"dynamics.{name}", value, "a positive number")
+                raise InputError(f"dynamics.{name}", value, "must be positive and finite")
 
     @property
     def plain_rig(self) -> Array:
-        """What acts on a body that torques alone turn, for kernels; see `rig_of` (21,)."""
+        """Forces and geometry of a body without thrusters and gimbal, for kernels (21,)."""
         return PLAIN_RIG if self.moon is None else self.on_moon(PLAIN_RIG.copy())
 
     def on_moon(self, rig: Array) -> Array:
-        """Write the Moon's radius and spin into what kernels take, and return it (21,)."""
+        """Write the Moon's radius and spin into a rig for kernels, and return it (21,)."""
         if self.moon is not None:
             rig[17], rig[18:] = self.moon.radius, self.moon.spin
         return rig
 
     @property
     def figures(self) -> Array:
-        """Gravity, exhaust velocity, thrust lag, dry and wet mass, as kernels take them (5,)."""
+        """Gravity, exhaust velocity, thrust lag, dry and wet mass, for kernels (5,)."""
         v = self.lander
         return np.array([self.gravity, v.exhaust_velocity, v.thrust_lag, v.dry_mass, v.wet_mass])
 
     @property
     def inertia(self) -> Array:
-        """Principal moments with tanks empty and full, as kernels take them (2, 3), kg m^2."""
+        """Principal moments with tanks empty and full, for kernels (2, 3), kg m^2."""
         return np.array([self.lander.inertia_dry, self.lander.inertia_full], dtype=np.float64)
 
     def thrust(self, wanted: float) -> float:
-        """Return what the engine makes of a wanted thrust (N): 0, or within the throttle range."""
+        """Return the thrust (N) for a command: 0, or clipped to the throttle range."""
         return (
             min(max(wanted, self.lander.thrust_min), self.lander.thrust_max) if wanted > 0 else 0.0
         )
 
     def advance(self, state: State, thrust: float, torque: Array) -> State:
-        """Return the state a step later under a thrust (N) and torques (3,), N m."""
+        """Return the state one step later for a thrust (N) and torques (3,), N m."""
         limit = np.asarray(self.lander.torque_max)
-        return self.advance_rigged(
+        return self.advance_with_rig(
             state, self.thrust(thrust), np.clip(torque, -limit, limit), self.plain_rig
         )
 
-    def advance_rigged(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
-        """Return the state a step later under a thrust that is taken as it is.
+    def advance_with_rig(self, state: State, thrust: float, torque: Array, rig: Array) -> State:
+        """Return the state one step later for a thrust without clipping.
 
         Parameters
         ----------
         state
-            Before the step.
+            State before the step.
         thrust
-            Asked of the engine's lag, N.
+            Input of the engine's lag, N.
         torque
-            About the origin of the body axes (3,), N m.
+            Torque about the origin of the body axes (3,), N m.
         rig
-            See `rig_of` (21,).
+            Forces and geometry from `build_rig` (21,).
         """
         y = state.as_vector()
         k.advance_body(
@@ -152,8 +153,8 @@ class Dynamics:
     def advance_ideal(self, state: State, command: Command, slew_limit: float, steps: int) -> Array:
         """Return the state vectors (steps, 15) with an ideal attitude actuator.
 
-        The attitude follows the command along the shortest arc at no more than `slew_limit` (rad/s;
-        section IV.A.3 of the shadow EKF paper).
+        The attitude follows the command along the shortest arc at `slew_limit` or less (rad/s;
+        shadow EKF paper, section IV.A.3).
         """
         return np.asarray(
             k.advance_ideal(

@@ -1,6 +1,6 @@
-"""What fails on the true vehicle; its computer is not told.
+"""Faults of the true vehicle, unknown to the onboard computer.
 
-Thrusters fail on a lander that has them, an engine sticks on any.
+Thruster faults need a lander with thrusters; an engine fault is possible on every lander.
 """
 
 from __future__ import annotations
@@ -13,44 +13,48 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class Faults:
-    """Thrusters that stay shut or open, and an engine that sticks; the computer is not told.
+    """Stuck thrusters and a stuck throttle, unknown to the onboard computer.
 
     Attributes
     ----------
     jets_shut, jets_open
-        Numbers of the thrusters, from 0 in the order of their layout.
+        Indices of the thrusters, from 0 in the order of their layout.
     jets_from
-        From when on, s.
+        Start of the thruster faults, s.
     engine_stuck_from
-        From when on the throttle no longer moves, s; None: never.
+        Time from which the throttle is stuck, s; None: never.
     engine_stuck_at
-        Thrust that it sticks at, N; None: what it was asked for last, from the start: first.
+        Thrust of the stuck engine, N; None: the last commanded thrust, or the first if stuck from
+        the start.
     """
 
-    jets_shut: tuple[int, ...] = quantity((), ge=0, help="thrusters that stay shut")
-    jets_open: tuple[int, ...] = quantity((), ge=0, help="thrusters that stay open")
-    jets_from: float = quantity(0.0, "s", ge=0, help="from when on")
+    jets_shut: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck shut")
+    jets_open: tuple[int, ...] = quantity((), ge=0, help="indices of thrusters stuck open")
+    jets_from: float = quantity(0.0, "s", ge=0, help="start of the thruster faults")
     engine_stuck_from: float | None = quantity(
-        None, "s", ge=0, help="from when on the throttle does not move; left out: never"
+        None, "s", ge=0, help="time from which the throttle is stuck; omitted: never"
     )
     engine_stuck_at: float | None = quantity(
-        None, "N", ge=0, help="thrust that it sticks at; left out: what it was asked for last"
+        None, "N", ge=0, help="thrust of the stuck engine; omitted: last commanded thrust"
     )
 
     def __post_init__(self) -> None:
         check_bounds(self, "faults")
         both = set(self.jets_shut) & set(self.jets_open)
         if both:
-            raise InputError("faults.jets_open", self.jets_open, f"without {min(both)}: it is shut")
+            raise InputError(
+                "faults.jets_open", self.jets_open,
+                f"must not list thruster {min(both)}, which jets_shut lists",
+            )  # fmt: skip
         if self.engine_stuck_at is not None and self.engine_stuck_from is None:
             raise InputError(
-                "faults.engine_stuck_at", self.engine_stuck_at, "engine_stuck_from too"
+                "faults.engine_stuck_at", self.engine_stuck_at, "needs engine_stuck_from"
             )
 
     def throttle(self, time: float, last: float | None, wanted: float) -> float:
-        """Return what becomes of a thrust asked for at a time (s), N.
+        """Return the throttle setting for a commanded thrust (N) at a time (s), N.
 
-        `last` stood before; None: nothing was asked for yet.
+        `last` is the previous setting, N; None: no command yet.
         """
         if self.engine_stuck_from is None or time < self.engine_stuck_from:
             return wanted
@@ -59,26 +63,27 @@ class Faults:
         return wanted if last is None else last
 
     def check_plain(self) -> None:
-        """Raise `InputError` if a lander without valves cannot fail so."""
+        """Raise `InputError` if thruster faults are set for a lander without thrusters."""
         for name in ("jets_shut", "jets_open"):
             if getattr(self, name):
                 raise InputError(
                     f"faults.{name}", getattr(self, name),
-                    "left out, or a vehicle of kind 'jet-lander': no other has thrusters",
+                    "must be empty for a vehicle without thrusters",
+                    "Omit it, or use a vehicle of kind 'jet-lander'.",
                 )  # fmt: skip
 
     def check_engine(self, thrust_min: float, thrust_max: float) -> None:
-        """Raise `InputError` if an engine of a throttle range (N) cannot stick so."""
+        """Raise `InputError` if the stuck thrust is outside the throttle range (N)."""
         stuck = self.engine_stuck_at
         if stuck and not thrust_min <= stuck <= thrust_max:
             raise InputError(
                 "faults.engine_stuck_at_n", stuck,
-                f"0 or within the throttle range of {thrust_min} to {thrust_max} N",
+                f"must be 0 or within the throttle range of {thrust_min} to {thrust_max} N",
             )  # fmt: skip
 
     def check_count(self, count: int) -> None:
-        """Raise `InputError` if a thruster is named that a layout of `count` has not."""
+        """Raise `InputError` if a thruster index is not in a layout of `count`."""
         for name in ("jets_shut", "jets_open"):
             for number in getattr(self, name):
                 if number >= count:
-                    raise InputError(f"faults.{name}", number, f"a number below {count}")
+                    raise InputError(f"faults.{name}", number, f"must be less than {count}")

@@ -1,8 +1,8 @@
-"""Legs that take up the energy of a touchdown, until the lander rests or has tipped.
+"""Touchdown dynamics on legs, until the lander rests or tips over.
 
 A leg is a spring and a damper in series with a honeycomb that crushes at a constant force. Its pad
-meets the highest ground under it, along the ground's normal there, and holds on to the point where
-it touched until friction gives way. The ground does not.
+contacts the highest terrain under it, along the local terrain normal. It sticks to its contact
+point until friction is exceeded. The terrain is rigid.
 """
 
 from __future__ import annotations
@@ -20,44 +20,44 @@ from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.vehicle import _leg_kernels as k
 from lunarsim.vehicle.dynamics import PLAIN_RIG, Dynamics
 from lunarsim.vehicle.state import State
-from lunarsim.vehicle.touchdown import Ground, Verdict, judge_touchdown
+from lunarsim.vehicle.touchdown import ElevationModel, Verdict, judge_touchdown
 
 Array = NDArray[np.float64]
 
-# Step of the contact, s; steps between two looks at the lander; posting of the ground, m; how far
-# the lander may slide on the ground that is looked up, m.
-_STEP, _STEPS, _POSTING, _ROOM = 5e-4, 40, 0.05, 4.0
-# At rest: slower than this (m/s and rad/s) for so long (s).
-_SLOW, _SLOW_TURN, _REST = 0.01, 0.01, 0.4
-# Beyond the angle at which the centre of mass stands over an edge, plus this, it has tipped, rad.
-_TIPPED = np.deg2rad(20.0)
+# Contact step, s; steps between evaluations of the lander; terrain posting, m; margin of the
+# terrain patch for sliding, m.
+_STEP_S, _STEPS_PER_CHECK, _POSTING_M, _SLIDE_MARGIN_M = 5e-4, 40, 0.05, 4.0
+# Maximum speed (m/s) and rate (rad/s) at rest, and their minimum duration (s).
+_REST_SPEED_M_S, _REST_RATE_RAD_S, _REST_TIME_S = 0.01, 0.01, 0.4
+# Margin on the tilt at which the centre of mass is over an edge, to declare a tip-over, rad.
+_TIP_OVER_MARGIN_RAD = np.deg2rad(20.0)
 
 
 @dataclass(frozen=True)
 class Legs:
-    """Legs of spring, damper and crushing honeycomb; with them the motion gives the verdict.
+    """Legs of spring, damper and crushable honeycomb, for a dynamic landing outcome.
 
     Attributes
     ----------
     stiffness, damping
-        Of a leg along the ground's normal, and of a pad that holds on to the ground, N/m, N s/m.
+        Stiffness and damping of a leg along the terrain normal, and of a sticking pad, N/m, N s/m.
     crush_force
-        At which the honeycomb gives way, N.
+        Crush force of the honeycomb, N.
     stroke
-        Length that the honeycomb can crush before it is spent, m.
+        Maximum crush length of the honeycomb, m.
     friction
-        Coefficient between pad and ground.
+        Coefficient between pad and terrain.
     max_time
-        A lander that has neither come to rest nor tipped by then is unsettled, s.
+        Time limit for coming to rest or tipping over; after it the lander is unsettled, s.
     """
 
-    stiffness: float = quantity(2e5, "N/m", gt=0, help="of a leg, and of a pad on the ground")
-    damping: float = quantity(5e3, "N s/m", gt=0, help="of a leg, and of a pad on the ground")
-    crush_force: float = quantity(1.2e4, "N", gt=0, help="at which the honeycomb gives way")
-    stroke: float = quantity(0.2, "m", gt=0, help="by which the honeycomb can crush")
-    friction: float = quantity(0.7, gt=0, le=3, help="between pad and ground")
+    stiffness: float = quantity(2e5, "N/m", gt=0, help="stiffness of a leg and of pad contact")
+    damping: float = quantity(5e3, "N s/m", gt=0, help="damping of a leg and of pad contact")
+    crush_force: float = quantity(1.2e4, "N", gt=0, help="crush force of the honeycomb")
+    stroke: float = quantity(0.2, "m", gt=0, help="maximum crush length of the honeycomb")
+    friction: float = quantity(0.7, gt=0, le=3, help="friction coefficient of pad and terrain")
     max_time: float = quantity(
-        40.0, "s", gt=0, help="neither at rest nor tipped by then: unsettled"
+        40.0, "s", gt=0, help="time limit for coming to rest or tipping over"
     )
 
     def __post_init__(self) -> None:
@@ -66,26 +66,26 @@ class Legs:
 
 @dataclass(frozen=True)
 class Rest:
-    """What became of a lander on its legs.
+    """Final state and leg loads of a lander after touchdown.
 
     Attributes
     ----------
     state
-        At the end.
+        Final state.
     time
-        From the touchdown on, s.
+        Time since touchdown, s.
     tipped, settled
-        Whether it fell over; whether it came to rest.
+        Whether it tipped over; whether it came to rest.
     tilt
-        Of the body at the end, rad.
+        Final tilt of the body, rad.
     strokes
-        By which each leg gave way at most (legs,), m.
+        Maximum compression of each leg (legs,), m.
     crushed
-        Of these what stays (legs,), m.
+        Permanent part of the compression (legs,), m.
     energy
-        That the legs took up, what their springs hold at the end included, J.
+        Energy absorbed by the legs, including final spring energy, J.
     clearance
-        Least height of the belly above the ground at any look, m; NaN over unknown ground.
+        Minimum height of the belly above the terrain, m; NaN over unknown terrain.
     """
 
     state: State
@@ -99,7 +99,7 @@ class Rest:
     clearance: float
 
     def told(self) -> dict[str, object]:
-        """Return plain figures for a record."""
+        """Return the values for a record."""
         return {
             "rest_time_s": self.time, "rest_tilt_deg": float(np.rad2deg(self.tilt)),
             "leg_strokes_m": self.strokes, "leg_crushed_m": self.crushed,
@@ -108,41 +108,43 @@ class Rest:
 
 
 @dataclass
-class Patch:
-    """The ground about a touchdown: as it is, and the highest under a pad.
+class TerrainPatch:
+    """Terrain around a touchdown, with its maximum under a pad.
 
     Attributes
     ----------
-    bare, padded
-        Heights (rows, cols), m; NaN where unknown.
+    heights, pad_heights
+        Terrain heights, and their maximum over the disc of a pad (rows, cols), m; NaN if unknown.
     frame
-        East and north of post (0, 0) and the posting (3,), m.
+        East and north of post (0, 0), and the posting (3,), m.
     """
 
-    bare: Array
-    padded: Array
+    heights: Array
+    pad_heights: Array
     frame: Array = field(repr=False)
 
     @classmethod
-    def of(cls, lander: Lander, state: State, ground: Ground) -> Patch:
-        """Look the ground up about where a lander touches down."""
-        half = lander.leg_radius + lander.pad_diameter + lander.com_height + _ROOM
-        n = int(np.ceil(half / _POSTING))
-        axis = _POSTING * np.arange(-n, n + 1)
+    def of(cls, lander: Lander, state: State, ground: ElevationModel) -> TerrainPatch:
+        """Sample the terrain around a lander at touchdown."""
+        half = lander.leg_radius + lander.pad_diameter + lander.com_height + _SLIDE_MARGIN_M
+        n = int(np.ceil(half / _POSTING_M))
+        axis = _POSTING_M * np.arange(-n, n + 1)
         x, y = state.position[0] + axis, state.position[1] + axis
-        bare = np.asarray(ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64)
-        # 0.15 over 0.05 is a little less than three.
-        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING + 1e-9))
+        heights = np.asarray(
+            ground.elevation(np.stack(np.meshgrid(x, y), axis=-1)), dtype=np.float64
+        )
+        # Floating point: 0.15 / 0.05 is slightly less than 3.
+        reach = int(np.floor(0.5 * lander.pad_diameter / _POSTING_M + 1e-9))
         disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach + 1e-9
-        # Unknown ground stays unknown: it must not be taken for low.
-        filled = np.where(np.isfinite(bare), bare, np.inf)
-        padded = ndimage.maximum_filter(filled, footprint=disc, mode="nearest")
-        padded[~np.isfinite(padded)] = np.nan
-        return cls(bare, padded, np.array([x[0], y[0], _POSTING]))
+        # Unknown terrain stays unknown; it must not count as low.
+        filled = np.where(np.isfinite(heights), heights, np.inf)
+        pad_heights = ndimage.maximum_filter(filled, footprint=disc, mode="nearest")
+        pad_heights[~np.isfinite(pad_heights)] = np.nan
+        return cls(heights, pad_heights, np.array([x[0], y[0], _POSTING_M]))
 
 
-def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> float:
-    """Return the least height of the belly's plane above the ground inside the legs (m)."""
+def _belly_clearance(lander: Lander, state: State, patch: TerrainPatch, shift: Array) -> float:
+    """Return the minimum height of the belly above the terrain, m."""
     pads = state.position + quat_rotate(state.attitude, lander.pads - shift)
     lift = quat_to_matrix(state.attitude)[:, 2]
     if lift[2] < 0.3:
@@ -155,16 +157,16 @@ def _clearance(lander: Lander, state: State, patch: Patch, shift: Array) -> floa
         np.pi / lander.legs
     )
     x, y = x[inside], y[inside]
-    u, v = (x - patch.frame[0]) / _POSTING, (y - patch.frame[1]) / _POSTING
-    ground = ndimage.map_coordinates(patch.bare, [v, u], order=1, cval=np.nan)
+    u, v = (x - patch.frame[0]) / _POSTING_M, (y - patch.frame[1]) / _POSTING_M
+    ground = ndimage.map_coordinates(patch.heights, [v, u], order=1, cval=np.nan)
     plane = middle[2] - (lift[0] * (x - middle[0]) + lift[1] * (y - middle[1])) / lift[2]
     return float(np.min((plane - ground) * lift[2]) + lander.belly_clearance)
 
 
-def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest:
-    """Return what becomes of a lander from its touchdown on, the engine off."""
+def settle(legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel) -> Rest:
+    """Simulate a lander from touchdown to rest or tip-over, with the engine off."""
     lander = dynamics.lander
-    patch = Patch.of(lander, state, ground)
+    patch = TerrainPatch.of(lander, state, ground)
     shift = com_of(lander, state.mass)
     pads = np.ascontiguousarray(lander.pads - shift)
     law = np.array(
@@ -175,29 +177,50 @@ def settle(legs: Legs, dynamics: Dynamics, state: State, ground: Ground) -> Rest
     )  # fmt: skip
     y = state.as_vector()
     y[14] = 0.0
-    held = np.zeros((lander.legs, 5))
-    held[:, 2:] = np.nan
+    leg_states = np.zeros((lander.legs, 5))
+    leg_states[:, 2:] = np.nan
     edge = np.arctan2(lander.leg_radius * np.cos(np.pi / lander.legs), lander.com_height)
     time = energy = slow = 0.0
     strokes, clearance, tipped = np.zeros(lander.legs), np.inf, False
     rig, figures, inertia = PLAIN_RIG.copy(), dynamics.figures, dynamics.inertia
-    while time < legs.max_time and slow < _REST and not tipped:
+    while time < legs.max_time and slow < _REST_TIME_S and not tipped:
         energy += k.settle(
-            y, _STEPS, _STEP, pads, held, law, patch.padded, patch.frame, figures, inertia, rig
+            y,
+            _STEPS_PER_CHECK,
+            _STEP_S,
+            pads,
+            leg_states,
+            law,
+            patch.pad_heights,
+            patch.frame,
+            figures,
+            inertia,
+            rig,
         )
-        time += _STEPS * _STEP
+        time += _STEPS_PER_CHECK * _STEP_S
         now = State.from_vector(y)
-        strokes = np.maximum(strokes, held[:, 0] + held[:, 1])
-        clearance = min(clearance, _clearance(lander, now, patch, shift))
-        quiet = np.linalg.norm(now.velocity) < _SLOW and np.linalg.norm(now.rate) < _SLOW_TURN
-        standing = np.isfinite(held[:, 2]).sum() >= 3
-        slow = slow + _STEPS * _STEP if quiet and standing else 0.0
-        tipped = _tilt(now) > edge + _TIPPED
-        if not np.isfinite(y).all() or y[2] < np.nanmin(patch.bare) - lander.com_height:
-            break  # it has slid off the ground that is known
+        strokes = np.maximum(strokes, leg_states[:, 0] + leg_states[:, 1])
+        clearance = min(clearance, _belly_clearance(lander, now, patch, shift))
+        is_slow = (
+            np.linalg.norm(now.velocity) < _REST_SPEED_M_S
+            and np.linalg.norm(now.rate) < _REST_RATE_RAD_S
+        )
+        is_standing = np.isfinite(leg_states[:, 2]).sum() >= 3
+        slow = slow + _STEPS_PER_CHECK * _STEP_S if is_slow and is_standing else 0.0
+        tipped = _tilt(now) > edge + _TIP_OVER_MARGIN_RAD
+        if not np.isfinite(y).all() or y[2] < np.nanmin(patch.heights) - lander.com_height:
+            break  # the lander has left the known terrain
     end = State.from_vector(y)
     return Rest(
-        end, time, tipped, slow >= _REST, _tilt(end), strokes, held[:, 0].copy(), energy, clearance
+        end,
+        time,
+        tipped,
+        slow >= _REST_TIME_S,
+        _tilt(end),
+        strokes,
+        leg_states[:, 0].copy(),
+        energy,
+        clearance,
     )
 
 
@@ -206,13 +229,13 @@ def _tilt(state: State) -> float:
 
 
 def judge_motion(
-    legs: Legs, dynamics: Dynamics, state: State, ground: Ground
+    legs: Legs, dynamics: Dynamics, state: State, ground: ElevationModel
 ) -> tuple[Verdict, Rest | None]:
-    """Judge a touchdown by what becomes of the lander.
+    """Determine the landing outcome from the motion after touchdown.
 
     Limits are checked in this order: ``off-map``, ``tip-over``, ``unsettled``, ``legs`` (a leg's
-    stroke is spent), ``belly`` (ground touched it), ``slope`` (it stands more tilted than the
-    lander's slope limit). The touchdown's own figures are those of the static judgement.
+    stroke is used up), ``belly`` (terrain touched it), ``slope`` (the final tilt exceeds the
+    lander's slope limit). The values at touchdown are those of the static evaluation.
     """
     lander = dynamics.lander
     static = judge_touchdown(lander, state, ground, dynamics.gravity)

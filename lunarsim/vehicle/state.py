@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class State:
-    """Rigid-body state; see `lunarsim.frames` for the conventions.
+    """Rigid-body state, in the conventions of `lunarsim.frames`.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class State:
     mass
         Total mass, kg.
     thrust
-        Thrust that the engine delivers now, N.
+            Current thrust of the engine, N.
     """
 
     position: Array

@@ -1,4 +1,4 @@
-"""Touchdown: where the pads stand on the true ground, and whether the lander survives it."""
+"""Touchdown: pad contacts on the true terrain, and the landing outcome."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from lunarsim.vehicle.state import State
 
 Array = NDArray[np.float64]
 
-# Spacing of the points at which the ground under pads and belly is looked up, m.
+# Spacing of terrain samples under pads and belly, m.
 GROUND_SPACING = 0.04
 
 
-class Ground(Protocol):
-    """Anything that knows the elevation of the ground."""
+class ElevationModel(Protocol):
+    """Interface of a terrain that returns elevations."""
 
     def elevation(self, xy: ArrayLike) -> Array:
         """Return the elevation (...,) at points (..., 2), m; NaN where unknown."""
@@ -30,7 +30,7 @@ class Ground(Protocol):
 
 @dataclass(frozen=True)
 class Touchdown:
-    """What happened when the first pad touched.
+    """State and terrain at the first pad contact.
 
     Attributes
     ----------
@@ -39,16 +39,17 @@ class Touchdown:
     heading
         Azimuth of body x, rad.
     vertical_speed, horizontal_speed
-        m/s, down and over the ground.
+        Downward and horizontal speed, m/s.
     tilt, rate
-        Of the body at contact, rad and rad/s.
+        Tilt (rad) and angular rate (rad/s) of the body.
     slope
-        Steepest admissible support plane, rad.
+        Slope of the steepest admissible support plane, rad.
     roughness
-        Highest ground above an admissible support plane inside the legs' polygon, m.
+        Maximum height of the terrain above an admissible support plane, inside the polygon of the
+        legs, m.
     tip_margin
-        1 - (energy of the fall over the downhill legs) / (energy needed to tip over); negative
-        means that it tips.
+        1 - (energy of rotation over the downhill legs) / (energy needed to tip over); negative if
+        the lander tips over.
     """
 
     position: Array
@@ -62,22 +63,22 @@ class Touchdown:
     tip_margin: float
 
 
-# What a verdict says of a lander that has climbed away: no landing, and no crash.
+# Landing outcome of an aborted flight, which is neither a landing nor a crash.
 ABORTED = "aborted"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Safe or not, and which limits failed.
+    """Landing outcome: safe or not, and the violated limits.
 
     Attributes
     ----------
     safe
-        True when no limit failed.
+        Whether no limit is violated.
     failed
-        Names of the failed limits, in the order they were checked.
+        Names of the violated limits, in the order of the checks.
     touchdown
-        The touchdown, or None when there was none (time or propellant ran out).
+        Touchdown, or None if there was none (time or propellant ran out).
     """
 
     safe: bool
@@ -88,18 +89,18 @@ class Verdict:
 def support_planes(legs: Array) -> list[Array]:
     """Return the planes on which a lander can stand, each ``(z0, dz/dx, dz/dy)``.
 
-    A three-legged lander stands on its three pads. A rigid four-legged one stands on the higher
-    of its two diagonals and either of the other two legs: both planes are admissible.
+    A three-legged lander stands on its three pads. A rigid four-legged lander stands on the higher
+    of its two diagonals and one of the other legs: two planes are admissible.
 
     Parameters
     ----------
     legs
-        Points under the pads in order around the lander (3 or 4, 3), m.
+        Contact points of the pads in order around the lander (3 or 4, 3), m.
 
     Examples
     --------
     >>> feet = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.1], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.1]])
-    >>> len(support_planes(feet))  # it stands on the two high legs and tips to either side
+    >>> len(support_planes(feet))  # stands on the two high legs and tips to either side
     2
     """
     if len(legs) == 3:
@@ -117,7 +118,7 @@ def support_planes(legs: Array) -> list[Array]:
 
 
 def pad_disc(radius: float) -> Array:
-    """Return points (n, 2) that fill a disc, centre and rim included."""
+    """Return points (n, 2), m, that fill a disc, including centre and rim."""
     n = int(np.ceil(radius / GROUND_SPACING))
     axis = np.linspace(-radius, radius, 2 * n + 1)
     xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -126,8 +127,8 @@ def pad_disc(radius: float) -> Array:
     return np.concatenate((xy[np.hypot(xy[:, 0], xy[:, 1]) < radius], rim))
 
 
-def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
-    """Return the points (legs, 3) on which the pads would rest: highest ground under each pad."""
+def pad_contacts(lander: Lander, state: State, ground: ElevationModel) -> Array:
+    """Return the contact points (legs, 3), m, on the highest terrain under each pad."""
     pads = lander.pads - com_of(lander, state.mass)
     centres = state.position + quat_rotate(state.attitude, pads)
     spots = centres[:, None, :2] + pad_disc(0.5 * lander.pad_diameter)
@@ -135,7 +136,7 @@ def pad_contacts(lander: Lander, state: State, ground: Ground) -> Array:
 
 
 def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
-    """Tell which points (n, 2) lie in a convex counter-clockwise polygon (m, 2)."""
+    """Return whether points (n, 2) lie in a convex counter-clockwise polygon (m, 2)."""
     inside = np.ones(len(points), dtype=np.bool_)
     for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         cross = (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
@@ -143,10 +144,10 @@ def _inside_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
     return inside
 
 
-def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, float]:
-    """Return slope (rad) and roughness (m) of the ground under a standing lander.
+def ground_fit(lander: Lander, legs: Array, ground: ElevationModel) -> tuple[float, float]:
+    """Return slope (rad) and roughness (m) of the terrain under a standing lander.
 
-    Eqs. 8 and 9 of the Gaussian DEM paper, the worse over the admissible support planes.
+    They follow Eqs. 8 and 9 of the Gaussian DEM paper, as maxima over the admissible planes.
     """
     low, high = legs[:, :2].min(axis=0), legs[:, :2].max(axis=0)
     axes = [
@@ -157,20 +158,19 @@ def ground_fit(lander: Lander, legs: Array, ground: Ground) -> tuple[float, floa
     z = ground.elevation(points)
     slope = roughness = 0.0
     for z0, gx, gy in support_planes(legs):
-        stretch = np.hypot(1.0, np.hypot(gx, gy))
-        slope = max(slope, float(np.arccos(1.0 / stretch)))
-        height = (z - z0 - points @ np.array([gx, gy])) / stretch
+        plane_norm = np.hypot(1.0, np.hypot(gx, gy))
+        slope = max(slope, float(np.arccos(1.0 / plane_norm)))
+        height = (z - z0 - points @ np.array([gx, gy])) / plane_norm
         roughness = float(np.maximum(roughness, height.max(initial=0.0)))  # NaN where unknown
     return slope, roughness
 
 
 def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity: float) -> float:
-    """Return 1 - E / E_tip for the fall over the edge of the legs that is easiest to pass.
+    """Return the minimum of 1 - E / E_tip over the edges between adjacent legs.
 
-    The lander strikes the edge and pivots about it: angular momentum about the edge is kept,
-    kinetic energy about it must not lift the centre of mass over the edge. The ground's slope
-    counts as leaning towards every edge, and the lesser moment of inertia as that about every edge:
-    the worst case of both.
+    The lander hits the edge and rotates about it with its angular momentum about the edge. It tips
+    over if its kinetic energy lifts the centre of mass over the edge. As a worst case, the terrain
+    slopes towards every edge, and the smaller lateral moment of inertia applies to every edge.
     """
     polygon = legs[:, :2] - state.position[:2]
     full = (state.mass - lander.dry_mass) / lander.propellant_mass
@@ -180,28 +180,28 @@ def tip_margin(lander: Lander, state: State, legs: Array, slope: float, gravity:
     margin = np.inf
     for i, j in combinations(range(lander.legs), 2):
         if (j - i) % lander.legs not in (1, lander.legs - 1):
-            continue  # a diagonal, no edge
+            continue  # a diagonal is not an edge
         edge = polygon[j] - polygon[i]
         normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
         arm = float(normal @ polygon[i])
         if arm < 0.0:
             normal, arm = -normal, -arm
-        lean = np.arctan2(arm, lander.com_height) - slope
-        if lean <= 0.0:
+        tip_angle = np.arctan2(arm, lander.com_height) - slope
+        if tip_angle <= 0.0:
             return -np.inf
         length = np.hypot(arm, lander.com_height)
-        barrier = state.mass * gravity * length * (1.0 - np.cos(lean))
-        about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
+        barrier = state.mass * gravity * length * (1.0 - np.cos(tip_angle))
+        inertia_about_edge = min(inertia[0], inertia[1]) + state.mass * length**2
         momentum = state.mass * max(0.0, float(normal @ state.velocity[:2])) * lander.com_height
-        margin = min(margin, 1.0 - 0.5 * momentum**2 / about_edge / barrier)
+        margin = min(margin, 1.0 - 0.5 * momentum**2 / inertia_about_edge / barrier)
     return float(margin)
 
 
 def least_margin(lander: Lander, touchdown: Touchdown) -> float:
-    """Return how far a touchdown is from the nearest of its limits, as a share of that limit.
+    """Return the minimum margin of a touchdown to its limits, relative to the limit.
 
-    1 is a stand on level ground from rest, 0 at a limit; negative where `judge_touchdown` says
-    that one has failed. NaN where the ground is not known.
+    1: at rest on flat terrain; 0: at a limit; negative: `judge_touchdown` reports a violation;
+    NaN: unknown terrain.
     """
     t = touchdown
     margins = (
@@ -216,12 +216,14 @@ def least_margin(lander: Lander, touchdown: Touchdown) -> float:
     return float(np.min(margins))  # NaN if one is
 
 
-def judge_touchdown(lander: Lander, state: State, ground: Ground, gravity: float) -> Verdict:
-    """Judge the touchdown of `state` on the true ground.
+def judge_touchdown(
+    lander: Lander, state: State, ground: ElevationModel, gravity: float
+) -> Verdict:
+    """Determine the landing outcome of `state` on the true terrain.
 
-    Limits are checked in this order: ``off-map`` (ground unknown), ``vertical-speed``,
-    ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (ground above
-    the belly's clearance), ``tip-over``.
+    Limits are checked in this order: ``off-map`` (unknown terrain), ``vertical-speed``,
+    ``horizontal-speed``, ``tilt``, ``rate``, ``slope``, ``roughness``, ``belly`` (terrain above the
+    belly clearance), ``tip-over``.
     """
     legs = pad_contacts(lander, state, ground)
     up = quat_to_matrix(state.attitude)[2, 2]

@@ -1,4 +1,4 @@
-"""What the tables of the Gaussian DEM paper hold, computed here."""
+"""Compute the content of the tables of the Gaussian DEM paper."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from testbed import (
     LANDER,
     MARGIN,
     POSTING,
-    Field,
-    Mapped,
-    mapped,
+    ScannedDem,
+    TestbedField,
+    map_testbed,
     scan,
     testbed,
 )
@@ -45,24 +45,24 @@ from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 from lunarsim.world.terrain.dtm import load_dtm
 
 DATA = Path(__file__).parents[1] / "data"
-METHODS = ("baseline", "proposed", "planes")  # the last: `plane_stochastic_safety`
+METHODS = ("baseline", "proposed", "planes")  # "planes" is `plane_stochastic_safety`
 KINDS = ("slope", "roughness")
-# By how much of a cell the baseline's grid is moved, east and north: its samples come at the same
-# spacing as its cells, so how they fall into them is a matter of luck.
+# Offsets of the baseline grid in cells, east and north. Its samples have the same spacing as its
+# cells, so the number of samples per cell depends on the phase of the grid.
 PHASES = [(east / 4, north / 4) for east in range(4) for north in range(4)]
 HALF_PHASES = [(east / 2, north / 2) for east in range(2) for north in range(2)]
 
 
 def sample_distance(distance: float, angle_deg: float) -> float:
-    """Mean ground sample distance of a configuration (m): the baseline's posting."""
+    """Return the mean ground sample distance (baseline posting) of a scan, m."""
     x, y = table_4_row(distance, angle_deg)[2:4]
     return float(np.sqrt(x * y))
 
 
 def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0.0, 0.0)):
-    """Conventional DEM at the scan's own posting, and its values at the cells of `grid`.
+    """Return the conventional DEM at the scan posting and its cells on `grid`.
 
-    `phase` moves its grid east and north by shares of a cell.
+    `phase` moves its grid east and north by fractions of a cell.
     """
     width, height = grid.cols * grid.posting, grid.rows * grid.posting
     coarse = Grid.centred(grid.centre, width, posting, height).moved(np.multiply(phase, posting))
@@ -72,7 +72,10 @@ def baseline(points, grid: Grid, posting: float, phase: tuple[float, float] = (0
 
 
 def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
-    """Eq. 20: a plane with rocks of 0.2 to 1 m plus c times the measured relief, at 0.1 m."""
+    """Return terrain by Eq. 20: plane, rocks (0.2 to 1 m), c times measured relief.
+
+    The posting is 0.1 m.
+    """
     relief = load_dtm(DATA / "hirise_dteec_010228_1490_crop.tif").refined(0.25)
     west, east, south, north = relief.bounds
     grid = Grid.centred((0.0, 0.0), east - west, POSTING, north - south)
@@ -85,7 +88,7 @@ def complexity_terrain(c: float, seed: int) -> tuple[np.ndarray, Grid]:
 
 
 def table_3(seeds: int) -> dict[str, Any]:
-    """Precision and recall of the conservative test on perfect maps, by terrain complexity."""
+    """Evaluate the conservative test on perfect maps against terrain complexity."""
     rows, pictures = [], []
     for c, paper in PAPER_3.items():
         ours, through = [], []
@@ -112,7 +115,7 @@ def table_3(seeds: int) -> dict[str, Any]:
 
 
 def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float, float, float]:
-    """Coverage and sample distance on a plane in closed form, and the noise."""
+    """Return coverage, sample distance and noise of a scan of a plane in closed form."""
     angle, half = np.deg2rad(angle_deg), np.arctan(0.1)
     height = distance * np.cos(angle)
     x = height * (np.tan(angle + half) - np.tan(angle - half))
@@ -120,30 +123,32 @@ def table_4_row(distance: float, angle_deg: float) -> tuple[float, float, float,
 
 
 def table_4(seeds: int) -> dict[str, Any]:
-    """Coverage, ground sample distance and noise of the nine configurations."""
+    """Return coverage, ground sample distance and noise of the nine configurations."""
     return {"rows": [table_4_row(r, a) for r, a in CONFIGURATIONS]}
 
 
 def density(error: np.ndarray, variance: np.ndarray | float) -> float:
-    """Negative log predictive density (Eq. 24)."""
+    """Return the negative log predictive density (Eq. 24)."""
     return float(np.mean(error**2 / (2 * variance) + 0.5 * np.log(2 * np.pi * variance)))
 
 
 def table_5(seeds: int) -> dict[str, Any]:
-    """Error and predictive density of the baseline, at all phases of its grid, and of ours.
+    """Return RMSE and predictive density of the baseline and the proposed method.
 
-    ``rows`` holds by configuration the RMSE and the density of the baseline on the mean of the
-    phases, of the proposed method in between, and last the baseline's RMSE at its best and worst
-    phase, each by seed.
+    ``rows`` holds six lists per configuration,
+    with one value per seed: RMSE of the baseline (mean of
+    its grid phases), RMSE of the proposed method, density of the baseline, density of the proposed
+    method, and the baseline RMSE at its best and worst phase.
     """
     rows: list[list[list[float]]] = [[[] for _ in range(6)] for _ in CONFIGURATIONS]
     pictures: dict[str, list[Any]] = {"baseline": [], "mean": [], "sigma": []}
     for seed in track(range(seeds), description="table 5"):
         field = testbed(seed)
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
-            one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
+            one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **DENSITY)
             truth = field.elevation[one.window]
-            # Inside the samples' hull; cells over occlusions count too, with the prior's variance.
+            # Cells within the convex hull of the samples, also occluded ones (with the prior
+            # variance).
             inside = np.isfinite(one.dem.mean)
             rmse, nlpd = [], []
             posting = sample_distance(distance, angle)
@@ -169,25 +174,25 @@ def table_5(seeds: int) -> dict[str, Any]:
 
 
 def rms(error: np.ndarray) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(error**2)))
 
 
 @dataclass(frozen=True)
-class Judged:
-    """One scan of a testbed: what the methods say, and the truth.
+class ScanEvaluation:
+    """One scan of a testbed: the probabilities of all methods, and the truth.
 
     Attributes
     ----------
     p
-        Probability of safety by method and kind, on the grid; of the baseline a list, one for
-        each phase of its grid.
+        Probability of safety by method and kind, on the grid: a list, for the baseline with one
+        entry per phase of its grid.
     truth
-        By kind, on the grid.
+        True safety by kind, on the grid.
     judged
-        Cells that all have an opinion on, and the truth too.
+        Cells for which the truth and all methods have a value.
     p_safe
-        Of the proposed method, both kinds together.
+        Probability of safety of the proposed method, both kinds together.
     scan
         The scan.
     """
@@ -196,22 +201,22 @@ class Judged:
     truth: dict[str, np.ndarray]
     judged: np.ndarray
     p_safe: np.ndarray
-    scan: Mapped
+    scan: ScannedDem
 
 
-def truth_of(field: Field, one: Mapped) -> dict[str, np.ndarray]:
-    """Whether slope and roughness are safe on the grid that is judged."""
+def truth_of(field: TestbedField, one: ScannedDem) -> dict[str, np.ndarray]:
+    """Return true slope and roughness safety on the evaluated grid."""
     return {
         "slope": field.safety.slope[one.window] < LANDER.slope_limit,
         "roughness": field.safety.roughness[one.window] < LANDER.roughness_limit,
     }
 
 
-def judge(field: Field, seed: int, n: int) -> Judged:
-    """Scan a testbed in its n-th configuration and judge it by all methods."""
+def judge(field: TestbedField, seed: int, n: int) -> ScanEvaluation:
+    """Scan a testbed in its n-th configuration and evaluate all methods."""
     distance, angle = CONFIGURATIONS[n]
-    one = mapped(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
-    # Cells over occlusions have the prior's variance and so count as unsafe.
+    one = map_testbed(field, distance, angle, np.random.default_rng([seed, n]), **MARGIN)
+    # Occluded cells have the prior variance and therefore count as unsafe.
     own = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
     planes = plane_stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
     judged = own.observed & field.safety.observed[one.window]
@@ -230,14 +235,15 @@ def judge(field: Field, seed: int, n: int) -> Judged:
         judged &= other.observed[nearest]
         p["baseline", "slope"].append(other.p_slope[nearest])
         p["baseline", "roughness"].append(other.p_roughness[nearest])
-    return Judged(p, truth_of(field, one), judged, own.p_safe, one)
+    return ScanEvaluation(p, truth_of(field, one), judged, own.p_safe, one)
 
 
 def table_6(seeds: int) -> dict[str, Any]:
-    """Precision and recall of slope and roughness safety, and reliability of p_safe.
+    """Return precision and recall of slope and roughness safety, and reliability.
 
-    ``curves`` holds the counts by kind, configuration and method, one for each seed; all that is
-    printed comes from them. The baseline's pool the phases of its grid.
+    ``curves`` holds the counts by kind, configuration and method,
+    one per seed; all printed values are
+    computed from them. The baseline pools the phases of its grid.
     """
     numbers = range(len(CONFIGURATIONS))
     pictures: dict[str, list[Any]] = {f"{m} {k}": [] for m in METHODS[:2] for k in KINDS}
@@ -253,14 +259,14 @@ def table_6(seeds: int) -> dict[str, Any]:
             for (method, kind), maps in one.p.items():
                 truth = one.truth[kind]
                 counted = [PrecisionRecall.of(p[seen], truth[seen]) for p in maps]
-                curves[kind, n, method].append(pooled(counted))
+                curves[kind, n, method].append(pool_counts(counted))
                 if seed == 0 and method != "planes":
                     missing = np.where(seen, truth - maps[0], np.nan)
                     picture = (missing, one.scan.grid, one.scan.points)
                     pictures[f"{method} {kind}"].append(picture)
             safe = np.logical_and(*one.truth.values())
             bins[n] += reliability(one.p_safe[seen], safe[seen], np.linspace(0.0, 1.0, 21))
-    together = {key: pooled(own) for key, own in curves.items()}
+    together = {key: pool_counts(own) for key, own in curves.items()}
     return {
         "pictures": pictures,
         "reliability": bins.tolist(),
@@ -284,13 +290,13 @@ def table_6(seeds: int) -> dict[str, Any]:
     }
 
 
-def pooled(counts: list[PrecisionRecall]) -> PrecisionRecall:
-    """Add counts up."""
+def pool_counts(counts: list[PrecisionRecall]) -> PrecisionRecall:
+    """Add counts."""
     return reduce(operator.add, counts)
 
 
-def timed(call: Callable[[], Any], repeats: int) -> float:
-    """Median time of a call (s), warm."""
+def median_time(call: Callable[[], Any], repeats: int) -> float:
+    """Return the median time of a call (s) after one warm-up call."""
     call()
     times = []
     for _ in range(repeats):
@@ -301,7 +307,7 @@ def timed(call: Callable[[], Any], repeats: int) -> float:
 
 
 def table_7(seeds: int) -> dict[str, Any]:
-    """Run times at four postings: 65,536 points, 100 x 100 m, from 500 m straight above."""
+    """Return run times at four postings: 65,536 points, 100 x 100 m, from 500 m."""
     field = testbed(0, side=20.0)
     points, sigma, shape = scan(field, 500.0, 0.0, np.random.default_rng(0))
     rows = []
@@ -315,9 +321,13 @@ def table_7(seeds: int) -> dict[str, Any]:
         rows.append(
             {
                 "posting": posting,
-                "baseline": timed(lambda: alhat_safety(dem.mean, grid, LANDER, sigma=sigma), 3),
-                "dem": timed(build, 9),
-                "safety": timed(lambda: stochastic_safety(dem.mean, dem.variance, grid, LANDER), 9),
+                "baseline": median_time(
+                    lambda: alhat_safety(dem.mean, grid, LANDER, sigma=sigma), 3
+                ),
+                "dem": median_time(build, 9),
+                "safety": median_time(
+                    lambda: stochastic_safety(dem.mean, dem.variance, grid, LANDER), 9
+                ),
             }
         )
     return {"rows": rows}

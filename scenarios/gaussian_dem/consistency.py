@@ -1,9 +1,10 @@
-"""Whether the Gaussian DEM of a descent errs as it says: NEES by stratum, over several worlds.
+"""Check the variance of the Gaussian DEM on descents over several worlds (NEES).
 
-Four scans from ever lower fall on fractal ground with ellipsoid boulders. After each, the squared
-error of the mean over the variance is taken over all observed cells: those with samples of their
-own, those between samples, and those that the map shows as rocks (more than 0.12 m, or four times
-the first scan's noise, above the ground without them). 1 is right, more is too sure, less modest.
+Four scans from decreasing altitudes observe fractal terrain with ellipsoid boulders. After each
+scan, the ratio of the squared error of the mean to the variance is averaged over all observed
+cells of a stratum: cells with samples of their own, cells between samples, and cells that the map
+shows as rocks. A rock stands 0.12 m, or four times the noise of the first scan, above the terrain
+without rocks. A NEES of 1 is consistent; more is overconfident, less is conservative.
 
 python scenarios/gaussian_dem/consistency.py --seeds 4 --jobs 2
 """
@@ -25,16 +26,16 @@ from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Terrain, fractal_relief, place_rocks
 
 STRATA = ("measured", "interpolated", "on rocks")
-# Distance of samples and their standard deviation, m: scan by scan.
+# Sample spacing and standard deviation of each scan, m.
 DESCENT = ((0.8, 0.03), (0.6, 0.025), (0.45, 0.02), (0.3, 0.012))
-# Ground that stands so far above what lies under the rocks is shown as one, m.
-SHOWN = 0.12
+# Minimum height above the terrain without rocks at which a cell counts as rock, m.
+MIN_ROCK_HEIGHT = 0.12
 GRID = Grid.centred((0.0, 0.0), 24.0, 0.2)
 
 
 @dataclass(frozen=True)
-class Ground:
-    """RMS slope (deg) and Hurst exponent of the relief, diameters (m) and number of boulders."""
+class DemTerrainParams:
+    """RMS slope (deg), Hurst exponent, boulder diameters (m) and boulder count."""
 
     slope: float = 5.0
     hurst: float = 0.85
@@ -43,19 +44,19 @@ class Ground:
 
 
 WORLDS = {
-    "5 deg, boulders of 0.4 to 1.2 m": Ground(),
-    "1 deg": Ground(slope=1.0),
-    "12 deg": Ground(slope=12.0),
-    "Hurst exponent 0.6": Ground(hurst=0.6),
-    "Hurst exponent 0.95": Ground(hurst=0.95),
-    "3 deg, 300 boulders of 0.3 to 0.6 m": Ground(3.0, 0.85, (0.3, 0.6), 300),
-    "3 deg, 30 boulders of 1 to 2 m": Ground(3.0, 0.85, (1.0, 2.0), 30),
-    "6 deg, no boulders": Ground(slope=6.0, rocks=0),
+    "5 deg, boulders of 0.4 to 1.2 m": DemTerrainParams(),
+    "1 deg": DemTerrainParams(slope=1.0),
+    "12 deg": DemTerrainParams(slope=12.0),
+    "Hurst exponent 0.6": DemTerrainParams(hurst=0.6),
+    "Hurst exponent 0.95": DemTerrainParams(hurst=0.95),
+    "3 deg, 300 boulders of 0.3 to 0.6 m": DemTerrainParams(3.0, 0.85, (0.3, 0.6), 300),
+    "3 deg, 30 boulders of 1 to 2 m": DemTerrainParams(3.0, 0.85, (1.0, 2.0), 30),
+    "6 deg, no boulders": DemTerrainParams(slope=6.0, rocks=0),
 }
 
 
-def made(ground: Ground, rng: np.random.Generator) -> Terrain:
-    """Return a terrain of 60 m."""
+def make_terrain(ground: DemTerrainParams, rng: np.random.Generator) -> Terrain:
+    """Return a terrain of 60 x 60 m."""
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
     relief = fractal_relief(grid, rng, hurst=ground.hurst, rms_slope=np.deg2rad(ground.slope))
     diameters = rng.uniform(*ground.diameters, ground.rocks)
@@ -63,7 +64,7 @@ def made(ground: Ground, rng: np.random.Generator) -> Terrain:
 
 
 def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """Return samples (n, 3) straight from above, `spacing` m apart."""
+    """Return samples (n, 3) from nadir at a spacing (m)."""
     line = np.arange(-15.9, 16.0, spacing)
     x, y = np.meshgrid(line, line)
     xy = np.column_stack((x.ravel(), y.ravel())) + 0.5 * spacing * rng.uniform(-0.5, 0.5, 2)
@@ -71,13 +72,14 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng: np.random.Generato
 
 
 def descend(task: tuple[str, int, int, float]) -> np.ndarray:
-    """Return sum and number of normalised squares (strata, 2) over one descent.
+    """Return sum and count of normalised squared errors (strata, 2) over one descent.
 
-    The task is a world, the root seed, the descent, and how many times the noise of `DESCENT`.
+    The task is a world name, the root seed, the descent index,
+    and a factor on the noise of `DESCENT`.
     """
     name, seed, index, times = task
     rng = np.random.default_rng([seed, index, list(WORLDS).index(name)])
-    terrain = made(WORLDS[name], rng)
+    terrain = make_terrain(WORLDS[name], rng)
     truth = terrain.raster(GRID)
     bare = Terrain(terrain.relief, RockField.empty()).raster(GRID)
     pool, total = SamplePool(GRID), np.zeros((len(STRATA), 2))
@@ -86,8 +88,8 @@ def descend(task: tuple[str, int, int, float]) -> np.ndarray:
         pool.add(scan(terrain, spacing, sigma, rng), sigma, spacing)
         dem = pooled_dem(pool)
         square = (dem.mean - truth) ** 2 / dem.variance
-        # Less would pick cells by the noise in them.
-        shown = max(SHOWN, 4.0 * times * DESCENT[0][1])
+        # A lower limit would select cells by their noise.
+        shown = max(MIN_ROCK_HEIGHT, 4.0 * times * DESCENT[0][1])
         rock, measured = dem.mean - bare > shown, pool.splat[..., 0] > DENSE
         for n, where in enumerate((measured & ~rock, ~measured & ~rock, rock)):
             own = square[dem.observed & where]
@@ -101,19 +103,21 @@ def descend(task: tuple[str, int, int, float]) -> np.ndarray:
     type=click.IntRange(min=1),
     default=4,
     show_default=True,
-    help="Descents over each world.",
+    help="Number of descents over each world.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--noise", type=click.FloatRange(min=0.0, min_open=True), default=1.0,
-              show_default=True, help="Times the noise of the samples.")  # fmt: skip
+              show_default=True, help="Factor on the sample noise.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 def main(seeds: int, seed: int, noise: float, jobs: int) -> None:
-    """Print the NEES of cells measured, interpolated and on rocks, world by world."""
+    """Print the NEES of measured, interpolated and rock cells for each world."""
     console = plain_console(120)
     tasks = [(name, seed, index, noise) for name in WORLDS for index in range(seeds)]
     found = gathered(descend, tasks, jobs, console, "descents")
-    table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans; cells")
+    table = Table(title=f"NEES over {seeds} descents of {len(DESCENT)} scans (number of cells)")
     for heading in ("world", *STRATA):
         table.add_column(heading, justify="left" if heading == "world" else "right")
     for n, name in enumerate(WORLDS):

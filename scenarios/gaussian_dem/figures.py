@@ -1,4 +1,4 @@
-"""Figures of `tables.py`."""
+"""Plot the figures of `tables.py`."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from lunarsim.evaluation.reliability import calibration_error
 from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import hillshade, map_axes, new_figure, save, show
 
-_VIEW = 10.0  # side of the segment that the paper shows, m
+_VIEW = 10.0  # side of the map segment in the paper, m
 
 
 def draw_conservativeness(pictures: list[Any], path: Path) -> None:
-    """Terrain and safety by three tests, by complexity: the paper's Figure 12 and one row more."""
+    """Plot terrain and three safety tests against complexity: Figure 12 plus one row."""
     figure = new_figure(2.4 * len(pictures), 12.5)
     axes = figure.subplots(4, len(pictures), sharex=True, sharey=True)
     palette = ListedColormap(["#303030", "#ffffff"])
     for n, (c, z, exact, ours, through, grid) in enumerate(pictures):
         show(axes[0, n], hillshade(z, grid.posting), grid, cmap="gray", vmin=0, vmax=1)
         map_axes(axes[0, n], f"c = {c}: relief")
-        layers = ((exact, "exactly safe"), (ours, "conservative"), (through, "support planes"))
+        layers = ((exact, "exact test"), (ours, "conservative"), (through, "support planes"))
         for row, (layer, title) in enumerate(layers, start=1):
             show(axes[row, n], layer, grid, cmap=palette, vmin=0, vmax=1)
             map_axes(axes[row, n], f"{title}: {100 * layer.mean():.1f} %")
@@ -32,7 +32,10 @@ def draw_conservativeness(pictures: list[Any], path: Path) -> None:
         ax.set_ylabel("")
     for ax in axes[:3].ravel():
         ax.set_xlabel("")
-    figure.suptitle("White: safe. Terrain of Eq. 20 on the HiRISE crop, 0.1 m posting")
+    figure.suptitle(
+        "White: safe cells (percentage of the map). Terrain of Eq. 20 on the HiRISE "
+        "crop, 0.1 m posting"
+    )
     save(figure, path)
 
 
@@ -44,7 +47,7 @@ def draw_panels(
     *,
     diverging: bool = False,
 ) -> None:
-    """Nine configurations over the same segment, range by row, angle by column."""
+    """Plot nine configurations over the same segment: range by row, angle by column."""
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     half = 0.5 * _VIEW
@@ -78,33 +81,35 @@ def draw_panels(
 def draw_reliability(
     bins: np.ndarray, configurations: list[tuple[float, float]], path: Path
 ) -> None:
-    """Share of truly safe cells against the probability of safety, with its share of the map."""
+    """Plot the fraction of truly safe cells against p_safe, with its histogram."""
     figure = new_figure(9.0, 8.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
     for ax, counts, (distance, angle) in zip(axes.ravel(), bins, configurations, strict=True):
-        plot_ideal(ax, label="true probability")
+        plot_ideal(ax, label="perfect calibration")
         plot_reliability(ax, counts, color="#0072B2", label="map")
         share = counts[:, 0] / counts[:, 0].sum()
         ax.bar((np.arange(20) + 0.5) / 20, share, width=0.045, color="#E69F00", alpha=0.6,
-               label="share of cells")  # fmt: skip
-        ax.set_title(f"{distance:.0f} m, {angle:.0f} deg: error {calibration_error(counts):.3f}")
+               label="fraction of cells")  # fmt: skip
+        ax.set_title(
+            f"{distance:.0f} m, {angle:.0f} deg: calibration error {calibration_error(counts):.3f}"
+        )
         ax.set_aspect("equal")
     for ax in axes[2]:
-        ax.set_xlabel("probability of safety")
+        ax.set_xlabel("Probability of safety")
     for ax in axes[:, 0]:
-        ax.set_ylabel("share truly safe")
+        ax.set_ylabel("Fraction truly safe")
     axes[0, 0].legend(loc="lower right", fontsize=7)
     save(figure, path)
 
 
-def marked_rocks(rocks: Any) -> list[tuple[str, float, float]]:
-    """Return name, x and y of the two rocks nearest to the middle of the segment."""
+def central_rocks(rocks: Any) -> list[tuple[str, float, float]]:
+    """Return name, x and y of the two rocks nearest to the center of the segment."""
     nearest = np.argsort(np.hypot(rocks.x, rocks.y))[:2]
     return [(name, rocks.x[n], rocks.y[n]) for name, n in zip("AB", nearest, strict=True)]
 
 
 def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Path) -> None:
-    """The testbed's segment and how the nine scans look at it: the paper's Figure 13."""
+    """Plot the testbed segment and the geometry of the nine scans: Figure 13."""
     figure = new_figure(10.0, 4.8)
     left, right = figure.subplots(1, 2)
     half = 0.5 * _VIEW
@@ -113,11 +118,11 @@ def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Pa
         left, field.elevation, field.grid, cmap="viridis", vmin=0.0,
         vmax=float(field.elevation[inside].max()),
     )  # fmt: skip
-    figure.colorbar(image, ax=left, label="elevation (m)", shrink=0.8)
+    figure.colorbar(image, ax=left, label="Elevation (m)", shrink=0.8)
     map_axes(left, "testbed")
     left.set_xlim(-half, half)
     left.set_ylim(-half, half)
-    for name, x, y in marked_rocks(field.terrain.rocks):
+    for name, x, y in central_rocks(field.terrain.rocks):
         if max(abs(x), abs(y)) < half:
             left.annotate(name, (x, y), (6, 6), textcoords="offset points", color="white")
     opening = np.arctan(0.1)
@@ -134,19 +139,19 @@ def draw_testbed(field: Any, configurations: list[tuple[float, float]], path: Pa
     right.set_xlim(-1250.0, 450.0)
     right.set_ylim(0.0, 1100.0)
     right.set_aspect("equal")
-    right.set_xlabel("east (m)")
-    right.set_ylabel("height (m)")
-    right.set_title("field of view of the scans")
+    right.set_xlabel("East (m)")
+    right.set_ylabel("Height (m)")
+    right.set_title("Field of view of the scans")
     right.grid(alpha=0.3)
     save(figure, path)
 
 
 def draw_profiles(pictures: dict[str, list[Any]], field: Any,
                   configurations: list[tuple[float, float]], path: Path) -> None:  # fmt: skip
-    """East-west profiles of truth and DEMs through two rocks: the paper's Figure 17."""
+    """Plot east-west profiles of truth and DEMs through two rocks: Figure 17."""
     figure = new_figure(9.0, 16.0)
     axes = figure.subplots(len(configurations), 2, sharey=True, sharex="col")
-    rocks = marked_rocks(field.terrain.rocks)
+    rocks = central_rocks(field.terrain.rocks)
     for n, (distance, angle) in enumerate(configurations):
         base, grid, _ = pictures["baseline"][n]
         mean, sigma = pictures["mean"][n][0], pictures["sigma"][n][0]
@@ -164,26 +169,26 @@ def draw_profiles(pictures: dict[str, list[Any]], field: Any,
                     label="truth")  # fmt: skip
             ax.set_title(f"rock {name}: {distance:.0f} m, {angle:.0f} deg", fontsize=9)
             ax.grid(alpha=0.3)
-        axes[n, 0].set_ylabel("height (m)")
+        axes[n, 0].set_ylabel("Height (m)")
     for ax in axes[-1]:
-        ax.set_xlabel("east (m)")
+        ax.set_xlabel("East (m)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
     save(figure, path)
 
 
 def draw_truth(field: Any, layer: np.ndarray, limit: float, label: str, path: Path) -> None:
-    """A true quantity and where it is under its limit: the paper's Figures 18 and 21."""
+    """Plot a true quantity and where it is below its limit: Figures 18 and 21."""
     figure = new_figure(9.0, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     half = 0.5 * _VIEW
     image = show(left, layer, field.grid, cmap="viridis", vmin=0.0, vmax=2.0 * limit)
-    bar = figure.colorbar(image, ax=left, label=f"{label}; limit marked", shrink=0.8, extend="max")
+    bar = figure.colorbar(image, ax=left, label=f"{label}(white: limit)", shrink=0.8, extend="max")
     bar.ax.axhline(limit, color="white")
     map_axes(left, f"true {label.split(' (', maxsplit=1)[0]}")
     safe = np.where(np.isfinite(layer), layer < limit, np.nan)
     show(right, safe, field.grid, cmap=ListedColormap(["#303030", "#ffffff"]), vmin=0, vmax=1)
-    map_axes(right, "white: under the limit")
+    map_axes(right, "white: below the limit")
     right.set_ylabel("")
     for ax in (left, right):
         ax.set_xlim(-half, half)
@@ -195,18 +200,18 @@ def draw_precision_recall(
     curves: list[dict[str, PrecisionRecall]], configurations: list[tuple[float, float]],
     paper: list[list[tuple[float, float]]], title: str, lowest: float, path: Path,
 ) -> None:  # fmt: skip
-    """Precision against recall as the threshold falls, the paper's points beside.
+    """Plot precision against recall for all thresholds, with the values of the paper.
 
     Parameters
     ----------
     curves
-        By configuration and name of the method.
+        One dict per configuration: counts by method name.
     configurations
-        Range and angle of each scan.
+        Range (m) and angle (deg) of each scan.
     paper
-        Precision and recall there of baseline and proposed method.
+        Precision and recall of the baseline and the proposed method in the paper.
     title, lowest, path
-        Of the figure; the lowest precision it shows.
+        Title, minimum precision of the axis, and file of the figure.
     """
     figure = new_figure(9.6, 9.6)
     axes = figure.subplots(3, 3, sharex=True, sharey=True)
@@ -227,9 +232,9 @@ def draw_precision_recall(
         ax.set_ylim(lowest, 1.0 + 0.02 * (1.0 - lowest))
         ax.grid(alpha=0.3)
     for ax in axes[2]:
-        ax.set_xlabel("recall of safe ground")
+        ax.set_xlabel("Recall of safe cells")
     for ax in axes[:, 0]:
-        ax.set_ylabel("precision")
+        ax.set_ylabel("Precision")
     axes[0, 0].legend(loc="lower left", fontsize=7)
-    figure.suptitle(f"{title}; dots: p > 0.5")
+    figure.suptitle(f"{title}; dots: threshold p > 0.5; stars: paper")
     save(figure, path)

@@ -1,9 +1,10 @@
-"""What the two stochastic safety tests make of a Gaussian DEM, against sampled terrain.
+"""Compare two stochastic safety tests on a Gaussian DEM with sampled terrain.
 
-Elevation errors are drawn as the model has them, with their correlation: a field drawn from the
-prior is scanned, interpolated like the scan itself, and what the interpolation misses is added to
-the mean (Matheron's rule). The exact test on many such terrains gives the probability of safety
-under the model; Eqs. 15 to 17 and `plane_stochastic_safety` are compared with it.
+Elevation errors are sampled from the model with their correlation (Matheron's rule): a field from
+the prior is scanned and interpolated like the scan itself,
+and the interpolation error is added to
+the mean. The exact test on many such terrains gives the probability of safety under the model.
+Eqs. 15 to 17 and `plane_stochastic_safety` are compared with it.
 
 python scenarios/gaussian_dem/monte_carlo.py --samples 200 --jobs 2 --out out/gaussian_dem
 """
@@ -19,7 +20,7 @@ import click
 import numpy as np
 from rich.table import Table
 from scipy import fft, ndimage
-from testbed import LANDER, MARGIN, Field, Mapped, mapped, testbed
+from testbed import LANDER, MARGIN, ScannedDem, TestbedField, map_testbed, testbed
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -36,14 +37,14 @@ from lunarsim.viz.reliability import plot_ideal, plot_reliability
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 CONFIGURATIONS = [(200.0, 30.0), (500.0, 0.0), (500.0, 60.0), (1000.0, 30.0)]
-SIDE = 30.0  # of the square that is judged, m
+SIDE = 30.0  # side of the evaluated square, m
 MAP = Grid.centred((0.0, 0.0), SIDE, 0.1)
 METHODS = ("Eqs. 15-17", "support planes")
 
 
 @dataclass(frozen=True)
-class Task:
-    """Some samples of one configuration."""
+class TerrainSampleTask:
+    """A range of samples of one configuration."""
 
     configuration: int
     seed: int
@@ -52,26 +53,26 @@ class Task:
 
 
 @lru_cache(maxsize=4)
-def scanned(configuration: int, seed: int) -> tuple[Field, Mapped]:
+def scan_testbed(configuration: int, seed: int) -> tuple[TestbedField, ScannedDem]:
     """Return the testbed and its scan in one configuration."""
     field = testbed(seed, SIDE + 10.0)
     rng = np.random.default_rng([seed, configuration])
-    return field, mapped(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
+    return field, map_testbed(field, *CONFIGURATIONS[configuration], rng, grid=MAP, **MARGIN)
 
 
 @lru_cache(maxsize=1)
 def spectrum(cells: int) -> np.ndarray:
-    """Return the root of the spectrum of Eq. 4 on a periodic square of the map's posting."""
+    """Return the square root of the spectrum of Eq. 4 on a periodic square grid."""
     lag = MAP.posting * np.minimum(np.arange(cells), cells - np.arange(cells))
     distance = np.hypot(lag[:, None], lag[None, :])
     covariance = MARGIN["sigma_f"] ** 2 * np.exp(-distance / MARGIN["length_scale"])
     return np.sqrt(np.maximum(fft.fft2(covariance).real, 0.0))
 
 
-def error_field(task: Task, rng: np.random.Generator) -> np.ndarray:
-    """Return one draw of the DEM's error over the map (rows, cols), m."""
-    _, own = scanned(task.configuration, task.seed)
-    # Four times as wide as the map: what is periodic in the draw does not show on it.
+def error_field(task: TerrainSampleTask, rng: np.random.Generator) -> np.ndarray:
+    """Return one sample of the DEM error over the map (rows, cols), m."""
+    _, own = scan_testbed(task.configuration, task.seed)
+    # Four times as wide as the map, so that the periodicity of the sample has no effect on it.
     cells = fft.next_fast_len(4 * MAP.rows)
     noise = rng.standard_normal((2, cells, cells))
     drawn = fft.ifft2(spectrum(cells) * (noise[0] + 1j * noise[1])).real * cells
@@ -84,9 +85,9 @@ def error_field(task: Task, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(drawn[: MAP.rows, : MAP.cols] - found.mean)
 
 
-def sample(task: Task) -> np.ndarray:
-    """Return in how many samples each cell is exactly safe (rows, cols)."""
-    dem = scanned(task.configuration, task.seed)[1].dem
+def sample(task: TerrainSampleTask) -> np.ndarray:
+    """Return the number of samples in which each cell is exactly safe (rows, cols)."""
+    dem = scan_testbed(task.configuration, task.seed)[1].dem
     total = np.zeros(MAP.shape, np.int64)
     for n in range(task.first, task.first + task.count):
         rng = np.random.default_rng([task.seed, task.configuration, n])
@@ -96,8 +97,8 @@ def sample(task: Task) -> np.ndarray:
 
 
 def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
-    """Compare both tests with the share of samples in which each cell is safe."""
-    field, scan = scanned(configuration, seed)
+    """Compare both tests with the fraction of samples in which each cell is safe."""
+    field, scan = scan_testbed(configuration, seed)
     dem = scan.dem
     own = stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
     planes = plane_stochastic_safety(dem.mean, dem.variance, MAP, LANDER)
@@ -117,7 +118,7 @@ def judge(configuration: int, seed: int, share: np.ndarray) -> dict[str, Any]:
 
 
 def draw(results: list[dict[str, Any]], path: Path) -> None:
-    """Draw the sampled probability against the stated one."""
+    """Plot the sampled probability against the predicted one."""
     figure = new_figure(3.0 * len(results), 3.6)
     panels = figure.subplots(1, len(results), sharey=True)
     for panel, result, (distance, angle) in zip(panels, results, CONFIGURATIONS, strict=True):
@@ -125,37 +126,41 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
         for name, colour in zip(METHODS, (COLOURS[1], COLOURS[0]), strict=True):
             plot_reliability(panel, result["table"][name], color=colour, label=name)
         panel.set_title(f"{distance:.0f} m, {angle:.0f} deg")
-        panel.set_xlabel("stated probability of safety")
+        panel.set_xlabel("Predicted probability of safety")
         panel.set_aspect("equal")
         panel.grid(alpha=0.3)
-    panels[0].set_ylabel("share of sampled terrains safe")
+    panels[0].set_ylabel("Fraction of sampled terrains safe")
     panels[0].legend(loc="lower right")
     save(figure, path)
 
 
 @click.command()
 @click.option("--samples", type=click.IntRange(min=2), default=100, show_default=True,
-              help="Terrains for each configuration.")  # fmt: skip
+              help="Number of terrains per configuration.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Of the testbed and the draws.")  # fmt: skip
+              help="Random seed of the testbed and the samples.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure.")  # fmt: skip
+              help="Output folder of the figure.")  # fmt: skip
 def main(samples: int, seed: int, jobs: int, out: Path | None) -> None:
     """Compare stochastic safety with exact safety on sampled terrain."""
     console = plain_console(150)
     tasks = [
-        Task(c, seed, first, min(10, samples - first))
+        TerrainSampleTask(c, seed, first, min(10, samples - first))
         for c in range(len(CONFIGURATIONS))
         for first in range(0, samples, 10)
     ]
     counts = gathered(sample, tasks, jobs, console, "tasks")
     if len(counts) < len(tasks):
         raise click.Abort
-    table = Table(title=f"{samples} terrains drawn from each Gaussian DEM, testbed {seed}")
-    for heading in ("range\nm", "angle\ndeg", "cells", "truly\nsafe", "sampled\nsafe", "",
-                    "mean p less\nsampled", "rms\ndifference", "p > sampled\n+ 0.1",
+    table = Table(
+        title=f"Safety tests on {samples} terrains sampled from each Gaussian DEM, testbed {seed}"
+    )
+    for heading in ("range\n(m)", "angle\n(deg)", "cells", "truly safe\n(fraction)",
+    "sampled safe\n(fraction)", "method",
+                    "bias (mean p\nminus sampled)", "difference,\nRMS",
+                    "cells with p >\nsampled + 0.1",
                     "calibration\nerror"):  # fmt: skip
         table.add_column(heading, justify="right")
     results = []

@@ -1,4 +1,4 @@
-"""What the Gaussian DEM paper prints in its tables."""
+"""Values of the tables in the Gaussian DEM paper."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What Tables 5 and 6 ask of the random field, and what the precision at 1000 m hangs on.
+"""Study the random field prior in Tables 5 and 6, and missed hazards at 1000 m.
 
     python scenarios/gaussian_dem/sensitivity.py --study field --seeds 4 --out out/gaussian_dem
     python scenarios/gaussian_dem/sensitivity.py --study misses --seeds 8
 
-`field` sweeps sigma_f^2 / length_scale, the one hyper-parameter that scans can tell, over both
-tables. `misses` changes one thing of the scans from 1000 m at a time.
+`field` sweeps sigma_f^2 / length_scale, the only hyper-parameter combination that scans can
+identify, for both tables. `misses` changes one property of the scans from 1000 m at a time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,16 @@ from paper import PAPER_5, PAPER_6
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
-from testbed import CONFIGURATIONS, DENSITY, LANDER, MARGIN, Field, Mapped, mapped, testbed
+from testbed import (
+    CONFIGURATIONS,
+    DENSITY,
+    LANDER,
+    MARGIN,
+    ScannedDem,
+    TestbedField,
+    map_testbed,
+    testbed,
+)
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -31,10 +40,10 @@ from lunarsim.safety import stochastic_safety
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.viz.style import COLOURS, new_figure, save
 
-LENGTH = 30.0  # m; only its ratio to sigma_f^2 shows
-# sigma_f^2 / length_scale, m; the tables' own two among them.
+LENGTH = 30.0  # m; only the ratio sigma_f^2 / length_scale has an effect
+# sigma_f^2 / length_scale, m; includes the values of both tables.
 GROWTHS = np.sort(np.append(np.geomspace(1e-5, 1e-1, 17), MARGIN["sigma_f"] ** 2 / LENGTH))
-FIGURES = ("rmse", "nlpd", "beyond", "precision slope", "precision roughness", "recall slope",
+METRICS = ("rmse", "nlpd", "beyond", "precision slope", "precision roughness", "recall slope",
            "recall roughness")  # fmt: skip
 
 
@@ -46,8 +55,8 @@ def growth(setting: dict[str, float]) -> float:
 # --- the random field ---------------------------------------------------------------------
 
 
-def judged(own: Field, one: Mapped) -> dict[str, float]:
-    """Return all figures of one map, as both tables have them."""
+def map_metrics(own: TestbedField, one: ScannedDem) -> dict[str, float]:
+    """Return all metrics of one map, computed as in both tables."""
     inside = np.isfinite(one.dem.mean)
     error = (one.dem.mean - own.elevation[one.window])[inside].astype(float)
     variance = one.dem.variance[inside].astype(float)
@@ -59,11 +68,11 @@ def judged(own: Field, one: Mapped) -> dict[str, float]:
     beyond = float((np.abs(error) > 3.0 * np.sqrt(variance)).mean())
     values = (rms(error), density(error, variance), beyond, slope.precision, roughness.precision,
               slope.recall, roughness.recall)  # fmt: skip
-    return dict(zip(FIGURES, values, strict=True))
+    return dict(zip(METRICS, values, strict=True))
 
 
-def swept(seed: int) -> list[list[list[float]]]:
-    """Return the figures of one testbed by growth and configuration."""
+def sweep_testbed(seed: int) -> list[list[list[float]]]:
+    """Return the metrics of one testbed by growth and configuration."""
     own = testbed(seed)
     out = []
     for g in GROWTHS:
@@ -71,13 +80,15 @@ def swept(seed: int) -> list[list[list[float]]]:
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
             rng = np.random.default_rng([seed, n])
             setting = {"sigma_f": float(np.sqrt(g * LENGTH)), "length_scale": LENGTH}
-            rows.append(list(judged(own, mapped(own, distance, angle, rng, **setting)).values()))
+            rows.append(
+                list(map_metrics(own, map_testbed(own, distance, angle, rng, **setting)).values())
+            )
         out.append(rows)
     return out
 
 
-def reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return in how many of the nine rows each growth reaches the paper's figures."""
+def count_rows_reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return in how many of the nine rows each growth reaches the values of the paper."""
     five, six = np.array(PAPER_5), np.array(PAPER_6)
     rounded = {name: np.round(v, 4) for name, v in values.items()}
     return {
@@ -91,16 +102,16 @@ def reached(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def show_field(results: list[Any], console: Console) -> dict[str, Any]:
-    """Print the sweep; return means (growth, configuration) by figure."""
+    """Print the sweep; return the means (growth, configuration) by metric."""
     mean = np.mean(np.array(results, dtype=float), axis=0)
-    values = {name: mean[:, :, i] for i, name in enumerate(FIGURES)}
-    rows = reached(values)
+    values = {name: mean[:, :, i] for i, name in enumerate(METRICS)}
+    rows = count_rows_reached(values)
     table = Table(
-        title=f"One random field for both tables? {len(results)} testbeds; rows of nine at the "
-        "paper's figure or better"
+        title=f"Random field for both tables, {len(results)} testbeds: number of the nine rows "
+        "at the value of the paper or better"
     )
-    for heading in ("sigma_f^2 / length\nm", *(name.replace(" ", "\n") for name in rows),
-                    "mean\nNLPD", "beyond 3 sigma\nlargest share", "precision of\nroughness, least",
+    for heading in ("sigma_f^2 /\nlength (m)", *(name.replace(" ", "\n") for name in rows),
+                    "mean\nNLPD", "beyond 3 sigma,\nmax fraction", "precision of\nroughness, min",
                     "recall of\nroughness, mean"):  # fmt: skip
         table.add_column(heading, justify="right")
     for i, g in enumerate(GROWTHS):
@@ -111,17 +122,19 @@ def show_field(results: list[Any], console: Console) -> dict[str, Any]:
             f"{values['recall roughness'][i].mean():.4f}",
         )  # fmt: skip
     console.print(table)
-    show_one(values, rows, console)
+    show_best_field(values, rows, console)
     least = GROWTHS[values["nlpd"].argmin(axis=0)]
-    console.print("NLPD is least at: " + ", ".join(
+    console.print("The minimum NLPD is at: " + ", ".join(
         f"{g:.0e} ({r:.0f} m, {a:.0f} deg)"
         for g, (r, a) in zip(least, CONFIGURATIONS, strict=True)
     ))  # fmt: skip
     return {name: v.tolist() for name, v in values.items()}
 
 
-def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console) -> None:
-    """Print both tables with the widest field whose density keeps to the paper in most rows."""
+def show_best_field(
+    values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console: Console
+) -> None:
+    """Print both tables for the largest growth with the most rows at the paper's NLPD."""
     most = np.flatnonzero(rows["NLPD"] == rows["NLPD"].max())
     own = {"Table 5": growth(DENSITY), "both": GROWTHS[most[-1]], "Table 6": growth(MARGIN)}
     table = Table(
@@ -129,7 +142,11 @@ def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console
     )
     names = {"NLPD": "nlpd", "precision of roughness": "precision roughness",
              "recall of roughness": "recall roughness"}  # fmt: skip
-    for heading in ("range\nm", "angle\ndeg", *(f"{n}: paper\n{', '.join(own)}" for n in names)):
+    for heading in (
+        "range\n(m)",
+        "angle\n(deg)",
+        *(f"{n}: paper\n{', '.join(own)}" for n in names),
+    ):
         table.add_column(heading, justify="right")
     index = [int(np.abs(np.log(GROWTHS / g)).argmin()) for g in own.values()]
     for n, (distance, angle) in enumerate(CONFIGURATIONS):
@@ -143,12 +160,12 @@ def show_one(values: dict[str, np.ndarray], rows: dict[str, np.ndarray], console
 
 
 def draw_field(values: dict[str, Any], path: Path) -> None:
-    """Draw error, density, precision and recall over the growth of the random field."""
+    """Plot error, density, precision and recall against the random-field growth."""
     figure = new_figure(9.6, 7.2)
     panels = figure.subplots(2, 2, sharex=True)
     names = ("rmse", "nlpd", "precision roughness", "recall roughness")
-    labels = ("RMSE (m)", "NLPD", "precision of roughness, p > 0.5",
-              "recall of roughness, p > 0.5")  # fmt: skip
+    labels = ("RMSE (m)", "NLPD", "Precision of roughness, p > 0.5",
+              "Recall of roughness, p > 0.5")  # fmt: skip
     for panel, name, label in zip(panels.ravel(), names, labels, strict=True):
         for n, (distance, angle) in enumerate(CONFIGURATIONS):
             panel.plot(
@@ -171,44 +188,44 @@ def draw_field(values: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
-# --- what is missed from 1000 m -------------------------------------------------------------
+# --- missed hazards from 1000 m -----------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Variant:
+class ScanVariant:
     """One change of the scans from 1000 m."""
 
     name: str
     bed: dict[str, Any] = field(default_factory=dict)
     lidar: dict[str, Any] = field(default_factory=dict)
     growth: float = growth(MARGIN)
-    stated: float | None = None  # deviation of a return, m; left out: the true one
+    stated: float | None = None  # assumed standard deviation of a return, m; None: the true one
 
 
 VARIANTS = (
-    Variant("as in Table 6"),
-    Variant("no noise", lidar={"noise_ratio": 0.0}),
-    Variant("no noise, its sigma stated", lidar={"noise_ratio": 0.0}, stated=0.1 / 3.0),
-    Variant("half the spacing", lidar={"rows": 512, "cols": 512}),
-    Variant("twice the spacing", lidar={"rows": 128, "cols": 128}),
-    Variant("1.5 x sigma_f^2 / length", growth=1.5 * growth(MARGIN)),
-    Variant("rocks of 0.8 m", bed={"diameter": 0.8}),
-    Variant("rocks of 1.5 m", bed={"diameter": 1.5}),
-    Variant("250 rocks", bed={"rocks": 250}),
-    Variant("1000 rocks", bed={"rocks": 1000}),
+    ScanVariant("as in Table 6"),
+    ScanVariant("no noise", lidar={"noise_ratio": 0.0}),
+    ScanVariant("no noise, its sigma stated", lidar={"noise_ratio": 0.0}, stated=0.1 / 3.0),
+    ScanVariant("half the spacing", lidar={"rows": 512, "cols": 512}),
+    ScanVariant("twice the spacing", lidar={"rows": 128, "cols": 128}),
+    ScanVariant("1.5 x sigma_f^2 / length", growth=1.5 * growth(MARGIN)),
+    ScanVariant("rocks of 0.8 m", bed={"diameter": 0.8}),
+    ScanVariant("rocks of 1.5 m", bed={"diameter": 1.5}),
+    ScanVariant("250 rocks", bed={"rocks": 250}),
+    ScanVariant("1000 rocks", bed={"rocks": 1000}),
 )
 
 
 @dataclass(frozen=True)
-class Missed:
-    """Unsafe sites of one map, by whether a return stood above the limit under the lander.
+class MissedSites:
+    """Unsafe sites of one map, with or without a return above the limit near the site.
 
     Attributes
     ----------
     quality
-        All sites.
+        Quality of all sites.
     seen, unseen
-        Unsafe sites with such a return, and without: called safe, and all of them.
+        Unsafe sites with and without such a return: number called safe, and total number.
     """
 
     quality: MapQuality
@@ -216,8 +233,8 @@ class Missed:
     unseen: tuple[int, int]
 
 
-def missed(task: tuple[int, int]) -> list[Missed]:
-    """Judge one testbed under one variant at the three angles."""
+def count_missed_sites(task: tuple[int, int]) -> list[MissedSites]:
+    """Evaluate one testbed under one variant at the three angles."""
     index, seed = task
     variant = VARIANTS[index]
     own = testbed(seed, **variant.bed)
@@ -226,18 +243,18 @@ def missed(task: tuple[int, int]) -> list[Missed]:
         rng = np.random.default_rng([seed, n])
         setting = {"sigma_f": float(np.sqrt(variant.growth * LENGTH)), "length_scale": LENGTH}
         lidar = FlashLidar(**variant.lidar)
-        one = mapped(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
+        one = map_testbed(own, distance, angle, rng, lidar=lidar, stated=variant.stated, **setting)
         safety = stochastic_safety(one.dem.mean, one.dem.variance, one.grid, LANDER)
         use = safety.observed & own.safety.observed[one.window]
         called = safety.p_roughness[use] > 0.5
         safe = truth_of(own, one)["roughness"][use]
-        # The testbed's plane is level at 0: a return above the limit shows the rock.
+        # The plane of the testbed is at height 0: a return above the limit comes from a rock.
         high = one.points[one.points[:, 2] > LANDER.roughness_limit, :2]
         away, _ = cKDTree(high).query(one.grid.centres()[use][~safe])
         shown = away < LANDER.leg_radius
         wrong = called[~safe]
         out.append(
-            Missed(
+            MissedSites(
                 MapQuality.of(called, safe),
                 (int(wrong[shown].sum()), int(shown.sum())),
                 (int(wrong[~shown].sum()), int((~shown).sum())),
@@ -247,16 +264,19 @@ def missed(task: tuple[int, int]) -> list[Missed]:
 
 
 def share(part: int, whole: int) -> float:
-    """Return part over whole; NaN of nothing."""
+    """Return part / whole; NaN if `whole` is zero."""
     return float(part / whole) if whole else float("nan")
 
 
-def show_misses(results: list[list[Missed]], seeds: int, console: Console) -> list[Any]:
-    """Print the variants, testbeds pooled; return the rows."""
-    table = Table(title=f"Roughness from 1000 m at p > 0.5, {seeds} testbeds, 95 % intervals")
-    for heading in ("angle\ndeg", "scans", "truly\nunsafe", "precision", "recall",
-                    "unsafe sites\ncalled safe", "of those without a return\nabove the limit",
-                    "called safe, with\nsuch a return", "called safe,\nwithout"):  # fmt: skip
+def show_misses(results: list[list[MissedSites]], seeds: int, console: Console) -> list[Any]:
+    """Print the variants with the testbeds pooled; return the rows."""
+    table = Table(
+        title=f"Roughness safety from 1000 m at p > 0.5, {seeds} testbeds, 95 % intervals"
+    )
+    for heading in ("angle\n(deg)", "scans", "truly unsafe\n(fraction)", "precision", "recall",
+                    "unsafe sites\ncalled safe", "of these, without a\nreturn above the limit",
+                    "called safe, with a\nreturn above the limit",
+                    "called safe, without\nsuch a return"):  # fmt: skip
         table.add_column(heading, justify="right")
     rows = []
     for n, (_, angle) in enumerate(CONFIGURATIONS[-3:]):
@@ -287,27 +307,27 @@ def show_misses(results: list[list[Missed]], seeds: int, console: Console) -> li
 
 @click.command()
 @click.option("--study", type=click.Choice(["field", "misses", "all"]), default="all",
-              show_default=True, help="Which study.")  # fmt: skip
+              show_default=True, help="Study to run.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Testbeds.")  # fmt: skip
+              help="Number of testbeds.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write all figures to this file.")  # fmt: skip
+              help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure.")  # fmt: skip
+              help="Output folder of the figure.")  # fmt: skip
 def main(study: str, seeds: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
-    """Sweep the random field over both tables, and the scans from 1000 m."""
+    """Sweep the random field over both tables, and vary the scans from 1000 m."""
     console = plain_console(190)
     kept: dict[str, Any] = {}
     if study in {"field", "all"}:
-        results = gathered(swept, range(seeds), jobs, console, "testbeds")
+        results = gathered(sweep_testbed, range(seeds), jobs, console, "testbeds")
         kept["field"] = show_field(results, console) | {"growth": GROWTHS.tolist()}
         if out is not None:
             draw_field(kept["field"], out / "random_field.png")
     if study in {"misses", "all"}:
         tasks = [(v, s) for v in range(len(VARIANTS)) for s in range(seeds)]
-        results = gathered(missed, tasks, jobs, console, "variants and testbeds")
+        results = gathered(count_missed_sites, tasks, jobs, console, "variants and testbeds")
         if len(results) < len(tasks):
             raise click.Abort
         kept["misses"] = show_misses(results, seeds, console)

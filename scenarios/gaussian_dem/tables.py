@@ -1,4 +1,4 @@
-"""The tables of the Gaussian DEM paper, its figure beside ours.
+"""Reproduce the tables of the Gaussian DEM paper next to the published values.
 
     python scenarios/gaussian_dem/tables.py --table all --seeds 20 --out out/gaussian_dem
 
@@ -20,7 +20,7 @@ from computed import (
     KINDS,
     METHODS,
     PHASES,
-    pooled,
+    pool_counts,
     table_3,
     table_4,
     table_5,
@@ -69,7 +69,7 @@ def print_3(result: dict[str, Any], console: Console) -> None:
 
 
 def spread(values: list[float]) -> str:
-    """Mean and, with more than one seed, half its 95 % interval."""
+    """Return the mean and, for several seeds, half its 95 % interval."""
     if len(values) < 2:
         return f"{values[0]:.4f}"
     return mean_interval(values).text()
@@ -77,7 +77,15 @@ def spread(values: list[float]) -> str:
 
 def print_4(result: dict[str, Any], console: Console) -> None:
     table = Table(title="Table 4: scan configurations (ours / paper)")
-    headings = ("range m", "angle deg", "coverage x", "coverage y", "GSD x", "GSD y", "3 sigma cm")
+    headings = (
+        "range (m)",
+        "angle (deg)",
+        "coverage x (m)",
+        "coverage y (m)",
+        "GSD x (m)",
+        "GSD y (m)",
+        "3 sigma (cm)",
+    )
     for heading in headings:
         table.add_column(heading, justify="right")
     for (r, a), ours, paper in zip(CONFIGURATIONS, result["rows"], PAPER_4, strict=True):
@@ -93,9 +101,10 @@ def print_5(result: dict[str, Any], console: Console) -> None:
         f"(sigma_f {DENSITY['sigma_f']} m, length scale {DENSITY['length_scale']} m; "
         f"baseline: mean of {len(PHASES)} phases of its grid)"
     )
-    names = ("RMSE baseline", "at its best, worst phase", "RMSE proposed", "NLPD baseline",
-             "NLPD proposed", "below paper", "below baseline at its best")  # fmt: skip
-    for heading in ("range m", "angle deg", *names):
+    names = ("RMSE baseline (m)", "at best, worst phase (m)", "RMSE proposed (m)", "NLPD baseline",
+             "NLPD proposed", "better than paper",
+             "better than baseline at best phase")  # fmt: skip
+    for heading in ("range (m)", "angle (deg)", *names):
         table.add_column(heading, justify="right")
     for (r, a), ours, paper in zip(CONFIGURATIONS, result["rows"], PAPER_5, strict=True):
         mean = [statistics.mean(v) for v in ours]
@@ -125,7 +134,7 @@ def print_6(result: dict[str, Any], console: Console) -> None:
             f"baseline: {len(HALF_PHASES)} phases of its grid)"
         )
         headings = [f"{kind} {method}" for kind in KINDS for method in METHODS[:2]]
-        for heading in ("range m", "angle deg", *headings, "all at paper"):
+        for heading in ("range (m)", "angle (deg)", *headings, "paper reached"):
             table.add_column(heading, justify="right")
         for n, (r, a) in enumerate(CONFIGURATIONS):
             cells, reached = [], True
@@ -142,9 +151,9 @@ def print_6(result: dict[str, Any], console: Console) -> None:
 
 
 def print_at_recall(result: dict[str, Any], console: Console) -> None:
-    """Precision where recall is the paper's, and the calibration error of p_safe."""
+    """Print precision at the recall of the paper, and the calibration error of p_safe."""
     table = Table(title="Precision at the recall of the paper's proposed method")
-    headings = ("range m", "angle deg", "slope: paper", "baseline", "proposed", "planes",
+    headings = ("range (m)", "angle (deg)", "slope: paper", "baseline", "proposed", "planes",
                 "roughness: paper", "baseline", "proposed", "planes",
                 "calibration error of p_safe")  # fmt: skip
     for heading in headings:
@@ -163,8 +172,8 @@ def print_at_recall(result: dict[str, Any], console: Console) -> None:
 
 
 def print_7(result: dict[str, Any], console: Console) -> None:
-    table = Table(title="Table 7: run time, s (ours / paper); ratios of ours in one run")
-    headings = ("posting m", "baseline safety", "proposed DEM", "proposed safety",
+    table = Table(title="Table 7: run time (s), ours / paper; ratios of our times")
+    headings = ("posting (m)", "baseline safety", "proposed DEM", "proposed safety",
                 "baseline / proposed safety", "baseline / (DEM + safety)")  # fmt: skip
     for heading in headings:
         table.add_column(heading, justify="right")
@@ -180,7 +189,7 @@ def print_7(result: dict[str, Any], console: Console) -> None:
     ours = [row["dem"] + row["safety"] for row in result["rows"]]
     cheap = [r["posting"] for r, o in zip(result["rows"], ours, strict=True) if r["baseline"] < o]
     console.print(
-        "the baseline's safety alone is cheaper than the proposed DEM and safety at "
+        "The baseline safety test is faster than the proposed DEM and safety test together at "
         + (", ".join(f"{p} m" for p in cheap) or "no posting")
     )
     x = -np.log([row["posting"] for row in result["rows"]])
@@ -200,12 +209,12 @@ TABLES = {
 
 
 def draw(name: str, result: dict[str, Any], out: Path) -> None:
-    """Draw the counterparts of the paper's figures that belong to a table."""
+    """Plot the counterparts of the figures of the paper that belong to a table."""
     if name == "3":
         draw_conservativeness(result["pictures"], out / "figure_12_conservativeness.png")
     elif name == "5":
-        for number, key, label in ((14, "baseline", "elevation (m)"), (15, "mean", "elevation (m)"),
-                                   (16, "sigma", "standard deviation (m)")):  # fmt: skip
+        for number, key, label in ((14, "baseline", "Elevation (m)"), (15, "mean", "Elevation (m)"),
+                                   (16, "sigma", "Standard deviation (m)")):  # fmt: skip
             draw_panels(
                 result["pictures"][key], CONFIGURATIONS, label, out / f"figure_{number}.png"
             )
@@ -216,7 +225,7 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
         for number, key in ((19, "baseline roughness"), (20, "proposed roughness"),
                             (22, "baseline slope"), (23, "proposed slope")):  # fmt: skip
             draw_panels(
-                result["pictures"][key], CONFIGURATIONS, f"{key}: truly safe - p(safe)",
+                result["pictures"][key], CONFIGURATIONS, f"{key}: truth minus p(safe)",
                 out / f"figure_{number}.png", diverging=True,
             )  # fmt: skip
         draw_reliability(np.array(result["reliability"]), CONFIGURATIONS, out / "reliability.png")
@@ -227,7 +236,7 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
                    "slope (deg)", out / "figure_21.png")  # fmt: skip
         for which, kind in enumerate(KINDS):
             curves = [
-                {m: pooled(result["curves"][kind, n, m]) for m in METHODS}
+                {m: pool_counts(result["curves"][kind, n, m]) for m in METHODS}
                 for n in range(len(CONFIGURATIONS))
             ]
             paper = [
@@ -241,15 +250,15 @@ def draw(name: str, result: dict[str, Any], out: Path) -> None:
 
 @click.command()
 @click.option("--table", "which", type=click.Choice([*TABLES, "all"]), default="all",
-              show_default=True, help="Which table.")  # fmt: skip
+              show_default=True, help="Table to compute.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Fields or terrains a table.")  # fmt: skip
+              help="Number of fields or terrains per table.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write all figures to this file.")  # fmt: skip
+              help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figures; left out, none are drawn.")  # fmt: skip
+              help="Output folder of the figures (default: no figures).")  # fmt: skip
 def main(which: str, seeds: int, json_file: Path | None, out: Path | None) -> None:
-    """Print the paper's tables with ours beside them."""
+    """Compute the tables of the paper and print them with the published values."""
     console = plain_console(190)
     gathered = {}
     for name in TABLES if which == "all" else (which,):

@@ -1,4 +1,4 @@
-"""The Gaussian DEM paper's testbed and its nine scans (sections IV.B.1 and IV.B.2)."""
+"""Simulate the testbed and nine scans of the Gaussian DEM paper (IV.B.1, IV.B.2)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from lunarsim.world.terrain import Heightfield, Terrain, place_rocks
 LANDER = Lander()
 RANGES, ANGLES = (200.0, 500.0, 1000.0), (0.0, 30.0, 60.0)
 CONFIGURATIONS = [(r, a) for r in RANGES for a in ANGLES]
-POSTING = 0.1  # of the truth and of the proposed maps, m
-# Only sigma_f^2 / length_scale matters. The density of the elevations asks for a smaller one than
-# a margin against missed rocks: two purposes, two settings, both stated with the tables.
+POSTING = 0.1  # posting of the truth and of the proposed maps, m
+# Only sigma_f^2 / length_scale has an effect. The elevation density requires a smaller value than a
+# margin against missed rocks, so Table 5 and Tables 6 and 7 use different settings.
 DENSITY = {"sigma_f": 0.1, "length_scale": 10.0}  # Table 5
 MARGIN = {"sigma_f": 0.5, "length_scale": 30.0}  # Tables 6 and 7
 
 
 @dataclass(frozen=True)
-class Field:
+class TestbedField:
     """One testbed: hemispheres on a plane of 200 x 200 m (section IV.B.1)."""
 
     terrain: Terrain
@@ -38,7 +38,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class ScannedDem:
     """A scan of a testbed and its Gaussian DEM.
 
     Attributes
@@ -46,9 +46,9 @@ class Mapped:
     points, sigma, shape
         Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
     dem
-        On the grid that is judged.
+        Gaussian DEM on the evaluated grid.
     window
-        Cells of the testbed's grid that are those of the DEM.
+        Cells of the testbed grid that coincide with the DEM cells.
     """
 
     points: np.ndarray
@@ -59,36 +59,38 @@ class Mapped:
 
     @property
     def grid(self) -> Grid:
-        """The grid that is judged."""
+        """The evaluated grid."""
         return self.dem.grid
 
 
-def testbed(seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0) -> Field:
-    """Draw a testbed and its exact safety over the middle `side` metres.
+def testbed(
+    seed: int, side: float = 100.0, *, rocks: int = 500, diameter: float = 1.0
+) -> TestbedField:
+    """Generate a testbed and its exact safety over a central square of `side`, m.
 
-    The paper's has 500 rocks of 1 m.
+    The testbed of the paper has 500 rocks of 1 m.
     """
     plane = Heightfield(Grid.centred((0.0, 0.0), 202.0, 2.0), np.zeros((101, 101), np.float32))
     rng = np.random.default_rng(seed)
     terrain = Terrain(plane, place_rocks(plane, np.full(rocks, diameter), rng))
     grid = Grid.centred((0.0, 0.0), side, POSTING)
     elevation = terrain.raster(grid)
-    return Field(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
+    return TestbedField(terrain, grid, elevation, exact_safety(elevation, grid, LANDER))
 
 
 def scan(
-    field: Field,
+    field: TestbedField,
     distance: float,
     angle_deg: float,
     rng: np.random.Generator,
     lidar: FlashLidar | None = None,
 ) -> tuple[np.ndarray, float, tuple[int, int]]:
-    """Flash at the map's centre from a distance and an angle off nadir towards +x.
+    """Scan the map center from a distance (m) and an angle off nadir (deg) towards +x.
 
     Returns
     -------
     points, sigma, shape
-        As in `Mapped`.
+        Returns (n, 3), m; their standard deviation, m; rows and columns of the detector.
     """
     angle = np.deg2rad(angle_deg)
     position = distance * np.array([-np.sin(angle), 0.0, np.cos(angle)])
@@ -101,18 +103,18 @@ def scan(
 
 
 def view_grid(distance: float) -> Grid:
-    """The square over which a configuration is judged: what is scanned, 100 m at most."""
+    """Return the evaluated square of a configuration: the scanned area, at most 100 m."""
     return Grid.centred((0.0, 0.0), min(100.0, 0.2 * distance), POSTING)
 
 
-def crop(field: Field, grid: Grid) -> tuple[slice, slice]:
-    """Cells of the field's grid that are those of `grid`."""
+def crop(field: TestbedField, grid: Grid) -> tuple[slice, slice]:
+    """Return the cells of the field grid that coincide with `grid`."""
     row, col = (int(v) for v in field.grid.cell((grid.x0, grid.y0)))
     return slice(row, row + grid.rows), slice(col, col + grid.cols)
 
 
-def mapped(
-    field: Field,
+def map_testbed(
+    field: TestbedField,
     distance: float,
     angle_deg: float,
     rng: np.random.Generator,
@@ -122,10 +124,10 @@ def mapped(
     grid: Grid | None = None,
     lidar: FlashLidar | None = None,
     stated: float | None = None,
-) -> Mapped:
-    """Scan a testbed and build the Gaussian DEM over what is judged, or over `grid`.
+) -> ScannedDem:
+    """Scan a testbed and build its Gaussian DEM over the evaluated area or `grid`.
 
-    `stated` is taken for the standard deviation of a return (m) instead of the true one.
+    `stated` replaces the true standard deviation of a return (m) in the DEM.
     """
     points, sigma, shape = scan(field, distance, angle_deg, rng, lidar)
     sigma = sigma if stated is None else stated
@@ -133,4 +135,4 @@ def mapped(
     dem = gaussian_dem(
         points, grid, sigma_f=sigma_f, length_scale=length_scale, sigma_eps=sigma, image_shape=shape
     )
-    return Mapped(points, sigma, shape, dem, crop(field, grid))
+    return ScannedDem(points, sigma, shape, dem, crop(field, grid))

@@ -1,11 +1,12 @@
-"""What each guidance law spends over the least that could be spent: paired closed-loop flights.
+"""Compare the propellant of all guidance laws with the optimum on paired flights.
 
-Every law flies the same starts, scattered about the planned one, to the same site, without diverts.
-The optimum is that of the true start of each flight, by `lunarsim.optimal` under the same throttle
-margin, tilt, glideslope and reserve, for a point mass without lags; spent is what the tanks lost up
-to the end of the approach. A law that ends the approach elsewhere than asked or at another speed
-may spend less than the optimum of the way asked for: how far off it ends is told besides, and what
-is spent down to the ground over the optimum with the steady vertical descent after it.
+Every law flies from the same starts, scattered around the planned one, to the same site without
+diverts. The optimum of each flight is computed by `lunarsim.optimal` from its true start with the
+same throttle margin, tilt limit, glideslope and reserve, for a point mass without actuator lags.
+The propellant of a law is the mass lost until the end of the approach. A law that ends the approach
+at another position or velocity than commanded can use less than this optimum. The table therefore
+also reports the terminal errors, and the propellant down to touchdown relative to the optimum plus
+a steady vertical descent.
 
 python scenarios/guidance/propellant.py --flights 300 --jobs 2 --json propellant.json
 """
@@ -38,9 +39,9 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation, build_world
 from lunarsim.world import World
 
-# A lander that only flies: no maps, little ground. Fixes know the height of the site better than by
-# themselves, since there is no map that would level it.
-FLOWN: dict[str, Any] = {
+# A vehicle without maps over a small terrain. The position fixes have a small bias because no map
+# corrects the height of the site.
+BASE_SCENARIO: dict[str, Any] = {
     "name": "propellant",
     "terrain": {"kind": "fractal", "size_m": 200.0, "rms_slope_deg": 1.0},
     "rocks": {"cover": 0.01},
@@ -50,21 +51,21 @@ FLOWN: dict[str, Any] = {
     "tasking": {},
 }
 SEEKING = "information-seeking"
-# What the law that chooses its path by what it sees flies with besides: a LiDAR, and a map of its
-# returns. No other law looks; none retargets.
-EYES: dict[str, Any] = {
-    "sensors": {**FLOWN["sensors"], "flash": {"kind": "flash-lidar"}},
+# Extra sensors of the information-seeking law: a LiDAR and a map of its returns. The other laws
+# have none, and no law retargets.
+SEEKING_SENSORS: dict[str, Any] = {
+    "sensors": {**BASE_SCENARIO["sensors"], "flash": {"kind": "flash-lidar"}},
     "mappers": {
         "dem": {"kind": "gaussian-dem", "sensor": "flash", "size_m": 60.0, "posting_m": 0.25}
     },
     "tasking": {"flash": {"kind": "at-altitudes", "altitudes_m": [300.0, 200.0, 130.0, 80.0]}},
 }
-_DROP = 0.5  # of the glideslope's tip under the end, m: what all laws are given
+_APEX_DEPTH_M = 0.5  # glideslope apex below the end point, m; the same for all laws
 
 
 @dataclass(frozen=True)
-class Task:
-    """One flight under every law."""
+class PropellantTask:
+    """One start, flown with every law."""
 
     laws: tuple[str, ...]
     flight: int
@@ -74,27 +75,27 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of one law.
+class LawFlight:
+    """Results of one flight with one law.
 
     Attributes
     ----------
     law, flight
-        Which.
+        Kind of the guidance law, and number of the flight.
     optimum, descent
-        Least propellant to the end of the approach from the true start, and of a steady vertical
-        descent after it, kg.
+        Minimum propellant to the end of the approach from the true start, and propellant of a
+        steady vertical descent after it, kg.
     approach, whole
-        Spent to the end of the approach, and to the ground, kg.
+        Propellant used to the end of the approach, and to touchdown, kg.
     miss, speed
-        How far from the place (as navigation has both) and from the velocity asked for the approach
-        ended, m and m/s.
+        Position error (in the navigation frame) and velocity error at the end of the approach, m
+        and m/s.
     safe, failed
-        Whether it came down safely, and why not.
+        Whether the landing was safe, and the failed criteria.
     fallbacks, plans
-        Of the optimal law.
+        Number of fallbacks and of plans of the optimal law.
     asked, infeasible
-        Of a network: how often it was asked, and how often its answer broke the law's limits.
+        Number of evaluations of a network, and of outputs that violate the limits of the law.
     """
 
     law: str
@@ -114,30 +115,30 @@ class Flown:
 
     @property
     def over(self) -> float:
-        """Share spent over the optimum up to the end of the approach."""
+        """Propellant to the end of the approach relative to the optimum, minus 1."""
         return self.approach / self.optimum - 1.0
 
     @property
     def all_over(self) -> float:
-        """Share spent over the optimum and the descent after it, down to the ground."""
+        """Propellant to touchdown relative to optimum plus vertical descent, minus 1."""
         return self.whole / (self.optimum + self.descent) - 1.0
 
 
 def scenario_of(law: str, position_sigma: float, velocity_sigma: float) -> Scenario:
     """Return the scenario of a law."""
     start = {"position_sigma_m": position_sigma, "velocity_sigma_m_s": velocity_sigma}
-    eyes = EYES if law == SEEKING else {}
-    return Scenario.from_dict({**FLOWN, **eyes, "start": start, "guidance": {"kind": law}})
+    eyes = SEEKING_SENSORS if law == SEEKING else {}
+    return Scenario.from_dict({**BASE_SCENARIO, **eyes, "start": start, "guidance": {"kind": law}})
 
 
 @cache
-def ground() -> World:
-    """Return the ground of all flights: the law that looks sees it, to others it is a touchdown."""
+def shared_world() -> World:
+    """Build the world of all flights."""
     return build_world(scenario_of("apollo", 0.0, 0.0), Streams(1))
 
 
 def problem(flight: Simulation) -> Descent:
-    """Return the descent of a flight's true start to the end of its approach."""
+    """Return the descent problem from a flight's true start to its approach end."""
     briefing = flight.briefing
     lander, approach = briefing.lander, briefing.software.approach
     limits, end = approach.limits, approach.end(briefing.target, lander)
@@ -146,42 +147,41 @@ def problem(flight: Simulation) -> Descent:
         flight.state.position, flight.state.velocity, flight.state.mass, end.position,
         end.velocity, briefing.weight, lander.thrust_min + margin, lander.thrust_max - margin,
         lander.exhaust_velocity, lander.dry_mass + limits.reserve, limits.max_tilt,
-        limits.glideslope, _DROP,
+        limits.glideslope, _APEX_DEPTH_M,
     )  # fmt: skip
 
 
-def fly(task: Task) -> list[Flown]:
-    """Fly one start under every law."""
+def fly(task: PropellantTask) -> list[LawFlight]:
+    """Fly one start with every law."""
     rows, optimum = [], float("nan")
     for law in task.laws:
         scenario = scenario_of(law, task.position_sigma, task.velocity_sigma)
-        flight = Simulation(scenario, flight_seed(task.seed, task.flight), world=ground())
+        flight = Simulation(scenario, flight_seed(task.seed, task.flight), world=shared_world())
         if np.isnan(optimum):
             optimum = _optimum(task, flight)
-        rows.append(_flown(law, task.flight, flight, optimum))
+        rows.append(_fly_law(law, task.flight, flight, optimum))
     return rows
 
 
-def _optimum(task: Task, flight: Simulation) -> float:
-    """Return the least propellant from a flight's true start, kg."""
+def _optimum(task: PropellantTask, flight: Simulation) -> float:
+    """Return the minimum propellant from a flight's true start, kg."""
     try:
         return least_propellant(Planner(60), problem(flight)).propellant
     except (InputError, SolverError) as error:
         raise InputError(
             "--position-sigma, --velocity-sigma", [task.position_sigma, task.velocity_sigma],
-            f"starts that can be flown from, which flight {task.flight} of seed {task.seed} has "
-            f"not: {error}",
+            f"must give feasible starts (flight {task.flight} of seed {task.seed})", str(error),
         ) from None  # fmt: skip
 
 
 def _steady(briefing: Briefing, mass: float) -> float:
-    """Return the propellant of the vertical descent after the approach at a constant speed, kg."""
+    """Return the propellant of the vertical descent after the approach, kg."""
     approach = briefing.software.approach
     increment = briefing.weight * approach.vertical_altitude / approach.vertical_speed
     return float(mass * -np.expm1(-increment / briefing.lander.exhaust_velocity))
 
 
-def _flown(law: str, number: int, flight: Simulation, optimum: float) -> Flown:
+def _fly_law(law: str, number: int, flight: Simulation, optimum: float) -> LawFlight:
     computer = flight.computer
     wet, end = flight.state.mass, computer.approach.end(computer.site, computer.lander)
     while not flight.done and computer.phase == APPROACH:
@@ -191,7 +191,7 @@ def _flown(law: str, number: int, flight: Simulation, optimum: float) -> Flown:
         flight.step()
     verdict = flight.verdict
     fell = sum(name == "guidance-fallback" for _, name, _ in computer.telemetry)
-    return Flown(
+    return LawFlight(
         law, number, optimum, _steady(computer.briefing, wet - optimum),
         wet - at_end.mass, wet - flight.state.mass,
         float(np.linalg.norm(believed.position - end.position)),
@@ -201,21 +201,23 @@ def _flown(law: str, number: int, flight: Simulation, optimum: float) -> Flown:
     )  # fmt: skip
 
 
-def table_of(rows: list[Flown]) -> Table:
-    """Return a row a law."""
-    table = Table(title="Propellant to the end of the approach over the optimum")
+def table_of(rows: list[LawFlight]) -> Table:
+    """Return a table with one row per law."""
+    table = Table(title="Propellant of guidance laws relative to the optimum")
     for heading in (
-        "law", "flights", "landed safe [95 %]", "over the optimum %\nmedian / 95 % / max",
-        "to the ground %\nmedian / 95 % / max", "kg to the ground\nmedian / 95 %",
-        "ends off m\nmedian / 95 %", "ends off m/s\nmedian / 95 %", "flights that\nfell back",
-        "answers that\nbroke limits",
+        "law", "flights", "safe landings\n[95 % interval]",
+        "excess to approach end (%)\nmedian / 95th pct. / max",
+        "excess to touchdown (%)\nmedian / 95th pct. / max", "propellant (kg)\nmedian / 95th pct.",
+        "position error (m)\nmedian / 95th pct.", "velocity error (m/s)\nmedian / 95th pct.",
+        "flights with\nfallbacks",
+        "infeasible\nnetwork outputs",
     ):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "law" else "right")
     for law in dict.fromkeys(r.law for r in rows):
         mine = [r for r in rows if r.law == law]
         safe = Proportion(sum(r.safe for r in mine), len(mine))
 
-        def spread(name: str, mine: list[Flown] = mine) -> tuple[float, float, float]:
+        def spread(name: str, mine: list[LawFlight] = mine) -> tuple[float, float, float]:
             values = np.array([getattr(r, name) for r in mine])
             return float(np.median(values)), float(np.percentile(values, 95)), float(values.max())
 
@@ -233,25 +235,27 @@ def table_of(rows: list[Flown]) -> Table:
     return table
 
 
-def _answers(rows: list[Flown]) -> str:
-    """Return how many answers of a network broke the limits; nothing of other laws."""
+def _answers(rows: list[LawFlight]) -> str:
+    """Return the count of infeasible network outputs; empty for other laws."""
     asked = sum(r.asked for r in rows)
     return f"{sum(r.infeasible for r in rows)} of {asked:,}" if asked else ""
 
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Starts.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="Number of starts.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--laws", multiple=True, type=click.Choice(sorted(kinds("guidance"))),
-              help="Left out: all.")  # fmt: skip
+              help="Guidance law; repeatable (default: all).")  # fmt: skip
 @click.option("--position-sigma", type=click.FloatRange(min=0.0), default=20.0, show_default=True,
-              help="Of the start, an axis, m.")  # fmt: skip
+              help="Start position, 1 sigma per axis (m).")  # fmt: skip
 @click.option("--velocity-sigma", type=click.FloatRange(min=0.0), default=1.5, show_default=True,
-              help="Of the start, an axis, m/s.")  # fmt: skip
-@click.option("--json", "out", type=click.Path(path_type=Path), help="Every flight.")
+              help="Start velocity, 1 sigma per axis (m/s).")  # fmt: skip
+@click.option("--json", "out", type=click.Path(path_type=Path), help="Output file of all flights.")
 def main(
     flights: int,
     seed: int,
@@ -261,10 +265,12 @@ def main(
     velocity_sigma: float,
     out: Path | None,
 ) -> None:
-    """Fly every law from the same starts and print what each spends over the optimum."""
+    """Fly every law from the same starts; compare with the optimum."""
     console = plain_console(178)
     chosen = laws or tuple(kinds("guidance"))
-    tasks = [Task(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)]
+    tasks = [
+        PropellantTask(chosen, n, seed, position_sigma, velocity_sigma) for n in range(flights)
+    ]
     try:
         if out is not None:
             check_output("--json", out, ".json")

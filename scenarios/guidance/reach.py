@@ -1,7 +1,7 @@
-"""Where a lander can still land on its way down, by what it takes: one panel a height.
+"""Plot the reachable landing area and its propellant at several heights.
 
-It flies the default approach to its site by one law; at each height all ground about it is surveyed
-under the approach's limits.
+The default approach is flown to its site with one guidance law. At each height the terrain around
+the site is evaluated under the limits of the approach.
 
 python scenarios/guidance/reach.py --out reach.png
 """
@@ -21,7 +21,7 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.viz.style import map_axes, new_figure, save, show
 
-FLOWN: dict[str, Any] = {
+BASE_SCENARIO: dict[str, Any] = {
     "name": "reach",
     "terrain": {"kind": "fractal", "size_m": 100.0, "rms_slope_deg": 0.0},
     "rocks": {"cover": 0.0},
@@ -30,11 +30,11 @@ FLOWN: dict[str, Any] = {
     "mappers": {},
     "tasking": {},
 }
-_SIDE, _CELLS = 6.5, 260  # side over the height, and cells along it
+_SIDE, _CELLS = 6.5, 260  # side of the grid divided by the height; cells per side
 
 
 def survey(simulation: Simulation) -> Reach:
-    """Return the reach about the site as it stands."""
+    """Return the current reachable area around the site."""
     computer = simulation.computer
     side = _SIDE * max(computer.altitude, 40.0)
     grid = Grid.centred(computer.site, side, side / _CELLS)
@@ -48,13 +48,13 @@ def survey(simulation: Simulation) -> Reach:
               show_default=True)  # fmt: skip
 @click.option("--height", "heights", type=click.FloatRange(20.0, 1000.0), multiple=True,
               default=(400.0, 200.0, 100.0, 50.0), show_default=True,
-              help="Above the site, m.")  # fmt: skip
+              help="Height above the site (m).")  # fmt: skip
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default="reach.png",
               show_default=True)  # fmt: skip
 def main(law: str, heights: tuple[float, ...], out: Path) -> None:
-    """Draw the reach of one law at several heights."""
+    """Plot the reachable area of one law at several heights."""
     simulation = Simulation(
-        Scenario.from_dict({**FLOWN, "guidance": {"kind": law}}), 1, "no-divert"
+        Scenario.from_dict({**BASE_SCENARIO, "guidance": {"kind": law}}), 1, "no-divert"
     )
     figure = new_figure(3.6 * len(heights), 4.3)
     panels = np.atleast_1d(figure.subplots(1, len(heights)))
@@ -63,18 +63,18 @@ def main(law: str, heights: tuple[float, ...], out: Path) -> None:
             simulation.step()
         reach = survey(simulation)
         drawn = show(panel, np.where(reach.reachable, reach.propellant, np.nan), reach.grid)
-        figure.colorbar(drawn, ax=panel, label="propellant (kg)", location="bottom")
+        figure.colorbar(drawn, ax=panel, label="Propellant (kg)", location="bottom")
         panel.plot(*simulation.computer.estimate.position[:2], "^", color="#D55E00", label="lander")
         panel.plot(*simulation.computer.site[:2], "x", color="black", mew=2, label="site")
         speed = np.linalg.norm(simulation.computer.estimate.velocity)
-        map_axes(panel, f"{simulation.computer.altitude:.0f} m up at {speed:.0f} m/s")
+        map_axes(panel, f"{simulation.computer.altitude:.0f} m high at {speed:.0f} m/s")
         within = reach.reachable.sum() * reach.grid.posting**2 / 1e6
         click.echo(
-            f"{law}: {simulation.computer.altitude:.0f} m up: {within:.4f} km^2 within reach"
+            f"{law}: height {simulation.computer.altitude:.0f} m: {within:.4f} km^2 reachable"
         )
     panels[0].legend(loc="upper left")
     save(figure, out)
-    click.echo(f"drawn in {out}")
+    click.echo(f"Figure: {out}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Apollo 11's descent as data: loads of targets, the record, and a flight read off beside it.
+"""Read Apollo 11 target loads and the descent record; compare flights.
 
-The guidance frame of a load is x up, y cross, z downrange; here downrange is west, so a value
-along z is one along -x of ENU.
+The guidance frame of a load is x up, y cross, z downrange. Downrange is west here, so a value along
+z is a value along -x of ENU.
 """
 
 from __future__ import annotations
@@ -26,26 +26,29 @@ Array = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parent / "data"
 FEET = 0.3048
-# Seconds after ignition (102:33:05 of mission time, 20:05:05 UTC) by the mission report's list of
-# events: the record's first row, 102:37:53; approach phase entered, 102:41:32; rate of descent
-# taken in hand, 102:43:22; landing, 102:45:40.
+# Seconds after ignition (102:33:05 mission time, 20:05:05 UTC), by the event list of the mission
+# report: first row of the record, 102:37:53; start of the approach phase, 102:41:32; manual
+# rate-of-descent control, 102:43:22; landing, 102:45:40.
 LOCK_ON, P64, P66, LANDING = 288.0, 507.0, 617.0, 755.0
-# Propellant of the whole descent stage, kg, descent orbit insertion included, and what that took:
-# 268 lb by the mission report's table of masses.
+# Propellant of the descent stage including descent orbit insertion, kg, and of that insertion: 268
+# lb in the mass table of the mission report.
 REPORTED, INSERTION = 7_899.0, 121.6
-# The digitised chart beside the record: burnt by lock-on, and in all; it does not say from when on.
+# The digitised chart of the record: propellant used until lock-on and in total, kg. The chart does
+# not state whether insertion is included.
 CHART_LOCK_ON, CHART = 4_260.0, 7_570.0
 
 
 Targets = dict[str, tuple[float, float, float]]
-# Loads of the guidance computer: that flown on Apollo 11, and sample values listed for Apollo 10.
+# Loads of the guidance computer: the one flown on Apollo 11, and sample values listed for Apollo
+# 10.
 FLOWN, SAMPLE = "lm_targets_apollo11.csv", "lm_targets.csv"
-# What the computer took the trim at the least thrust to be, m/s^2 (TRIMACCL of Luminary 099).
+# Acceleration of the trim phase at minimum thrust in the computer, m/s^2 (TRIMACCL of Luminary
+# 099).
 TRIM_ACCELERATION = 0.350132708
 
 
 def targets(load: str = FLOWN) -> Targets:
-    """Return a load by name: ENU here, NaN where the load has no value."""
+    """Return a load by name in ENU; NaN where the load has no value."""
     out = {}
     with (DATA / load).open() as file:
         for row in csv.DictReader(file):
@@ -56,21 +59,23 @@ def targets(load: str = FLOWN) -> Targets:
     return out
 
 
-def only(t: Targets, name: str) -> float:
-    """Return the size of what is no vector, in whichever column it stands."""
+def scalar(t: Targets, name: str) -> float:
+    """Return the absolute value of a scalar entry, whichever column holds it."""
     return next(abs(v) for v in t[name] if np.isfinite(v))
 
 
 def _jerk(t: Targets, of: str) -> float:
-    """Return the jerk along the velocity at the end of a phase, m/s^3; a load gives eight times it.
+    """Return the jerk along the velocity at the end of a phase, m/s^3.
 
-    The law counts along that velocity, which at the end of Apollo 11's braking points back.
+    A load gives eight times the jerk. The law counts along the final velocity,
+    which points backwards
+    at the end of Apollo 11's braking.
     """
     return t[f"J{of}*"][0] / 8.0 * float(np.sign(t[f"V{of}"][0]))
 
 
-def loaded(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario with the targets of a load in `[braking]`, `[approach]`, `[descent]`."""
+def with_load(scenario: Scenario, load: str = FLOWN) -> Scenario:
+    """Return a scenario with the targets of a load in all descent phases."""
     t = targets(load)
     high = scenario.vehicle.com_height_m
     braking = {
@@ -78,8 +83,8 @@ def loaded(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "end_velocity_m_s": t["VBRFG"],
         "end_acceleration_m_s2": t["ABRFG"],
         "jerk_m_s3": _jerk(t, "BRFG"),
-        "ends_at_s": only(t, "TENDBRAK"),
-        "trim_s": only(t, "ZOOMTIME"),
+        "ends_at_s": scalar(t, "TENDBRAK"),
+        "trim_s": scalar(t, "ZOOMTIME"),
     }
     approach: dict[str, Any] = {
         "vertical_altitude_m": t["RAPFG"][2] - high,
@@ -88,33 +93,33 @@ def loaded(scenario: Scenario, load: str = FLOWN) -> Scenario:
         "arrival_velocity_m_s": t["VAPFG"][:2],
         "arrival_acceleration_m_s2": t["AAPFG"],
         "jerk_m_s3": _jerk(t, "APFG"),
-        "ends_at_s": only(t, "TENDAPPR"),
+        "ends_at_s": scalar(t, "TENDAPPR"),
         "time_to_go_s": None,
         "descent_speed_m_s": None,
     }
-    if load == SAMPLE:  # without a first guess of P64's time, and with nothing of P65
+    if load == SAMPLE:  # the sample load has no first guess of the P64 time and no P65 values
         return scenario.changed(braking=braking, approach=approach)
-    approach["time_to_go_s"] = only(t, "TENDBRAK") + only(t, "DELTTFAP")
+    approach["time_to_go_s"] = scalar(t, "TENDBRAK") + scalar(t, "DELTTFAP")
     approach["descent_speed_m_s"] = -t["V2FG"][2]
-    descent = {"kind": "velocity-null", "time_constant_s": only(t, "TAUVERT")}
+    descent = {"kind": "velocity-null", "time_constant_s": scalar(t, "TAUVERT")}
     return scenario.changed(braking=braking, approach=approach, descent=descent)
 
 
-def started(scenario: Scenario, load: str = FLOWN) -> Scenario:
-    """Return a scenario that begins where the load's ignition algorithm ignites.
+def with_ignition_start(scenario: Scenario, load: str = FLOWN) -> Scenario:
+    """Return a scenario that starts at the ignition point of a load.
 
-    RIGN and VIGN are where and how fast over ground the lander is to be at throttle-up, the trim
-    at the least thrust made up for (IGNALG and DDUMCALC of Luminary 099; on a path through RIGN
-    the algorithm's other terms are nought). Ignition is a coast of ZOOMTIME before. The coast is
-    taken to be level at RIGN: powered descent began where the orbit came nearest.
+    RIGN and VIGN are the position and horizontal speed at throttle-up, compensated for the trim at
+    minimum thrust (IGNALG and DDUMCALC of Luminary 099; the other terms of the algorithm are zero
+    on a path through RIGN). Ignition is a coast of ZOOMTIME earlier. The coast is assumed to be
+    horizontal at RIGN because powered descent began at pericynthion.
     """
     t, moon = targets(load), scenario.moon.make().gravity(scenario.gravity_m_s2)
     along, up = abs(t["RIGNZ"][0]), t["RIGNX"][2]
     out = np.array([along, 0.0, up + moon.radius])
     level = np.array([-out[2], 0.0, out[0]]) / np.hypot(out[0], out[2])
-    zoom = only(t, "ZOOMTIME")
-    speed = only(t, "VIGN") + TRIM_ACCELERATION * zoom
-    place, velocity = coasted(moon, np.array([along, 0.0, up]), speed * level, -zoom)
+    zoom = scalar(t, "ZOOMTIME")
+    speed = scalar(t, "VIGN") + TRIM_ACCELERATION * zoom
+    place, velocity = coast(moon, np.array([along, 0.0, up]), speed * level, -zoom)
     way = float(np.sign(t["VBRFG"][0]))
     end = (way * t["RBRFG"][0], way * t["VBRFG"][0], way * t["ABRFG"][0])
     here, guess = (way * place[0], way * velocity[0]), scenario.braking.time_to_go_s
@@ -125,10 +130,10 @@ def started(scenario: Scenario, load: str = FLOWN) -> Scenario:
     )
 
 
-def coasted(
+def coast(
     moon: CentralGravity, position: Array, velocity: Array, time: float
 ) -> tuple[Array, Array]:
-    """Return position and velocity (3,) after a time without thrust, s, which may be negative."""
+    """Return position and velocity (3,) after a coast; the time (s) may be negative."""
 
     def rate(_: float, state: Array) -> Array:
         return np.concatenate((state[3:], moon.felt(state[:3], state[3:])))
@@ -139,23 +144,23 @@ def coasted(
 
 
 def uprange(scenario: Scenario) -> float:
-    """Return the way over the sphere from the start to the site, m."""
+    """Return the great-circle distance from the start to the site, m."""
     radius, (x, y, z) = scenario.moon.radius_m, scenario.start.position_m
     return float(radius * np.arctan2(np.hypot(x, y), z + radius))
 
 
 @dataclass(frozen=True)
-class Track:
-    """A descent by time since ignition.
+class DescentTrack:
+    """A descent as a function of time since ignition.
 
     Attributes
     ----------
     time
-        (n,), s.
+        Time since ignition (n,), s.
     altitude
-        Over the site's level, m; NaN where there is none.
+        Altitude above the horizontal plane of the site (n,), m; NaN where unknown.
     pitch
-        Of the thrust axis from the site's vertical, back along the way flown, rad.
+        Angle of the thrust axis from the vertical of the site, backwards along the path (n,), rad.
     """
 
     time: Array
@@ -163,41 +168,43 @@ class Track:
     pitch: Array
 
 
-def record() -> Track:
+def record() -> DescentTrack:
     """Return the record of Apollo 11.
 
-    The platform was aligned with the site's vertical at landing, so its inner gimbal angle is the
-    pitch from that: no arc to the site comes in. The Moon turns by 0.07 deg meanwhile. Roll and
-    the yaw to face the sky (middle and outer angles) are left alone: nothing here flies them.
+    The platform was aligned with the vertical of the site at landing. The inner gimbal angle is
+    therefore the pitch from that vertical,
+    without a term for the arc to the site. The Moon rotates by
+    0.07 deg during the descent. Roll and the yaw to the face-up attitude (middle and outer gimbal
+    angles) are not used: the simulation does not include them.
     """
     with (DATA / "apollo11_descent.csv").open() as file:
         rows = list(csv.DictReader(file))
     time = np.array([float(r["time_s"]) for r in rows]) + LOCK_ON
     height = np.array([float(r["range_m"]) if r["range_m"] else np.nan for r in rows])
     pitch = np.array([float(r["inner_deg"]) if r["inner_deg"] else np.nan for r in rows])
-    return Track(time, height, np.deg2rad((pitch + 180.0) % 360.0 - 180.0))
+    return DescentTrack(time, height, np.deg2rad((pitch + 180.0) % 360.0 - 180.0))
 
 
-def flown(flight: Flight, moon: CentralGravity, com_height: float) -> Track:
-    """Return the track of a flight, its altitude that of the pads over the site's level."""
+def track_of(flight: Flight, moon: CentralGravity, com_height: float) -> DescentTrack:
+    """Return the track of a flight with the altitude of the pads above the site."""
     t = flight.trajectory
     axis = quat_rotate(
         np.column_stack([t[f"attitude_{a}"] for a in "xyzw"]), np.array([0.0, 0.0, 1.0])
     )
     height = moon.height(flight.positions) - flight.target[2] - com_height
-    return Track(t["time"], height, np.arctan2(axis[:, 0], axis[:, 2]))
+    return DescentTrack(t["time"], height, np.arctan2(axis[:, 0], axis[:, 2]))
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Differences of a flight from the record over a stretch of time.
+class RecordDifference:
+    """Differences of a flight from the record over a time interval.
 
     Attributes
     ----------
     altitude, pitch
-        Root mean square, m and rad; NaN where there is nothing to compare.
+        Root-mean-square difference, m and rad; NaN without data.
     rows
-        Of the record with an altitude.
+        Number of rows of the record with an altitude.
     """
 
     altitude: float
@@ -205,11 +212,13 @@ class Beside:
     rows: int
 
 
-def beside(flight: Track, told: Track, since: float, until: float) -> Beside:
-    """Compare a flight with the record from one time to another, both since ignition, s."""
-    part = (told.time >= since) & (told.time < min(until, float(flight.time[-1])))
+def record_difference(
+    flight: DescentTrack, recorded: DescentTrack, since: float, until: float
+) -> RecordDifference:
+    """Compare a flight with the record in an interval of time since ignition, s."""
+    part = (recorded.time >= since) & (recorded.time < min(until, float(flight.time[-1])))
     off = {
-        name: np.interp(told.time, flight.time, getattr(flight, name)) - getattr(told, name)
+        name: np.interp(recorded.time, flight.time, getattr(flight, name)) - getattr(recorded, name)
         for name in ("altitude", "pitch")
     }
 
@@ -218,23 +227,25 @@ def beside(flight: Track, told: Track, since: float, until: float) -> Beside:
         return float(np.sqrt(np.mean(good**2))) if len(good) else float("nan")
 
     known = int(np.isfinite(off["altitude"][part]).sum())
-    return Beside(rms(off["altitude"][part]), rms(off["pitch"][part]), known)
+    return RecordDifference(rms(off["altitude"][part]), rms(off["pitch"][part]), known)
 
 
 def event(flight: Flight, name: str) -> float:
-    """Return when something of a name first happened, s; NaN if it did not."""
+    """Return the time of the first event of a name, s; NaN if there is none."""
     return next((float(e["time"]) for e in flight.events if e["name"] == name), float("nan"))
 
 
-def at(flight: Flight, values: Array, time: float) -> float:
-    """Return values (n,) of a flight at a time, s; NaN at NaN."""
+def value_at(flight: Flight, values: Array, time: float) -> float:
+    """Interpolate values (n,) of a flight at a time, s; NaN at NaN."""
     inside = np.isfinite(time)
     return float(np.interp(time, flight.trajectory["time"], values)) if inside else float("nan")
 
 
-def told_of(flight: Flight, moon: CentralGravity, com_height: float, full: float) -> dict[str, Any]:
-    """Return what a flight is told by: times, heights, masses; `full` is the fixed throttle, N."""
-    track, t = flown(flight, moon, com_height), flight.trajectory
+def flight_summary(
+    flight: Flight, moon: CentralGravity, com_height: float, full: float
+) -> dict[str, Any]:
+    """Return times, altitudes and masses of a flight; `full` is the fixed throttle, N."""
+    track, t = track_of(flight, moon, com_height), flight.trajectory
     after = (t["time"] > 60.0) & (t["thrust"] < 0.99 * full)
     recovery = float(t["time"][np.argmax(after)]) if after.any() else float("nan")
     spent = t["mass"][0] - t["mass"]
@@ -247,11 +258,11 @@ def told_of(flight: Flight, moon: CentralGravity, com_height: float, full: float
         "propellant_kg": flight.propellant_used - jets,
         "thruster_propellant_kg": jets,
         "miss_m": float(np.hypot(*(flight.positions[-1, :2] - flight.target[:2]))),
-        "burnt_at_lock_on_kg": at(flight, spent, LOCK_ON),
+        "burnt_at_lock_on_kg": value_at(flight, spent, LOCK_ON),
     }
     for name, time in (("recovery", recovery), ("approach", approach), ("last", last)):
-        out |= {f"{name}_s": time, f"{name}_altitude_m": at(flight, track.altitude, time)}
+        out |= {f"{name}_s": time, f"{name}_altitude_m": value_at(flight, track.altitude, time)}
     marks = [0.0, approach, last, flight.duration]
-    burnt = np.diff([at(flight, spent, time) for time in marks])
+    burnt = np.diff([value_at(flight, spent, time) for time in marks])
     out |= dict(zip(("braking_kg", "approach_kg", "last_kg"), map(float, burnt), strict=True))
     return out

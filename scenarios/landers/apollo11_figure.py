@@ -1,4 +1,4 @@
-"""The figure of the Apollo 11 descent: flights beside the record."""
+"""Plot flights of the Apollo 11 descent together with the record."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from landers import apollo11
 
 from lunarsim.viz.style import COLOURS, new_figure
 
-_FULL = 46_706.0  # what the throttle's per cent are counted from, N
+_FULL_THRUST_N = 46_706.0  # 100 % throttle, N
 
 
-def drawn(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: Path) -> Path:
-    """Draw altitude, pitch, throttle, look angle and ground of flights; return the path."""
+def draw_descent(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: Path) -> Path:
+    """Plot altitude, pitch, throttle, look angle and terrain; return the path."""
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(2, 2)
-    told = apollo11.record()
-    known = np.isfinite(told.altitude)
+    recorded = apollo11.record()
+    known = np.isfinite(recorded.altitude)
     black = {"color": "black", "linewidth": 1.0, "label": "record"}
-    axes[0, 0].plot(told.time[known], told.altitude[known] / 1e3, **black)
-    axes[0, 1].plot(told.time, np.rad2deg(told.pitch), **black)
+    axes[0, 0].plot(recorded.time[known], recorded.altitude[known] / 1e3, **black)
+    axes[0, 1].plot(recorded.time, np.rad2deg(recorded.pitch), **black)
     for run, colour in zip(runs, COLOURS, strict=False):
-        _one(axes, run, colour, look_angles(run.flight))
-    _ground(axes[0, 0], runs[0])
+        _plot_run(axes, run, colour, look_angles(run.flight))
+    _plot_terrain(axes[0, 0], runs[0])
     for panel, label in zip(
         axes.ravel(),
-        ("height over the site's level, km", "pitch back from the site's vertical, deg",
-         "throttle, % of 46,706 N", "look angle to the site in P64, deg"),
+        ("Altitude above the site (km)", "Pitch from the vertical of the site (deg)",
+         "Throttle (% of 46,706 N)", "Look angle to the site in P64 (deg)"),
         strict=True,
     ):  # fmt: skip
-        panel.set_xlabel("time since ignition, s")
+        panel.set_xlabel("Time since ignition (s)")
         panel.set_ylabel(label)
         panel.legend()
         for phase in (apollo11.P64, apollo11.P66):
@@ -40,29 +40,29 @@ def drawn(runs: Sequence[Any], look_angles: Callable[[Any], np.ndarray], path: P
     axes[1, 1].axhspan(-5.0, 65.0, color="0.93", zorder=0)
     axes[1, 1].set_xlim(400.0, apollo11.LANDING)
     figure.suptitle(
-        "From ignition to the ground: guidance with Apollo 11's own load, and its record "
-        "(grey lines: its P64 and P66)"
+        "Apollo 11 descent: simulation with the Apollo 11 load, and flight record "
+        "(grey lines: start of P64 and P66)"
     )
     figure.savefig(path, dpi=110)
     return path
 
 
-def _one(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
+def _plot_run(axes: Any, run: Any, colour: str, look: np.ndarray) -> None:
     flight, lander = run.flight, run.sim.lander
-    track = apollo11.flown(flight, run.sim.world.moon, lander.com_height)
+    track = apollo11.track_of(flight, run.sim.world.moon, lander.com_height)
     line = {"color": colour, "linewidth": 1.2, "label": run.name}
     axes[0, 0].plot(track.time, track.altitude / 1e3, **line)
     axes[0, 1].plot(track.time, np.rad2deg(track.pitch), **line)
-    axes[1, 0].plot(track.time, 100.0 * flight.trajectory["thrust"] / _FULL, **line)
+    axes[1, 0].plot(track.time, 100.0 * flight.trajectory["thrust"] / _FULL_THRUST_N, **line)
     approach = flight.trajectory["phase"] == 0
     axes[1, 1].plot(track.time[approach], np.rad2deg(look[approach]), **line)
 
 
-def _ground(panel: Any, run: Any) -> None:
-    """Draw the ground under the lander, 10 times as high as it is."""
+def _plot_terrain(panel: Any, run: Any) -> None:
+    """Plot the terrain height under the vehicle, scaled by 10."""
     about, positions = run.sim.world.surroundings, run.flight.positions[::20]
     ground = about.elevation(about.way(positions))
     panel.plot(
         run.flight.trajectory["time"][::20], 10.0 * ground / 1e3, color="0.55", linewidth=1.0,
-        label="ground below (P65), x 10",
+        label="terrain height (P65), x 10",
     )  # fmt: skip

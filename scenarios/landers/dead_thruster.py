@@ -1,7 +1,7 @@
-"""What it is worth to notice a thruster that does not push: flights with and without the watch.
+"""Compare flights with a failed thruster with and without fault detection.
 
-The watch was tuned on thrusters 0, 1, 4 and 5 and seeds 1 to 3; `--held-out` flies the others, and
-`--nominal` flights in which none fails, for its false alarms.
+The fault detection was tuned on thrusters 0, 1, 4 and 5 and seeds 1 to 3. `--held-out` flies with
+failures of the other thrusters, and `--nominal` adds flights without failure to count false alarms.
 
 python scenarios/landers/dead_thruster.py
 python scenarios/landers/dead_thruster.py --held-out --first-seed 101 --seeds 2 --nominal 50
@@ -19,7 +19,7 @@ from lunarsim.onboard.control.jets import JetLoop
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-SMALL = {
+BASE_SCENARIO = {
     "terrain": {"kind": "fractal", "size_m": 120.0, "posting_m": 1.0, "rms_slope_deg": 3.0},
     "rocks": {"cover": 0.02},
     "vehicle": {"kind": "jet-lander"},
@@ -27,51 +27,57 @@ SMALL = {
     "mappers": {},
     "tasking": {},
 }
-FROM = 5.0  # when the thruster dies, s
+FAILURE_TIME_S = 5.0  # time of the failure, s
 TUNED_ON = (0, 1, 4, 5)
 
 
 def fly(control: str, shut: int | None, seed: int, watch: bool) -> tuple[bool, float, float, int]:
-    """Return what became of a flight in which a thruster is shut, or none.
+    """Fly with one thruster shut, or none, and return the outcome.
 
-    Whether it landed safe, its tilt there, deg, when it noticed, s, and how many of those that do
-    push it gave up.
+    Returns whether the landing was safe, the tilt at touchdown (deg), the time of detection (s),
+    and
+    the number of working thrusters that were isolated.
     """
-    faults = {"jets_shut": [] if shut is None else [shut], "jets_from_s": FROM}
-    scenario = Scenario.from_dict({**SMALL, "control": {"kind": control}, "faults": faults})
+    faults = {"jets_shut": [] if shut is None else [shut], "jets_from_s": FAILURE_TIME_S}
+    scenario = Scenario.from_dict({**BASE_SCENARIO, "control": {"kind": control}, "faults": faults})
     sim = Simulation(scenario, seed, "no-divert")
     loop = sim.computer.attitude_loop
     assert isinstance(loop, JetLoop)
     if not watch:
         loop.watch.see = lambda *_: []  # type: ignore[method-assign]
     flight = sim.run()
-    told = [e for e in flight.events if e["name"] == "thruster-failed"]
-    noticed = next((e["time"] for e in told if e["thruster"] == shut), np.nan)
+    detections = [e for e in flight.events if e["name"] == "thruster-failed"]
+    noticed = next((e["time"] for e in detections if e["thruster"] == shut), np.nan)
     touchdown = flight.verdict.touchdown
     tilt = np.nan if touchdown is None else float(np.rad2deg(touchdown.tilt))
-    wrong = sum(e["thruster"] != shut for e in told)
+    wrong = sum(e["thruster"] != shut for e in detections)
     return flight.verdict.safe, tilt, noticed, wrong
 
 
 def nominal(console: Console, control: str, flights: int, first: int) -> None:
-    """Fly with all thrusters, and print how often the watch gave one up."""
+    """Fly without failure and print the rate of false alarms."""
     rows = [fly(control, None, first + n, watch=True) for n in range(flights)]
     alarms = Proportion(sum(row[3] > 0 for row in rows), flights)
     safe = sum(row[0] for row in rows)
     console.print(
-        f"{control}, nothing dead: {safe} of {flights} safe, "
-        f"false alarms in {alarms.count}: {alarms}"
+        f"{control}, no failure: {safe} of {flights} safe, false alarms in {alarms.count}: {alarms}"
     )
 
 
 @click.command()
-@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Of each.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    help="Number of seeds per case.",
+)
 @click.option("--first-seed", type=click.IntRange(min=0), default=1, show_default=True)
-@click.option("--held-out", is_flag=True, help="The thrusters that the watch was not tuned on.")
+@click.option("--held-out", is_flag=True, help="Fail thrusters that the tuning did not use.")
 @click.option("--nominal", "whole", type=click.IntRange(min=0), default=0, show_default=True,
-              help="Flights of each control besides in which none fails.")  # fmt: skip
+              help="Number of extra flights per control without failure.")  # fmt: skip
 def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
-    """Fly landers with a dead thruster with and without the watch, and print what becomes."""
+    """Fly with a failed thruster, with and without detection."""
     console = plain_console(160)
     shut_ones = [n for n in range(16) if (n in TUNED_ON) != held_out]
     for control in ("phase-plane", "quaternion-feedback"):
@@ -82,14 +88,16 @@ def main(seeds: int, first_seed: int, held_out: bool, whole: int) -> None:
             ])  # fmt: skip
             seen = rows[np.isfinite(rows[:, 2]), 2]
             when = (
-                f", noticed {len(seen)}, {np.median(seen) - FROM:.1f} s after (median; most "
-                f"{seen.max() - FROM:.1f}), others given up {rows[:, 3].sum():.0f}"
+                f", detected {len(seen)}, after {np.median(seen) - FAILURE_TIME_S:.1f} s (median; "
+                f"maximum "
+                f"{seen.max() - FAILURE_TIME_S:.1f}), false isolations {rows[:, 3].sum():.0f}"
             ) if len(seen) else ""  # fmt: skip
             how = "with" if watch else "without"
             safe, tilt = int(rows[:, 0].sum()), rows[:, 1]
             console.print(
-                f"{control}, {how} the watch: {safe} of {len(rows)} safe, "
-                f"tilt {np.nanmedian(tilt):.1f} deg (median), {np.nanmax(tilt):.1f} (most){when}"
+                f"{control}, {how} fault detection: {safe} of {len(rows)} safe, "
+                f"tilt {np.nanmedian(tilt):.1f} deg (median), {np.nanmax(tilt):.1f} deg "
+                f"(maximum){when}"
             )
         if whole:
             nominal(console, control, whole, first_seed)

@@ -1,7 +1,7 @@
-"""What propellant that swings in its tanks does to the attitude: the same flights with and without.
+"""Compare attitude control with and without propellant slosh.
 
-Four tanks about the middle of the default lander with thrusters. Tilt against what is commanded,
-body rates, firings and propellant of the thrusters over the descent, and what touches down.
+Four tanks around the center of the default lander with thrusters. The table reports the attitude
+error, body rates, thruster firings and thruster propellant over the descent, and the touchdown.
 
 python scenarios/landers/slosh.py --flights 10
 """
@@ -23,16 +23,16 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.simulation.recorder import Tap
 
-SMALL = {
+BASE_SCENARIO = {
     "terrain": {"kind": "fractal", "size_m": 120.0, "posting_m": 1.0, "rms_slope_deg": 3.0},
     "rocks": {"cover": 0.02},
     "sensors": {"imu": {"kind": "imu"}, "fix": {"kind": "navigation-fix", "position_bias_m": 0.5}},
     "mappers": {},
     "tasking": {},
 }
-# Of 100 kg each when full, 0.3 m deep, with the liquid's middle at the lander's.
+# Tanks of 100 kg each when full, 0.3 m deep, with the liquid at the height of the center of mass.
 TANKS = [[0.5, 0.0, -0.15], [0.0, 0.5, -0.15], [-0.5, 0.0, -0.15], [0.0, -0.5, -0.15]]
-# The first turn is over, and how much of the end is looked at by itself, s.
+# End of the initial turn; length of the final interval that is reported separately, s.
 BEGIN, END = 5.0, 4.0
 CONTROLS = ("phase-plane", "quaternion-feedback")
 CASES: dict[str, dict[str, object]] = {
@@ -47,7 +47,7 @@ CASES: dict[str, dict[str, object]] = {
 
 
 @dataclass(frozen=True)
-class Task:
+class SloshTask:
     """One flight."""
 
     control: str
@@ -56,8 +56,8 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What became of it; attitude error and rate are rms, of the whole flight and of its end."""
+class SloshFlight:
+    """Results of a flight; attitude errors and rates are RMS (flight, and its end)."""
 
     control: str
     case: str
@@ -73,10 +73,12 @@ class Flown:
     side_m_s: float
 
 
-def fly(task: Task) -> Flown:
-    """Return the figures of a flight from 5 s on, when the first turn is over."""
+def fly(task: SloshTask) -> SloshFlight:
+    """Return the results of a flight from 5 s, after the initial turn."""
     vehicle = {"kind": "jet-lander", "slosh": CASES[task.case]}
-    scenario = Scenario.from_dict({**SMALL, "vehicle": vehicle, "control": {"kind": task.control}})
+    scenario = Scenario.from_dict(
+        {**BASE_SCENARIO, "vehicle": vehicle, "control": {"kind": task.control}}
+    )
     tap = Tap()
     flight = Simulation(scenario, task.seed, "no-divert", tap=tap).run()
     t = flight.trajectory
@@ -92,7 +94,7 @@ def fly(task: Task) -> Flown:
         [float(np.sqrt(np.mean(x[span] ** 2))) for x in (error, speed)] for span in spans
     )
     last, touchdown = flight.events[-1], flight.verdict.touchdown
-    return Flown(
+    return SloshFlight(
         task.control, task.case, task.seed, flight.verdict.safe, all_error, all_rate, end_error,
         end_rate, float(last["thruster_propellant_kg"]), int(np.sum(last["thruster_firings"])),
         float(np.max(last.get("slosh_most_deg", 0.0))),
@@ -100,11 +102,12 @@ def fly(task: Task) -> Flown:
     )  # fmt: skip
 
 
-def report(console: Console, flown: list[Flown]) -> None:
-    """Print a line for each control and each kind of tank, medians over the flights."""
+def report(console: Console, flown: list[SloshFlight]) -> None:
+    """Print a line for each control and tank, with medians over the flights."""
     console.print(
-        "| control | tanks | landed safe | error deg, rms | rate deg/s, rms | same, last 4 s | "
-        "thrusters kg | firings | swing deg, most | side m/s |"
+        "| control | tanks | safe landings | attitude error, RMS (deg) | body rate, RMS (deg/s) | "
+        "both, last 4 s | "
+        "thruster propellant (kg) | firings | slosh angle, maximum (deg) | lateral speed (m/s) |"
     )
     console.print("|" + " --- |" * 10)
     for control in CONTROLS:
@@ -113,7 +116,7 @@ def report(console: Console, flown: list[Flown]) -> None:
             if not some:
                 continue
 
-            def middle(name: str, of: list[Flown] = some) -> float:
+            def middle(name: str, of: list[SloshFlight] = some) -> float:
                 return float(np.nanmedian([getattr(one, name) for one in of]))
 
             most = max(one.slosh_deg for one in some)
@@ -127,17 +130,32 @@ def report(console: Console, flown: list[Flown]) -> None:
 
 
 @click.command()
-@click.option("--flights", type=click.IntRange(min=1), default=10, show_default=True, help="Each.")
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the first."
+    "--flights",
+    type=click.IntRange(min=1),
+    default=10,
+    show_default=True,
+    help="Number of flights per case.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=1,
+    show_default=True,
+    help="Seed of the first flight.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Output file of all values.",
+)
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
-    """Fly the same descents with and without liquid that swings, and print what it does."""
+    """Fly the same descents with and without propellant slosh."""
     console = plain_console(180, soft_wrap=True)
     tasks = [
-        Task(control, case, seed + n)
+        SloshTask(control, case, seed + n)
         for control in CONTROLS for case in CASES for n in range(flights)
     ]  # fmt: skip
     flown = gathered(fly, tasks, jobs, console, "flights")

@@ -1,9 +1,9 @@
-"""What thrusters change in the hazard map, against an attitude that obeys: the same flights.
+"""Compare hazard maps with thruster and with ideal attitude control.
 
-The shadow EKF paper turns its lander along the great circle to what is asked for, at a limited rate
-(section IV.A.3). Here the same descents, over the same ground and with the same noise, are flown so
-and with on-off thrusters. The lander finds its way by its own instruments and maps by LiDAR; what
-the map is worth, and where the lander comes down, are set side by side.
+The shadow EKF paper turns its vehicle along the great circle to the commanded attitude at a limited
+rate (section IV.A.3). Here the same descents, over the same terrain and with the same noise, are
+flown with that ideal attitude and with on-off thrusters. The vehicle navigates with its own
+instruments and maps by LiDAR. The report compares the map quality and the landing position.
 
 python scenarios/landers/thrusters_and_map.py --flights 20
 """
@@ -46,7 +46,7 @@ WORLD = {
     },
     "navigation": {"kind": "inertial"},
 }
-# The first is what the others are set against.
+# The first entry is the reference of the comparison.
 WAYS: dict[str, dict[str, object]] = {
     "ideal": {"control": {"kind": "ideal"}},
     "phase-plane": {"control": {"kind": "phase-plane"}, "vehicle": {"kind": "jet-lander"}},
@@ -54,23 +54,23 @@ WAYS: dict[str, dict[str, object]] = {
         "control": {"kind": "quaternion-feedback"}, "vehicle": {"kind": "jet-lander"}
     },
 }  # fmt: skip
-FIGURES = {
-    "position_m": "position off at scans, about its mean, rms m",
-    "attitude_mrad": "attitude off at scans, rms mrad",
-    "rate_deg_s": "body rate at scans, rms deg/s",
-    "height_m": "map's height off, rms m",
-    "mean_m": "map's height off, mean m",
+METRICS = {
+    "position_m": "position error at scans without mean, RMS (m)",
+    "attitude_mrad": "attitude error at scans, RMS (mrad)",
+    "rate_deg_s": "body rate at scans, RMS (deg/s)",
+    "height_m": "map height error, RMS (m)",
+    "mean_m": "map height error, mean (m)",
     "precision": "precision",
     "recall": "recall",
-    "miss_m": "touchdown from the site m",
-    "tilt_deg": "tilt at touchdown deg",
-    "thruster_kg": "thrusters kg",
-    "engine_kg": "all propellant kg",
+    "miss_m": "touchdown distance from the site (m)",
+    "tilt_deg": "tilt at touchdown (deg)",
+    "thruster_kg": "thruster propellant (kg)",
+    "engine_kg": "total propellant (kg)",
 }
 
 
 @dataclass(frozen=True)
-class Task:
+class ThrusterMapTask:
     """One flight."""
 
     way: str
@@ -79,8 +79,8 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it; NaN where there is nothing to measure."""
+class ThrusterMapFlight:
+    """Results of a flight; NaN where there is no data."""
 
     way: str
     flight: int
@@ -89,8 +89,8 @@ class Flown:
     figures: dict[str, float]
 
 
-def fly(task: Task) -> Flown:
-    """Fly once, and measure."""
+def fly(task: ThrusterMapTask) -> ThrusterMapFlight:
+    """Fly once and compute the metrics."""
     scenario = Scenario.from_dict({**WORLD, **WAYS[task.way]})
     tap = Tap()
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest", tap=tap)
@@ -107,7 +107,7 @@ def fly(task: Task) -> Flown:
         "attitude_mrad": 1e3
         * _rms(np.array([quat_angle(e.attitude, s.attitude) for s, e in seen])),
         "rate_deg_s": float(np.rad2deg(_rms(np.array([np.linalg.norm(s.rate) for s, _ in seen])))),
-    } | _map_figures(simulation, flight)
+    } | _map_metrics(simulation, flight)
     touchdown, last = flight.verdict.touchdown, flight.events[-1]
     if touchdown is not None:
         site = flight.sites[-1] - flight.map_error
@@ -115,17 +115,17 @@ def fly(task: Task) -> Flown:
         figures["tilt_deg"] = float(np.rad2deg(touchdown.tilt))
     figures["thruster_kg"] = float(last.get("thruster_propellant_kg", 0.0))
     figures["engine_kg"] = flight.propellant_used
-    whole = {name: figures.get(name, float("nan")) for name in FIGURES}
+    whole = {name: figures.get(name, float("nan")) for name in METRICS}
     verdict = flight.verdict
-    return Flown(task.way, task.flight, verdict.safe, ", ".join(verdict.failed), whole)
+    return ThrusterMapFlight(task.way, task.flight, verdict.safe, ", ".join(verdict.failed), whole)
 
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _map_figures(simulation: Simulation, flight: Flight) -> dict[str, float]:
-    """Return how far the last map's heights are off the true ground, and what it calls safe."""
+def _map_metrics(simulation: Simulation, flight: Flight) -> dict[str, float]:
+    """Return height errors, precision and recall of the last map."""
     found, error = flight.hazard_map, flight.map_error
     if found is None or found.elevation is None:
         return {}
@@ -139,17 +139,17 @@ def _map_figures(simulation: Simulation, flight: Flight) -> dict[str, float]:
     }  # fmt: skip
 
 
-def report(console: Console, flown: list[Flown], seed: int) -> None:
-    """Print means, and mean differences to the first way over the same flights with intervals."""
+def report(console: Console, flown: list[ThrusterMapFlight], seed: int) -> None:
+    """Print means, and paired mean differences from the first variant with intervals."""
     ways = list(dict.fromkeys(one.way for one in flown))
     of = {way: [one for one in flown if one.way == way] for way in ways}
     console.print("| | " + " | ".join(ways) + " | " + " | ".join(
-        f"{way} less {ways[0]} [95 %]" for way in ways[1:]) + " |")  # fmt: skip
+        f"{way} minus {ways[0]} [95 % interval]" for way in ways[1:]) + " |")  # fmt: skip
     console.print("|" + " --- |" * (2 * len(ways)))
     landed = [str(Proportion(sum(o.safe for o in of[w]), len(of[w]))) for w in ways]
-    console.print("| landed safe | " + " | ".join(landed) + " |" + " |" * (len(ways) - 1))
+    console.print("| safe landings | " + " | ".join(landed) + " |" + " |" * (len(ways) - 1))
     rng = np.random.default_rng(seed)
-    for name, words in FIGURES.items():
+    for name, words in METRICS.items():
         values = {w: np.array([o.figures[name] for o in of[w]]) for w in ways}
         cells = [f"{np.nanmean(values[w]):.3f}" for w in ways]
         for way in ways[1:]:
@@ -157,18 +157,29 @@ def report(console: Console, flown: list[Flown], seed: int) -> None:
             cells.append(f"{d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}]")
         console.print(f"| {words} | " + " | ".join(cells) + " |")
     why = {w: [o.failed for o in of[w] if o.failed] for w in ways}
-    console.print(f"failed: {why}")
+    console.print(f"Failed criteria: {why}")
 
 
 @click.command()
-@click.option("--flights", type=click.IntRange(min=2), default=20, show_default=True, help="Each.")
+@click.option(
+    "--flights",
+    type=click.IntRange(min=2),
+    default=20,
+    show_default=True,
+    help="Number of flights per variant.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Output file of all values.",
+)
 def main(flights: int, seed: int, jobs: int, out: Path | None) -> None:
-    """Fly the same descents with an ideal attitude and with thrusters, and compare the maps."""
+    """Fly descents with ideal and thruster control; compare the maps."""
     console = plain_console(220, soft_wrap=True)
-    tasks = [Task(way, n, seed) for way in WAYS for n in range(flights)]
+    tasks = [ThrusterMapTask(way, n, seed) for way in WAYS for n in range(flights)]
     flown = gathered(fly, tasks, jobs, console, "flights")
     report(console, flown, seed)
     if out is not None:

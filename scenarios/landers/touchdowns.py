@@ -1,8 +1,8 @@
-"""What the static judgement of a touchdown is worth: beside the motion of the lander on its legs.
+"""Compare the static touchdown criteria with the simulated motion on the legs.
 
-A lander comes down on relief with rocks, anywhere, at speeds, tilts and rates drawn about those of
-flights. Each touchdown is judged twice: by the static limits, and by what becomes of the lander on
-legs that spring, damp and crush. The table counts both verdicts; the share of static-safe
+A vehicle touches down at random positions on relief with rocks, with random speeds, tilts and
+rates. Each touchdown is evaluated twice: by the static limits, and by a simulation of the motion on
+legs with spring, damping and crush. The table counts both outcomes; the fraction of static-safe
 touchdowns that tip over is given with its 95 % interval.
 
 python scenarios/landers/touchdowns.py --touchdowns 500 --jobs 2
@@ -39,7 +39,7 @@ from lunarsim.vehicle.legs import Legs, judge_motion
 from lunarsim.world.grounds.fractal import FractalGround
 from lunarsim.world.terrain import Terrain
 
-RELIEFS = (0.0, 3.0, 6.0)  # rms slope, deg
+RELIEFS = (0.0, 3.0, 6.0)  # RMS slope, deg
 COVERS = (0.02, 0.05)
 GRAVITY = 1.622
 PER_GROUND = 10
@@ -47,8 +47,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Task:
-    """Some touchdowns on one ground."""
+class TouchdownTask:
+    """Touchdowns on one terrain."""
 
     number: int
     count: int
@@ -61,8 +61,8 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Landed:
-    """Both verdicts of one touchdown."""
+class TouchdownOutcome:
+    """Both outcomes of one touchdown."""
 
     relief: float
     cover: float
@@ -72,12 +72,12 @@ class Landed:
     stroke_m: float
 
 
-def touching(
+def first_contact_state(
     lander: Lander, terrain: Terrain, rng: np.random.Generator, aside: float = 0.25
 ) -> State | None:
-    """Return a state in which the first pad has just touched; None over unknown ground.
+    """Return a state in which the first pad touches; None over unknown terrain.
 
-    `aside` is the deviation of the speed sideways, an axis, m/s.
+    `aside` is the standard deviation of the lateral speed per axis, m/s.
     """
     west, east, south, north = terrain.bounds
     room = 12.0
@@ -95,8 +95,8 @@ def touching(
     return State(np.array([*xy, drop]), velocity, attitude, rate, 1200.0)
 
 
-def land(task: Task) -> list[Landed]:
-    """Judge the touchdowns on one ground both ways."""
+def land(task: TouchdownTask) -> list[TouchdownOutcome]:
+    """Evaluate the touchdowns on one terrain both ways."""
     seed = flight_seed(task.seed, task.number)
     rocks = RockPopulation(cover=task.cover, min_diameter=0.2)
     terrain = FractalGround(size=80.0, rms_slope=np.deg2rad(task.relief)).build(
@@ -107,19 +107,21 @@ def land(task: Task) -> list[Landed]:
     dynamics = Dynamics(lander, GRAVITY)
     found = []
     while len(found) < task.count:
-        state = touching(lander, terrain, rng, task.aside)
+        state = first_contact_state(lander, terrain, rng, task.aside)
         if state is None:
             continue
         static = judge_touchdown(lander, state, terrain, GRAVITY)
         motion, rest = judge_motion(legs, dynamics, state, terrain)
         tilt = float("nan") if rest is None else float(np.rad2deg(rest.tilt))
         stroke = float("nan") if rest is None else float(rest.strokes.max())
-        found.append(Landed(task.relief, task.cover, static.failed, motion.failed, tilt, stroke))
+        found.append(
+            TouchdownOutcome(task.relief, task.cover, static.failed, motion.failed, tilt, stroke)
+        )
     return found
 
 
-def confusion(landed: list[Landed]) -> dict[str, int]:
-    """Return how often each pair of verdicts came."""
+def confusion(landed: list[TouchdownOutcome]) -> dict[str, int]:
+    """Return the count of each pair of outcomes."""
     counts = Counter(
         f"static {'safe' if not one.static else 'unsafe'}, "
         f"motion {'safe' if not one.motion else 'unsafe'}"
@@ -131,28 +133,37 @@ def confusion(landed: list[Landed]) -> dict[str, int]:
 @click.command()
 @click.option("--touchdowns", type=click.IntRange(min=1), default=500, show_default=True)
 @click.option("--friction", type=click.FloatRange(0.0, 3.0, min_open=True), default=0.7,
-              show_default=True, help="Between pads and ground.")  # fmt: skip
+              show_default=True, help="Friction coefficient between pads and terrain.")  # fmt: skip
 @click.option("--relief", "reliefs", type=click.FloatRange(0.0, 25.0), multiple=True,
-              default=RELIEFS, show_default=True, help="Rms slope, deg.")  # fmt: skip
+              default=RELIEFS, show_default=True,
+              help="RMS slope of the terrain (deg); repeatable.")  # fmt: skip
 @click.option("--aside", type=click.FloatRange(0.0, 5.0), default=0.25, show_default=True,
-              help="Deviation of the speed sideways, an axis, m/s.")  # fmt: skip
+              help="Lateral speed, 1 sigma per axis (m/s).")  # fmt: skip
 @click.option("--com-height", type=click.FloatRange(0.5, 6.0), default=Lander().com_height,
-              show_default=True, help="Of the centre of mass above the pads, m.")  # fmt: skip
+              show_default=True, help="Height of the center of mass above the pads "
+              "(m).")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--json", "out", type=click.Path(dir_okay=False, path_type=Path), help="All figures.")
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Output file of all values.",
+)
 def main(
     touchdowns: int, friction: float, reliefs: tuple[float, ...], aside: float, com_height: float,
     seed: int, jobs: int, out: Path | None,
 ) -> None:  # fmt: skip
-    """Set the static judgement of touchdowns beside the motion on legs."""
+    """Compare the static touchdown criteria with the motion on legs."""
     console = plain_console(120)
     cases = [(relief, cover) for relief in reliefs for cover in COVERS]
     tasks, left = [], touchdowns
     while left > 0:
         relief, cover = cases[len(tasks) % len(cases)]
         count = min(PER_GROUND, left)
-        tasks.append(Task(len(tasks), count, relief, cover, seed, friction, aside, com_height))
+        tasks.append(
+            TouchdownTask(len(tasks), count, relief, cover, seed, friction, aside, com_height)
+        )
         left -= count
     landed = [one for some in gathered(land, tasks, jobs, console, "grounds") for one in some]
     report(console, landed)
@@ -162,10 +173,18 @@ def main(
         out.write_text(json.dumps({"confusion": confusion(landed), "touchdowns": rows}, indent=1))
 
 
-def report(console: Console, landed: list[Landed]) -> None:
-    """Print the confusion by ground, and why static-safe touchdowns fail."""
-    table = Table(title="Touchdowns by static verdict and by motion")
-    for name in ("relief, deg", "cover", "n", "both safe", "static only", "motion only", "neither"):
+def report(console: Console, landed: list[TouchdownOutcome]) -> None:
+    """Print the confusion matrix by terrain, and why static-safe touchdowns fail."""
+    table = Table(title="Touchdown outcomes by static criteria and by motion")
+    for name in (
+        "RMS slope (deg)",
+        "rock cover",
+        "touchdowns",
+        "both safe",
+        "static only safe",
+        "motion only safe",
+        "neither safe",
+    ):
         table.add_column(name, justify="right")
     for relief, cover in [*sorted({(one.relief, one.cover) for one in landed}), (None, None)]:
         some = [o for o in landed if relief is None or (o.relief, o.cover) == (relief, cover)]
@@ -177,12 +196,15 @@ def report(console: Console, landed: list[Landed]) -> None:
     safe = [one for one in landed if not one.static]
     tipped = sum("tip-over" in one.motion for one in safe)
     console.print(
-        f"static-safe that tip over: {tipped} of {len(safe)}, {Proportion(tipped, len(safe))}; "
-        "goal: under 0.01"
+        f"Static-safe touchdowns that tip over: {tipped} of {len(safe)}, "
+        f"{Proportion(tipped, len(safe))}; "
+        "target: below 0.01"
     )
     why = dict(Counter(f for one in safe for f in one.motion))
-    console.print(f"static-safe, why the motion fails: {why}")
-    console.print(f"all that tip over: {sum('tip-over' in one.motion for one in landed)}")
+    console.print(f"Failed motion criteria of static-safe touchdowns: {why}")
+    console.print(
+        f"All touchdowns that tip over: {sum('tip-over' in one.motion for one in landed)}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Writes the policy of a Stable-Baselines3 agent as an ONNX file, which needs no trust to be flown.
+"""Export the policy of a Stable-Baselines3 agent to an ONNX file.
+
+An ONNX file contains no code, so it can be flown without trusting its source.
 
 python scenarios/learning/export_onnx.py out/ppo/checkpoint/model.zip --out out/ppo.onnx
 lunarsim evaluate Guidance-v0 --agent out/ppo.onnx
 
-It reads a pickle, which can run any code: export only what you trained. It needs the extras `rl`
-and `onnx`: pip install "lunarsim[rl,onnx]".
+The input file is a pickle, which can execute any code: export only agents that you trained. The
+script needs the extras `rl` and `onnx`: pip install "lunarsim[rl,onnx]".
 """
 
 from __future__ import annotations
@@ -18,9 +20,9 @@ from lunarsim_envs.agents.stored import load_model
 
 @click.command()
 @click.argument("agent", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="The ONNX file.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Output file (.onnx).")
 def main(agent: Path, out: Path) -> None:
-    """Write the policy of AGENT, a .zip file of Stable-Baselines3, as an ONNX file."""
+    """Export the policy of AGENT (Stable-Baselines3 .zip) to ONNX."""
     import torch
     from gymnasium.spaces import Box, Dict
 
@@ -28,8 +30,8 @@ def main(agent: Path, out: Path) -> None:
     space = policy.observation_space
     parts = dict(space.spaces) if isinstance(space, Dict) else {"observation": space}
 
-    class Action(torch.nn.Module):
-        """The action without exploration; of choices, the scores of all options."""
+    class DeterministicPolicy(torch.nn.Module):
+        """The deterministic action; for discrete actions, the scores of all options."""
 
         def __init__(self) -> None:
             super().__init__()
@@ -48,7 +50,7 @@ def main(agent: Path, out: Path) -> None:
 
     zeros = tuple(torch.zeros(1, *part.shape) for part in parts.values())
     out.parent.mkdir(parents=True, exist_ok=True)
-    torch.onnx.export(Action(), zeros, out, input_names=list(parts), dynamo=False)
+    torch.onnx.export(DeterministicPolicy(), zeros, out, input_names=list(parts), dynamo=False)
     click.echo(f"Written: {out}")
 
 

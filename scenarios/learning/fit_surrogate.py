@@ -1,12 +1,12 @@
-"""Fit the surrogate of a mapper to its flights, and lay its maps beside the mapper's on others.
+"""Fit the surrogate of a mapper and compare both on held-out flights.
 
     python scenarios/learning/fit_surrogate.py --out out/surrogate.npz
     python scenarios/learning/fit_surrogate.py --check
 
-The first flies the scenario over several covers of rocks and writes the file; `--check` alone takes
-the file that comes with the package. Both then fly covers and seeds that are kept out, and print
-calibration, missed and false rates and length of correlation of both, with the interval that
-resampling the mapper's flights gives.
+The first command flies the scenario with several rock covers and writes the file. `--check` without
+`--out` uses the file shipped with the package. Both then fly held-out covers and seeds, and print
+calibration, false-negative and false-positive rates, and correlation length of the mapper and the
+surrogate, with the interval from resampling the flights of the mapper.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from lunarsim_envs.sites.looks import LookedFlight, looked_flights
 from lunarsim_envs.sites.report import beside
 from lunarsim_envs.sites.surrogate import SHIPPED, Surrogate
 
-# Covers of rocks that are fitted, and those kept out; root seeds of both, one a cover.
-FITTED = (0.02, 0.03, 0.04, 0.055, 0.07, 0.0775, 0.085, 0.0925, 0.10, 0.125, 0.15)
-KEPT_OUT = (0.0475, 0.0625, 0.081, 0.11)
-SEED, OTHER_SEED = 501, 901
+# Rock covers of the fit, and held-out ones; root seeds of both, plus one per cover.
+FIT_COVERS = (0.02, 0.03, 0.04, 0.055, 0.07, 0.0775, 0.085, 0.0925, 0.10, 0.125, 0.15)
+HELD_OUT = (0.0475, 0.0625, 0.081, 0.11)
+SEED, HELD_OUT_SEED = 501, 901
 
 
-def flown(
+def fly_covers(
     scenario: Scenario, covers: Iterable[float], seed: int, flights: int
 ) -> list[list[LookedFlight]]:
-    """Return flights over each cover of rocks, told of as they land."""
+    """Return flights over each rock cover; print the progress."""
     out = []
     for number, cover in enumerate(covers):
         here = scenario.changed(rocks={"cover": cover})
         out.append(list(looked_flights(here, seed + number, range(flights))))
         share = np.mean([flight.safe_share for flight in out[-1]])
-        print(f"  cover {cover:g}: {flights} flights, {share:.2f} of the ground safe", flush=True)
+        print(f"  cover {cover:g}: {flights} flights, {share:.2f} of the terrain safe", flush=True)
     return out
 
 
 def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
-    """Print the surrogate's maps beside the mapper's, on ground that is kept out."""
+    """Print metrics of the surrogate and the mapper on held-out terrain."""
     rng = np.random.default_rng(1)
     inside = total = 0
-    grounds = flown(scenario, KEPT_OUT, OTHER_SEED, flights)
-    for cover, ground in zip(KEPT_OUT, grounds, strict=True):
+    grounds = fly_covers(scenario, HELD_OUT, HELD_OUT_SEED, flights)
+    for cover, ground in zip(HELD_OUT, grounds, strict=True):
         for scan in range(len(surrogate.altitudes)):
             print(f"cover {cover:g}, scan {scan + 1}: mapper, 95 % interval, surrogate")
             for row in beside(surrogate, ground, scan, rng):
@@ -62,22 +62,24 @@ def check(surrogate: Surrogate, scenario: Scenario, flights: int) -> None:
                     f"  {row.name:<48} {row.mapper:6.3f} [{row.low:6.3f}, {row.high:6.3f}] "
                     f"{row.surrogate:6.3f}{'' if row.within else '  outside'}"
                 )
-    print(f"{inside} of {total} within the interval")
+    print(f"{inside} of {total} values within the interval")
 
 
 def main() -> int:
-    """Fit, or check."""
+    """Fit a surrogate, or check one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", help="file or name; left out: that of Retarget-v0")
-    parser.add_argument("--flights", type=int, default=10, help="over each cover")
-    parser.add_argument("--out", type=Path, help="file to write (.npz)")
-    parser.add_argument("--check", action="store_true", help="fit none: check the shipped file")
+    parser.add_argument("--scenario", help="scenario file or name (default: that of Retarget-v0)")
+    parser.add_argument("--flights", type=int, default=10, help="number of flights per rock cover")
+    parser.add_argument("--out", type=Path, help="output file (.npz)")
+    parser.add_argument(
+        "--check", action="store_true", help="skip the fit and check an existing file"
+    )
     args = parser.parse_args()
     try:
         if args.flights < 4:
-            raise InputError("--flights", args.flights, "at least 4")
+            raise InputError("--flights", args.flights, "must be 4 or more")
         if not args.check and args.out is None:
-            raise InputError("--out", None, "a file name, or --check")
+            raise InputError("--out", None, "must be a file name unless --check is given")
         scenario = (
             default_scenario()
             if args.scenario is None
@@ -87,7 +89,7 @@ def main() -> int:
             surrogate = Surrogate.load(args.out or SHIPPED)
             surrogate.check(scenario)
         else:
-            surrogate = fitted(scenario, flown(scenario, FITTED, SEED, args.flights))
+            surrogate = fitted(scenario, fly_covers(scenario, FIT_COVERS, SEED, args.flights))
             surrogate.save(args.out)
             print(f"wrote {args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
         check(surrogate, scenario, args.flights)

@@ -1,4 +1,4 @@
-"""Flights of an agent on `Retarget-v0`, one after the other: what several studies compare."""
+"""Fly an agent on `Retarget-v0` for the studies that compare agents."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from lunarsim.scenario import Scenario
 from lunarsim_envs.agents.registry import agent_of
 
 
-class Flown(NamedTuple):
-    """Whether each flight landed safe, and what it burnt, kg (n,)."""
+class AgentFlights(NamedTuple):
+    """Results of each flight (n,): safe landing, and propellant used, kg."""
 
     safe: np.ndarray
     burnt: np.ndarray
 
 
-def flown(
+def fly_agent(
     agent: str, scenario: Scenario, perception: str, flights: int, worlds: int, seed: int
-) -> Flown:
-    """Fly an agent; flight i is the same for all of them, and starts alike on every perception."""
+) -> AgentFlights:
+    """Fly an agent; flight i has the same start for all agents and all perceptions."""
     env = gymnasium.make(
         "lunarsim/Retarget-v0", scenario=scenario, perception=perception, worlds=worlds,
         world_seed=seed, observation=["to_go"],
@@ -36,4 +36,4 @@ def flown(
             observation, _, ended, late, info = env.step(pilot.act(observation, info))
             over = ended or late
         safe[k], burnt[k] = info["safe"], info["propellant_kg"]
-    return Flown(safe, burnt)
+    return AgentFlights(safe, burnt)

@@ -1,15 +1,15 @@
-"""A data set of descents of least propellant in Minari's format: states, and thrust at each.
+"""Generate a Minari data set of minimum-propellant descents: states and thrusts.
 
-Starts are drawn over what an approach of the default lander meets (`DrawnStarts`), and each is
-solved by `lunarsim.optimal` under the limits of the law `optimal`. Shards of `SHARD` descents are
-kept as they are done, so that a run that was broken off goes on; with all of them the data set is
-written. Same seed, same bits, whatever the number of processes. Starts from which no end can be
-reached are counted and left out.
+Starts are random within the range of an approach of the default lander (`StartDistribution`). Each
+descent is solved by `lunarsim.optimal` under the limits of the law `optimal`. Shards of `SHARD`
+descents are saved when they are done, so an interrupted run resumes; the data set is written from
+all shards. The same seed gives identical results for any number of processes. Infeasible starts are
+counted and omitted.
 
-An episode holds the nodes of one descent: from the end of the approach to the lander (3,), m,
-velocity (3,), m/s, both ENU, and mass, kg. The action is the thrust over mass (3,), m/s^2, held
-until the next node; the reward is minus the propellant of the interval, kg. Infos hold what is left
-of the descent, s ("time_to_go").
+An episode holds the nodes of one descent: position of the lander relative to the end of the
+approach (3,), m, velocity (3,), m/s, both ENU, and mass, kg. The action is the thrust over mass
+(3,), m/s^2, held until the next node; the reward is minus the propellant of the interval, kg. The
+infos hold the remaining time of the descent, s ("time_to_go").
 
     python scenarios/learning/optimal_descents.py --descents 1000 --out build/descents
     python scenarios/learning/optimal_descents.py --descents 100000 --jobs 2 --out build/descents
@@ -51,16 +51,16 @@ from lunarsim.whole_files import filled_whole, write_text_whole, write_whole
 Array = NDArray[np.float64]
 
 SHARD = 250
-PROBLEM = "problem.json"  # limits that the shards beside it were solved under
-_DROP = 0.5  # of the glideslope's tip under the end, m: as the laws have it
-# Columns of an observation, and of an action.
+PROBLEM = "problem.json"  # limits under which the shards in its folder were solved
+_APEX_DEPTH_M = 0.5  # glideslope apex below the end point, m; the same as in the guidance laws
+# Number of columns of an observation and of an action.
 OBSERVED, COMMANDED = 7, 3
 # Arrays of a shard.
 KEPT = ("observations", "actions", "duration", "propellant", "out_of_reach", "failed")
 
 
 @dataclass(frozen=True)
-class Task:
+class DescentShardTask:
     """One shard."""
 
     number: int
@@ -70,21 +70,21 @@ class Task:
 
 
 @dataclass(frozen=True)
-class DrawnStarts:
-    """Where descents begin, drawn evenly.
+class StartDistribution:
+    """Uniform distribution of the start states.
 
     Attributes
     ----------
     height, aside
-        Above the end and beside it, m.
+        Height above and horizontal distance from the end point, m.
     elevation
-        Least, as seen from the end, deg.
+        Minimum elevation as seen from the end point, deg.
     closing
-        In how long the horizontal gap would close at the speed over ground, s.
+        Horizontal distance divided by the closing speed, s.
     across, sink
-        Speed across the way there, and downward, m/s.
+        Lateral speed across the path, and descent rate, m/s.
     load
-        Propellant over what the reserve keeps back, a share of full tanks.
+        Propellant in excess of the reserve, as a fraction of full tanks.
     """
 
     height: tuple[float, float] = (15.0, 800.0)
@@ -96,13 +96,13 @@ class DrawnStarts:
     load: tuple[float, float] = (0.3, 1.0)
 
     @classmethod
-    def key(cls, task: Task) -> str:
-        """Return what tells shards of other settings, or of another release, apart."""
-        told = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+    def key(cls, task: DescentShardTask) -> str:
+        """Return a digest of the settings and the release, part of a shard's file name."""
+        identity = {"starts": asdict(cls()), "task": asdict(task), "release": __version__}
+        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array, float]:
-        """Return the gap from the end (3,), m, the velocity (3,), m/s, and the load."""
+        """Return displacement from the end (3,), m, velocity (3,), m/s, and load."""
         while True:
             height, aside = rng.uniform(*self.height), rng.uniform(*self.aside)
             if height >= aside * np.tan(np.deg2rad(self.elevation)):
@@ -123,7 +123,7 @@ def _default() -> Scenario:
 
 
 def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
-    """Return the descent of the default lander from a start, under the limits of the law."""
+    """Return the descent of the default lander from a start, with the law's limits."""
     scenario = _default()
     lander, approach, law = scenario.vehicle.make(), Approach(), OptimalLaw()
     margin = approach.throttle_margin * (lander.thrust_max - lander.thrust_min)
@@ -132,23 +132,24 @@ def problem_of(gap: Array, velocity: Array, load: float) -> Descent:
         gap, velocity, dry + load * (lander.wet_mass - dry), np.zeros(3),
         np.array([0.0, 0.0, -approach.vertical_speed]), scenario.gravity_m_s2,
         lander.thrust_min + margin, lander.thrust_max - margin, lander.exhaust_velocity, dry,
-        approach.max_tilt, approach.glideslope, _DROP,
+        approach.max_tilt, approach.glideslope, _APEX_DEPTH_M,
         end_tilt=law.end_tilt, tilt_rate=law.tilt_rate,
     )  # fmt: skip
 
 
-def solve(task: Task) -> dict[str, Array]:
+def solve(task: DescentShardTask) -> dict[str, Array]:
     """Solve one shard.
 
     Returns
     -------
     shard
-        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), "propellant" (k,), kg,
-        of the k descents that there are, and "tried" and "failed": starts without an end in reach,
-        and those the solver gave up on.
+        "observations" (k, N + 1, 7), "actions" (k, N, 3), "duration" (k,), s,
+        and "propellant" (k,),
+        kg, of the k feasible descents; "out_of_reach" and "failed": the number of infeasible starts
+        and of starts that the solver failed on.
     """
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
-    planner, starts = Planner(task.intervals), DrawnStarts()
+    planner, starts = Planner(task.intervals), StartDistribution()
     seen, done, times, spent = [], [], [], []
     out_of_reach = failed = 0
     while len(seen) < task.count:
@@ -171,10 +172,12 @@ def solve(task: Task) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def solve_all(tasks: list[Task], folder: Path, jobs: int, console: Console) -> list[Path]:
-    """Return the files of all shards; those that are there already are not solved again."""
+def solve_all(
+    tasks: list[DescentShardTask], folder: Path, jobs: int, console: Console
+) -> list[Path]:
+    """Return the files of all shards; solve only those that do not exist."""
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / f"{task.number:05d}-{DrawnStarts.key(task)}.npz" for task in tasks]
+    files = [folder / f"{task.number:05d}-{StartDistribution.key(task)}.npz" for task in tasks]
     todo = [k for k, file in enumerate(files) if not file.exists()]
     with plain_progress(console) as progress:
         bar = progress.add_task("shards", total=len(tasks), completed=len(tasks) - len(todo))
@@ -185,51 +188,52 @@ def solve_all(tasks: list[Task], folder: Path, jobs: int, console: Console) -> l
 
 
 def read_shard(file: Path) -> dict[str, Array]:
-    """Return what a shard holds.
+    """Read a shard.
 
     Raises
     ------
     click.UsageError
-        If the file is none, or not whole.
+        If the file is not a complete shard.
     """
     try:
         with np.load(file, allow_pickle=False) as held:
             return {name: held[name] for name in KEPT}
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise click.UsageError(
-            f"{file} is no whole shard ({error}): delete it, optimal_descents.py makes it anew"
+            f"{file} is not a complete shard ({error}). Delete it and run optimal_descents.py "
+            f"again."
         ) from None
 
 
-def check_problem(folder: Path, hint: str = "--out another folder") -> None:
-    """Refuse a folder whose shards were solved under other limits.
+def check_problem(folder: Path, hint: str = "Use another folder for --out.") -> None:
+    """Reject a folder whose shards were solved under other limits.
 
     Raises
     ------
     click.UsageError
-        If the limits differ, or the file that tells them is none; it ends in the hint.
+        If the limits differ or their file is invalid; the message ends with `hint`.
     """
     file = folder / PROBLEM
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
+        stored = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise click.UsageError(f"{file} tells no limits ({error}): {hint}") from None
-    if told != _limits():
+        raise click.UsageError(f"{file} is not a valid file of limits ({error}). {hint}") from None
+    if stored != _limits():
         raise click.UsageError(
-            f"shards in {folder} were solved under other limits of approach or law "
-            f"({file.name}): {hint}"
+            f"The shards in {folder} were solved under other limits of approach or law "
+            f"({file.name}). {hint}"
         )
 
 
 def _limits() -> dict[str, Any]:
-    """Return what all descents have in common but where they begin, as JSON has it."""
+    """Return the parameters that all descents share, in the form of their JSON file."""
     asked = asdict(problem_of(np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0]), 1.0))
     asked = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asked.items()}
     return json.loads(json.dumps(asked))  # type: ignore[no-any-return]
 
 
-def _note_problem(folder: Path) -> None:
-    """Note the limits in a new folder; refuse one of other limits."""
+def _write_limits(folder: Path) -> None:
+    """Write the limits into a new folder; reject a folder with other limits."""
     if (folder / PROBLEM).exists():
         check_problem(folder)
         return
@@ -242,15 +246,17 @@ def _save(path: Path, shard: dict[str, Array]) -> None:
         np.savez_compressed(file, **shard)
 
 
-def write_dataset(files: list[Path], folder: Path, task: Task, console: Console) -> dict[str, Any]:
-    """Write all shards as one data set; return its figures."""
+def write_dataset(
+    files: list[Path], folder: Path, task: DescentShardTask, console: Console
+) -> dict[str, Any]:
+    """Write all shards as one data set; return its summary."""
     import minari
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
     figures = {"descents": 0, "out_of_reach": 0, "failed": 0}
     spent, digest = [], hashlib.sha256()
-    # Minari does not find its own files again by a relative path.
+    # Minari cannot reopen its files from a relative path.
     storage = MinariStorage.new(
         folder.absolute(), Box(-np.inf, np.inf, (OBSERVED,), np.float64),
         Box(-np.inf, np.inf, (COMMANDED,), np.float64), data_format="hdf5",
@@ -274,17 +280,19 @@ def write_dataset(files: list[Path], folder: Path, task: Task, console: Console)
         {
             "dataset_id": "lunarsim/optimal-descents-v0",
             "algorithm_name": "lossless convexification, best final time",
-            "description": "Descents of least propellant of the default lander of lunarsim",
+            "description": "Minimum-propellant descents of the default lander of lunarsim",
             "author": {"lunarsim"}, "minari_version": minari.__version__,
             "lunarsim_version": __version__,
-            "starts": json.dumps(asdict(DrawnStarts())), "figures": json.dumps(figures),
+            "starts": json.dumps(asdict(StartDistribution())), "figures": json.dumps(figures),
         }
     )  # fmt: skip
     return figures
 
 
-def _whole_dataset(files: list[Path], data: Path, task: Task, console: Console) -> dict[str, Any]:
-    """Write the data set beside its place and move it there: a run that is killed leaves none."""
+def _write_dataset_atomically(
+    files: list[Path], data: Path, task: DescentShardTask, console: Console
+) -> dict[str, Any]:
+    """Write the data set to a temporary folder and move it when it is complete."""
     part = data.with_name(f".{data.name}.part")
     if part.exists():
         shutil.rmtree(part)
@@ -292,13 +300,13 @@ def _whole_dataset(files: list[Path], data: Path, task: Task, console: Console) 
         part.mkdir(parents=True)
         figures = write_dataset(files, part, task, console)
     if data.exists():
-        data.rmdir()  # empty: it was looked at
+        data.rmdir()  # empty: checked by the caller
     part.rename(data)
     return figures
 
 
 def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
-    """Return the episodes of a shard, whose first has a number."""
+    """Return the episodes of a shard; `first` is the number of the first one."""
     out = []
     for k, (seen, done) in enumerate(zip(shard["observations"], shard["actions"], strict=True)):
         ends = np.arange(len(done)) == len(done) - 1
@@ -315,44 +323,47 @@ def _episodes(shard: Any, first: int, buffer: Any) -> list[Any]:
 
 @click.command()
 @click.option("--descents", type=click.IntRange(min=1), default=1000, show_default=True,
-              help="With an end in reach.")  # fmt: skip
+              help="Number of feasible descents.")  # fmt: skip
 @click.option("--intervals", type=click.IntRange(8, 200), default=40, show_default=True,
-              help="Of constant thrust over mass in a descent.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="Number of constant-thrust intervals per descent.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
-              help="Folder of the shards, and of the data set in `data`.")  # fmt: skip
+              help="Output folder of the shards and the data set (`data`).")  # fmt: skip
 def main(descents: int, intervals: int, seed: int, jobs: int, out: Path) -> None:
-    """Solve descents of least propellant and write them as a data set."""
+    """Solve minimum-propellant descents and write a data set."""
     console = plain_console(110, soft_wrap=True)
     if importlib.util.find_spec("minari") is None or importlib.util.find_spec("h5py") is None:
-        raise click.UsageError("minari or h5py is missing: the extra `data` installs them")
+        raise click.UsageError("minari or h5py is missing. Install the extra `data`.")
     data = out / "data"
     if data.exists() and any(data.iterdir()):
-        raise click.UsageError(f"--out = '{out}': one without a data set: there is one in {data}")
+        raise click.UsageError(f"--out: must be a folder without a data set, but {data} exists")
     whole, rest = divmod(descents, SHARD)
     counts = [SHARD] * whole + [rest] * (rest > 0)
-    tasks = [Task(k, count, seed, intervals) for k, count in enumerate(counts)]
+    tasks = [DescentShardTask(k, count, seed, intervals) for k, count in enumerate(counts)]
     try:
-        _note_problem(out / "shards")
+        _write_limits(out / "shards")
         files = solve_all(tasks, out / "shards", jobs, console)
-        figures = _whole_dataset(files, data, tasks[0], console)
+        figures = _write_dataset_atomically(files, data, tasks[0], console)
         write_text_whole(out / "figures.json", json.dumps(figures, indent=1) + "\n")
     except KeyboardInterrupt:
         raise click.ClickException(
-            f"interrupted; shards that are done are kept in {out / 'shards'}: "
-            "the same command goes on"
+            f"Interrupted. Finished shards are saved in {out / 'shards'}; "
+            "run the same command again to resume."
         ) from None
-    except OSError as error:  # no folder to write to, or a disk that is full
+    except OSError as error:  # no writable folder, or a full disk
         raise click.ClickException(
-            f"--out = '{out}': {error}; shards that are done are kept: the same command goes on"
+            f"--out: {error}, got '{out}'. Finished shards are saved; run the same command to "
+            f"resume."
         ) from None
     low, middle, high = figures["propellant_kg"]
     console.print(
         f"{figures['descents']} descents in {data}, propellant {middle:.1f} kg ({low:.1f} to "
-        f"{high:.1f}, 90 %); {figures['out_of_reach']} starts had no end in reach, the solver gave "
-        f"up on {figures['failed']}; sha256 {figures['sha256'][:16]}"
+        f"{high:.1f}, 90 %); {figures['out_of_reach']} infeasible starts; the solver "
+        f"failed on {figures['failed']}; sha256 {figures['sha256'][:16]}"
     )
 
 

@@ -1,11 +1,12 @@
-"""What agents that come along reach in every environment: scores to set one's own beside.
+"""Compute reference scores of the shipped agents in every environment.
 
     python scenarios/learning/reference_scores.py
     python scenarios/learning/reference_scores.py --episodes 20 --only Guidance-v0
 
-Same episodes for all agents of an environment; the score is the return less shaping. `optimal` is
-the guidance law that solves for the least propellant anew as it flies. On perception "truth" a site
-is told for what it is: what a policy loses there it loses by more than its map.
+All agents of an environment fly the same episodes; the score is the return without shaping terms.
+`optimal` is the guidance law that re-solves the minimum-propellant problem in flight. With
+perception "truth" the true safety of each site is known: losses of a policy there do not come from
+its map.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lunarsim_envs.evaluation.episodes import Study
 from lunarsim_envs.evaluation.results import AgentFigures, figures
 from lunarsim_envs.evaluation.running import fly
 
-# Root seed of the worlds that sites are chosen in: none that an agent was trained on.
+# The root seed of the worlds for site selection is not used in any training.
 _WORLDS = {"worlds": 24, "world_seed": 7001, "observation": ["to_go"]}
 POLICIES = ("no-divert", "safest", "nearest-safe", "fuel-aware", "few-sites")
 AGENTS = {
@@ -35,7 +36,7 @@ AGENTS = {
 
 
 def study_of(name: str, seed: int) -> Study:
-    """Return what is flown under a name of `AGENTS`."""
+    """Return the study of a name in `AGENTS`."""
     env, _, perception = name.partition(", ")
     if not perception:
         return Study(f"lunarsim/{env}", level(), {}, seed)
@@ -52,22 +53,25 @@ def row(name: str, agent: AgentFigures) -> str:
 
 
 def main() -> int:
-    """Fly, and print a table."""
+    """Fly the agents and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--episodes", type=int, default=100, help="an agent")
+    parser.add_argument("--episodes", type=int, default=100, help="number of episodes per agent")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--only", action="append", help="some of the rows' environments")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
+    parser.add_argument(
+        "--only", action="append", help="environment to run; repeatable (default: all)"
+    )
     args = parser.parse_args()
     assert lunarsim_envs.__name__
     try:
         for field, least in (("episodes", 1), ("seed", 0), ("jobs", 1)):
             if getattr(args, field) < least:
-                raise InputError(f"--{field}", getattr(args, field), f"at least {least}")
+                raise InputError(f"--{field}", getattr(args, field), f"must be {least} or more")
         for name in args.only or ():
             if name not in AGENTS:
                 raise InputError("--only", name, suggestion(name, AGENTS))
-        print("| environment | agent | score [95 %] | landed safe [95 %] | propellant kg, of safe |"
+        print("| environment | agent | score [95 % interval] | safe landings [95 % interval] | "
+        "propellant of safe landings (kg) |"
               " steps |\n| --- | --- | --- | --- | --- | --- |", flush=True)  # fmt: skip
         for name in args.only or AGENTS:
             rows = fly(study_of(name, args.seed), AGENTS[name], args.episodes, args.jobs)

@@ -1,4 +1,4 @@
-"""A random and a rule-based agent in the retargeting environment.
+"""Fly a random and a rule-based agent in the retargeting environment.
 
 python scenarios/learning/retarget_agents.py --episodes 10
 python scenarios/learning/retarget_agents.py --episodes 1 --video out/film.mp4
@@ -18,12 +18,12 @@ from lunarsim_envs.video import save_video
 
 
 def random_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Pick any available action."""
+    """Choose a random available action."""
     return int(rng.choice(np.flatnonzero(info["action_mask"])))
 
 
 def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
-    """Fly to the nearest site that is nearly as safe as the safest; keep it once there."""
+    """Choose the nearest site with nearly maximum p_safe; keep it once there."""
     sites = observation["sites"]
     good = (sites[:, 5] > 0) & (sites[:, 3] >= min(0.95, sites[:, 3].max()))
     distance = np.hypot(sites[:, 0], sites[:, 1])
@@ -38,7 +38,7 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
     type=click.IntRange(min=1),
     default=10,
     show_default=True,
-    help="Flights an agent.",
+    help="Number of flights per agent.",
 )
 @click.option(
     "--seed",
@@ -47,11 +47,11 @@ def rule_agent(observation: dict, info: dict, rng: np.random.Generator) -> int:
     show_default=True,
     help="Seed of the first flight.",
 )
-@click.option("--scenario", default=None, help="File or name; left out, rolling highland.")
+@click.option("--scenario", default=None, help="Scenario file or name (default: rolling highland).")
 @click.option("--video", type=click.Path(path_type=Path), default=None,
-              help="MP4 or GIF file of the rule-based agent's last flight.")  # fmt: skip
+              help="MP4 or GIF of the last flight of the rule-based agent.")  # fmt: skip
 def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> None:
-    """Fly both agents over the same worlds and print what they achieved."""
+    """Fly both agents over the same worlds and print their results."""
     mode = None if video is None else "rgb_array_list"
     try:
         if video is not None:
@@ -74,7 +74,7 @@ def main(episodes: int, seed: int, scenario: str | None, video: Path | None) -> 
             returns.append(total)
             film = env.render()
             safe += info["safe"]
-        print(f"{name}: mean return {np.mean(returns):.3f}, landed safe {safe} of {episodes}")
+        print(f"{name}: mean return {np.mean(returns):.3f}, safe landings {safe} of {episodes}")
     if video is not None:
         save_video(film, video, env.metadata["render_fps"])
         print(f"{len(film)} frames in {video}")

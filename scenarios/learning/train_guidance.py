@@ -1,11 +1,11 @@
-"""Trains an agent to fly the descent itself: proximal policy optimisation on `Guidance-v0`.
+"""Train an agent on `Guidance-v0` by proximal policy optimisation.
 
 python scenarios/learning/train_guidance.py --out out/ppo
-python scenarios/learning/train_guidance.py --out out/ppo     # again after a break: goes on
+python scenarios/learning/train_guidance.py --out out/ppo     # resume after an interruption
 lunarsim evaluate Guidance-v0 --agent out/ppo/agent.npz --agent apollo
 
 It needs the extra `rl`: pip install "lunarsim[rl]", with PyTorch for processors without CUDA from
-https://download.pytorch.org/whl/cpu. Left in the folder: settings.json, agent.npz (flown without
+https://download.pytorch.org/whl/cpu. Output files: settings.json, agent.npz (flown without
 PyTorch), curve.json, curve.png and checkpoint/.
 """
 
@@ -22,12 +22,12 @@ from rich.console import Console
 from lunarsim.console import plain_console
 from lunarsim_envs.training.settings import Training
 
-# Who is flown beside the agent at the end, on seeds that no training has.
-BESIDE = ("zero", "hover", "random", "apollo")
+# Reference agents of the final comparison on held-out seeds.
+REFERENCE_AGENTS = ("zero", "hover", "random", "apollo")
 
 
 def compare(out: Path, settings: Training, episodes: int, console: Console) -> None:
-    """Print the agent beside what needs no training, over the same unseen flights."""
+    """Print results of the agent and the reference agents on held-out flights."""
     from lunarsim_envs.descent.core import level
     from lunarsim_envs.evaluation.episodes import Study
     from lunarsim_envs.evaluation.results import differences, figures, with_target
@@ -41,7 +41,7 @@ def compare(out: Path, settings: Training, episodes: int, console: Console) -> N
         }
     )
     study = Study("lunarsim_envs:lunarsim/Guidance-v0", scenario, {}, seed=2)
-    agents = (str(out / "agent.npz"), *BESIDE)
+    agents = (str(out / "agent.npz"), *REFERENCE_AGENTS)
     rows = with_target(fly(study, agents, episodes, jobs=1), 10.0)
     console.print(agents_table(figures(rows, study.seed), 10.0))
     pair = [row for row in rows if row["agent"] in ("agent", "apollo")]
@@ -49,24 +49,29 @@ def compare(out: Path, settings: Training, episodes: int, console: Console) -> N
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder; see above.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Output folder; resumes a run in it.",
+)
 @click.option("--steps", type=click.IntRange(min=1), default=Training.steps, show_default=True,
-              help="Of the environment, all lanes together.")  # fmt: skip
+              help="Environment steps, over all parallel episodes.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option("--looks", type=click.IntRange(min=1), default=20, show_default=True,
-              help="Updates between two looks, each with a checkpoint.")  # fmt: skip
+              help="Updates between evaluations (with checkpoint).")  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=200, show_default=True,
-              help="Flights at the end beside what needs no training.")  # fmt: skip
+              help="Flights of the final comparison.")  # fmt: skip
 def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
-    """Train an agent of Guidance-v0, and set it beside agents that need no training."""
+    """Train an agent of Guidance-v0 and compare it with references."""
     console = plain_console(150, soft_wrap=True)
     try:
         from lunarsim_envs.training.curve import draw_curve
         from lunarsim_envs.training.guidance import Look, Run, train
     except ModuleNotFoundError as error:
-        raise click.UsageError(f"{error.name} is missing: the extra `rl` installs it") from None
+        raise click.UsageError(f"{error.name} is missing. Install the extra `rl`.") from None
 
-    def tell(run: Run, seen: Look) -> None:
+    def report(run: Run, seen: Look) -> None:
         spent = "-" if math.isnan(seen.propellant) else f"{seen.propellant:.1f} kg"
         console.print(
             f"update {run.done} of {run.settings.updates}, {run.model.num_timesteps / 1e6:.1f} M "
@@ -75,11 +80,11 @@ def main(out: Path, steps: int, seed: int, looks: int, episodes: int) -> None:
         )
 
     settings = replace(Training(), steps=steps, seed=seed)
-    run = train(settings, out, looks, tell)
+    run = train(settings, out, looks, report)
     (out / "curve.json").write_text(json.dumps(run.curve, indent=1), encoding="utf-8")
     draw_curve(run.curve, out / "curve.png")
     compare(out, settings, episodes, console)
-    console.print(f"agent, settings, curve and checkpoint in {out}")
+    console.print(f"Agent, settings, curve and checkpoint: {out}")
 
 
 if __name__ == "__main__":

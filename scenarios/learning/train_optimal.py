@@ -1,8 +1,8 @@
-"""Distil descents of least propellant into the network of the law `neural-optimal`.
+"""Train the network of the law `neural-optimal` on minimum-propellant descents.
 
-Reads the shards that `optimal_descents.py` solved: within every interval of constant thrust the
-state is known exactly, so that states at a random time within each are shown anew in every epoch.
-Shards are kept out to judge by, whole descents at a time.
+The input is the shards of `optimal_descents.py`. Within each constant-thrust interval the state is
+known exactly, so every epoch uses new states at a random time within each interval. Complete
+shards are held out for validation.
 
     python scenarios/learning/train_optimal.py build/descents --out optimal.npz
 """
@@ -38,16 +38,16 @@ from lunarsim.whole_files import write_text_whole
 
 Array = NDArray[np.float64]
 
-FAR = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
-NEAR = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
-SCALE = np.array([1.0, 1.0, 1.0, 20.0])
+WIDE_SCALE = np.array([300.0, 300.0, 15.0, 5.0, 15.0, 1500.0])
+FINE_SCALE = np.array([10.0, 10.0, 1.0, 0.5, 2.0, 1500.0])
+OUTPUT_SCALE = np.array([1.0, 1.0, 1.0, 20.0])
 _BATCH = 4096
-_BEYOND = 0.01  # share of the range of what was shown by which its bounds are wider
-_LEAST_LEFT = 1.0  # states later than that are not shown, s: the law hands over before
+_BOUND_MARGIN = 0.01  # extension of the input bounds, as a fraction of the training range
+_MIN_TIME_TO_GO_S = 1.0  # minimum time to go of training states, s: below it another law takes over
 
 
 @dataclass(frozen=True)
-class Descents:
+class DescentNodes:
     """Nodes of k descents in N intervals; see `optimal_descents.solve`."""
 
     seen: Array
@@ -55,20 +55,21 @@ class Descents:
     duration: Array
 
     @classmethod
-    def load(cls, files: list[Path]) -> Descents:
+    def load(cls, files: list[Path]) -> DescentNodes:
         """Read shards."""
         held = [read_shard(file) for file in files]
         counts = sorted({h["actions"].shape[1] for h in held})
         if len(counts) > 1:
             raise click.UsageError(
-                f"shards in {files[0].parent} have {counts} intervals: leave those of one run there"
+                f"shards in {files[0].parent} have {counts} intervals. Keep the shards of one run "
+                f"only."
             )
         return cls(
             *(np.concatenate([h[n] for h in held]) for n in ("observations", "actions", "duration"))
         )
 
     def within(self, share: Array, gravity: float) -> tuple[Array, Array]:
-        """Return what is shown (n, 6) and wanted (n, 4) at a share (k, N) of each interval."""
+        """Return inputs (n, 6) and targets (n, 4) at a fraction (k, N) of each interval."""
         step = (self.duration / self.done.shape[1])[:, None]
         t = (share * step)[..., None]
         state, push = self.seen[:, :-1], self.done
@@ -78,18 +79,18 @@ class Descents:
         shown, axes = reduced(r + t * (v + 0.5 * t * move), v + t * move, mass)
         left = self.duration[:, None] - step * (np.arange(push.shape[1]) + share)
         turned = np.einsum("...ij,...j->...i", axes, push)
-        # Without a speed across, either side is as good: none is wanted.
+        # Without a cross speed, both sides are equivalent; the target is zero.
         turned[..., 1] = np.where(shown[..., 3] < 1e-6, 0.0, turned[..., 1])
-        wanted = np.concatenate((turned, left[..., None]), axis=-1) / SCALE
-        used = left.ravel() > _LEAST_LEFT
+        wanted = np.concatenate((turned, left[..., None]), axis=-1) / OUTPUT_SCALE
+        used = left.ravel() > _MIN_TIME_TO_GO_S
         return shown.reshape(-1, INPUTS)[used], wanted.reshape(-1, OUTPUTS)[used]
 
 
-def trained(
-    learnt: Descents, gravity: float, minutes: float, epochs: int, width: int, seed: int,
+def train_network(
+    learnt: DescentNodes, gravity: float, minutes: float, epochs: int, width: int, seed: int,
     console: Console,
 ) -> tuple[list[tuple[Array, Array]], int]:  # fmt: skip
-    """Return weights and biases of the layers, and how many epochs it took."""
+    """Return weights and biases of the layers, and the number of epochs."""
     import torch
 
     torch.manual_seed(seed)
@@ -103,7 +104,9 @@ def trained(
     for epoch in range(epochs):
         shown, wanted = learnt.within(rng.random(learnt.done.shape[:2]), gravity)
         order = rng.permutation(len(shown))
-        features = np.concatenate((shown / FAR, np.arcsinh(shown / NEAR)), axis=1)[order]
+        features = np.concatenate((shown / WIDE_SCALE, np.arcsinh(shown / FINE_SCALE)), axis=1)[
+            order
+        ]
         x, y = (torch.from_numpy(np.float32(a)) for a in (features, wanted[order]))
         past = (clock.monotonic() - began) / (60.0 * minutes) if minutes else epoch / epochs
         for group in optimiser.param_groups:
@@ -124,14 +127,14 @@ def trained(
     return [(weight.numpy(), bias.numpy()) for weight, bias in layers], epoch + 1
 
 
-def judged(network: OptimalNetwork, kept: Descents, gravity: float) -> dict[str, Any]:
-    """Return errors on descents that were kept out, and what breaks the law's limits there."""
+def evaluate_network(network: OptimalNetwork, kept: DescentNodes, gravity: float) -> dict[str, Any]:
+    """Return errors on held-out descents and the fraction beyond the limits."""
     shown, wanted = kept.within(np.full(kept.done.shape[:2], 0.5), gravity)
-    told = network(shown)
-    off = told - wanted * SCALE
+    outputs = network(shown)
+    off = outputs - wanted * OUTPUT_SCALE
     law, lander = NeuralOptimalLaw(), Scenario.from_dict({"name": "descents"}).vehicle.make()
-    force = np.linalg.norm(told[:, :3], axis=1) * shown[:, 5]
-    tilt = np.arctan2(np.hypot(told[:, 0], told[:, 1]), told[:, 2])
+    force = np.linalg.norm(outputs[:, :3], axis=1) * shown[:, 5]
+    tilt = np.arctan2(np.hypot(outputs[:, 0], outputs[:, 1]), outputs[:, 2])
     beyond = np.maximum(force - lander.thrust_max, lander.thrust_min - force)
     broken = (beyond > law.thrust_slack * lander.thrust_max) | (
         tilt > network.problem[5] + law.tilt_slack
@@ -139,14 +142,14 @@ def judged(network: OptimalNetwork, kept: Descents, gravity: float) -> dict[str,
     push = np.linalg.norm(off[:, :3], axis=1)
     return {
         "descents": len(kept.duration),
-        "infeasible": float(np.mean(broken | (told[:, 3] <= 0.0))),
+        "infeasible": float(np.mean(broken | (outputs[:, 3] <= 0.0))),
         "thrust_m_s2": [float(v) for v in np.percentile(push, (50, 95))],
         "time_to_go_s": [float(v) for v in np.percentile(np.abs(off[:, 3]), (50, 95))],
     }
 
 
-def problem_figures() -> Array:
-    """Return the figures of the problem that the descents solve; see `OptimalNetwork.problem`."""
+def problem_parameters() -> Array:
+    """Return the parameters of the descent problem; see `OptimalNetwork.problem`."""
     gap, velocity = np.array([100.0, 0.0, 100.0]), np.array([0.0, 0.0, -5.0])
     d = problem_of(gap, velocity, 1.0)
     return np.array(
@@ -159,55 +162,75 @@ def problem_figures() -> Array:
 
 @click.command()
 @click.argument("descents", type=click.Path(exists=True, path_type=Path, file_okay=False))
-@click.option("--epochs", type=click.IntRange(min=1), default=100, show_default=True, help="Most.")
+@click.option(
+    "--epochs",
+    type=click.IntRange(min=1),
+    default=100,
+    show_default=True,
+    help="Maximum number of epochs.",
+)
 @click.option("--minutes", type=click.FloatRange(min=0.0), default=0.0, show_default=True,
-              help="Most; 0: all epochs, and the same seed gives the same weights.")  # fmt: skip
+              help="Time limit (min); 0: none (reproducible weights).")  # fmt: skip
 @click.option("--width", type=click.IntRange(8, 256), default=96, show_default=True,
-              help="Of three layers.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="Width of the three layers.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=SHIPPED,
-              show_default="the one that comes along", help="Weights.")  # fmt: skip
-@click.option("--json", "told", type=click.Path(path_type=Path, dir_okay=False), help="Figures.")
+              show_default="the shipped file",
+              help="Output file of the weights (.npz).")  # fmt: skip
+@click.option(
+    "--json",
+    "metrics",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Output file of the metrics.",
+)
 def main(
-    descents: Path, epochs: int, minutes: float, width: int, seed: int, out: Path, told: Path | None
+    descents: Path,
+    epochs: int,
+    minutes: float,
+    width: int,
+    seed: int,
+    out: Path,
+    metrics: Path | None,
 ) -> None:
-    """Train a network on the shards of a folder."""
+    """Train the network on the shards in the folder DESCENTS."""
     console = plain_console(110, soft_wrap=True)
     files = sorted((descents / "shards").glob("*.npz"))
     if len(files) < 2:
         raise click.UsageError(
-            f"DESCENTS = '{descents}': two shards at least, of optimal_descents.py; one is kept out"
+            f"DESCENTS: must contain two or more shards of optimal_descents.py, got '{descents}'"
         )
     if (descents / "shards" / PROBLEM).exists():
-        check_problem(descents / "shards", "solve them anew, or weights would be told for these")
+        check_problem(descents / "shards", "Solve the descents again.")
     try:
         check_output("--out", out, ".npz")
-        if told is not None:
-            check_output("--json", told, ".json")
+        if metrics is not None:
+            check_output("--json", metrics, ".json")
     except InputError as error:
         raise click.UsageError(str(error)) from None
     if importlib.util.find_spec("torch") is None:
-        raise click.UsageError("torch is missing: the extra `rl` installs it")
+        raise click.UsageError("torch is missing. Install the extra `rl`.")
     out_of = max(len(files) // 20, 1)
-    learnt, kept = Descents.load(files[:-out_of]), Descents.load(files[-out_of:])
+    learnt, kept = DescentNodes.load(files[:-out_of]), DescentNodes.load(files[-out_of:])
     gravity = Scenario.from_dict({"name": "descents"}).gravity_m_s2
-    layers, done = trained(learnt, gravity, minutes, epochs, width, seed, console)
+    layers, done = train_network(learnt, gravity, minutes, epochs, width, seed, console)
     shown, _ = learnt.within(np.zeros(learnt.done.shape[:2]), gravity)
     low, high = shown.min(axis=0), shown.max(axis=0)
-    beyond = _BEYOND * (high - low)  # a start with full tanks is at an edge
+    beyond = _BOUND_MARGIN * (high - low)  # a start with full tanks lies on the bound
     network = OptimalNetwork(
-        FAR, NEAR, low - beyond, high + beyond, SCALE,
-        tuple(w for w, _ in layers), tuple(b for _, b in layers), problem_figures(),
+        WIDE_SCALE, FINE_SCALE, low - beyond, high + beyond, OUTPUT_SCALE,
+        tuple(w for w, _ in layers), tuple(b for _, b in layers), problem_parameters(),
     )  # fmt: skip
     network.save(out)
-    figures = judged(OptimalNetwork.load(out), kept, gravity)
+    figures = evaluate_network(OptimalNetwork.load(out), kept, gravity)
     figures |= {
         "learnt": len(learnt.duration), "shards": len(files), "epochs": done,
         "bytes": out.stat().st_size, "seed": seed,
     }  # fmt: skip
     console.print(json.dumps(figures))
-    if told is not None:
-        write_text_whole(told, json.dumps(figures, indent=1) + "\n")
+    if metrics is not None:
+        write_text_whole(metrics, json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Train an agent that chooses sites on the surrogate, and fly it unchanged on the real mapper.
+"""Train a site-choosing agent on the surrogate and test it on the real mapper.
 
     python scenarios/learning/train_retarget.py --out out/retarget.npz
     python scenarios/learning/train_retarget.py --compare few-sites --flights 300
 
-The first trains by the cross-entropy method on `scenarios/few_sites.toml` and compares; the second
-compares an agent that comes along, or a file. Flights are over worlds that no training saw, and the
-same for all agents: pairs of them are compared with the best of the policies that come along.
+The first command trains by the cross-entropy method on `scenarios/few_sites.toml` and compares the
+agent; the second compares a shipped agent or a file. The flights use held-out worlds and are the
+same for all agents. The agent is compared in pairs with the best shipped policy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from flights import flown
+from flights import fly_agent
 
 import lunarsim_envs
 from lunarsim.errors import InputError
@@ -29,23 +29,23 @@ from lunarsim_envs.sites.perception import PERCEPTIONS, lanes_of
 from lunarsim_envs.training.sites import SiteTraining, train
 
 POLICIES = ("no-divert", "nearest-safe", "safest", "fuel-aware")
-# Root seeds of the worlds: of training, and of comparisons.
+# Root seeds of the worlds in training and in comparisons.
 TRAINED_ON, FLOWN_ON = 0, 7001
 
 
-def trained(scenario: Scenario, settings: SiteTraining, worlds: int, out: Path) -> None:
-    """Train, telling of each generation, and write the network."""
-    begun = time.perf_counter()
+def train_agent(scenario: Scenario, settings: SiteTraining, worlds: int, out: Path) -> None:
+    """Train, print each generation, and write the network."""
+    start_s = time.perf_counter()
     count = settings.population * settings.flights
     lanes = lanes_of(count, "surrogate", scenario, worlds, TRAINED_ON, None)
-    print("generation  safe of the elite  propellant, kg  deviation   s", flush=True)
+    print("generation  safe rate, elite  propellant (kg)  std. dev.   s", flush=True)
 
-    def told(generation: int, safe: float, burnt: float, sigma: float) -> None:
-        spent = time.perf_counter() - begun
+    def report(generation: int, safe: float, burnt: float, sigma: float) -> None:
+        spent = time.perf_counter() - start_s
         print(f"{generation:>10} {safe:>18.3f} {burnt:>15.2f} {sigma:>10.3f} {spent:>5.0f}",
               flush=True)  # fmt: skip
 
-    network = train(lanes, settings, told)
+    network = train(lanes, settings, report)
     out.parent.mkdir(parents=True, exist_ok=True)
     network.save(out)
     print(f"wrote {out}: {out.stat().st_size / 1e3:.1f} kB")
@@ -55,60 +55,70 @@ def compare(
     agent: str, policies: tuple[str, ...], scenario: Scenario, perception: str, flights: int,
     worlds: int,
 ) -> None:  # fmt: skip
-    """Print agent and policies on the same flights, and pairs with the best policy."""
+    """Print the agent and the policies on the same flights, and the paired comparison."""
     print(f"\nperception {perception}, {flights} flights over {worlds} worlds")
-    print(f"{'':<14} {'safe':>6}  95 % interval      propellant, kg")
-    told = {}
+    print(f"{'':<14} {'safe':>6}  95 % interval      propellant (kg)")
+    results = {}
     for name in (*policies, agent):
-        safe, burnt = told[name] = flown(name, scenario, perception, flights, worlds, FLOWN_ON)
+        safe, burnt = results[name] = fly_agent(
+            name, scenario, perception, flights, worlds, FLOWN_ON
+        )
         low, high = Proportion(int(safe.sum()), flights).interval
         print(
             f"{label(name):<14} {safe.mean():>6.3f}  [{low:.3f}, {high:.3f}] {burnt.mean():>14.2f}",
             flush=True,
         )
-    best = max(policies, key=lambda name: (told[name][0].sum(), -told[name][1].mean()))
-    mine, other = told[agent], told[best]
+    best = max(policies, key=lambda name: (results[name][0].sum(), -results[name][1].mean()))
+    mine, other = results[agent], results[best]
     names = best, label(agent)
     share = share_difference(other[0], mine[0], names)
     burnt = mean_difference(other[1], mine[1], names, np.random.default_rng(1))
-    print(f"{names[1]} less {best}, in pairs:")
-    for what, d in (("safe", share), ("propellant, kg", burnt)):
+    print(f"{names[1]} minus {best}, paired:")
+    for what, d in (("safe", share), ("propellant (kg)", burnt)):
         print(f"  {what:<15} {d.value:+.3f} [{d.low:+.3f}, {d.high:+.3f}], p {d.p:.3g}")
 
 
 def main() -> int:
-    """Train, or compare."""
+    """Train an agent, or compare one."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenario", default="few_sites", help="file or name")
-    parser.add_argument("--out", type=Path, help="file of the network to write (.npz)")
-    parser.add_argument("--compare", metavar="AGENT", help="train none: compare this one")
+    parser.add_argument("--scenario", default="few_sites", help="scenario file or name")
+    parser.add_argument("--out", type=Path, help="output file of the network (.npz)")
+    parser.add_argument(
+        "--compare", metavar="AGENT", help="skip the training and compare this agent"
+    )
     parser.add_argument("--generations", type=int, default=25)
     parser.add_argument(
         "--price", type=float, default=SiteTraining.price,
-        help="of a kilogram, where a safe landing is worth 1 (%(default)s)",
+        help="propellant weight per kg; a safe landing has weight 1 (%(default)s)",
     )  # fmt: skip
-    parser.add_argument("--worlds", type=int, default=24, help="of a pool")
-    parser.add_argument("--flights", type=int, default=300, help="that are compared")
+    parser.add_argument("--worlds", type=int, default=24, help="number of worlds in the pool")
+    parser.add_argument("--flights", type=int, default=300, help="number of compared flights")
     parser.add_argument(
-        "--policy", action="append", choices=POLICIES, help="to compare with; left out: all"
+        "--policy",
+        action="append",
+        choices=POLICIES,
+        help="policy to compare with; repeatable (default: all)",
     )
     parser.add_argument(
-        "--perception", action="append", choices=PERCEPTIONS, help="that are compared on"
+        "--perception",
+        action="append",
+        choices=PERCEPTIONS,
+        help="perception of the comparison; repeatable",
     )
     args = parser.parse_args()
     assert lunarsim_envs.__name__
     try:
         if args.out is None and args.compare is None:
-            raise InputError("--out", None, "a file name, or --compare")
+            raise InputError("--out", None, "must be a file name unless --compare is given")
         for name in ("generations", "worlds", "flights"):
             if getattr(args, name) < 1:
-                raise InputError(f"--{name}", getattr(args, name), "at least 1")
+                raise InputError(f"--{name}", getattr(args, name), "must be 1 or more")
         if not 0.0 <= args.price < 1.0:
-            raise InputError("--price", args.price, "from 0 to less than 1")
+            raise InputError("--price", args.price, "must be at least 0 and less than 1")
         scenario = Scenario.load(found(Path(args.scenario)))
         if args.compare is None:
             settings = SiteTraining(generations=args.generations, price=args.price)
-            trained(scenario, settings, args.worlds, args.out)
+            train_agent(scenario, settings, args.worlds, args.out)
         agent = args.compare or str(args.out)
         for perception in args.perception or ("surrogate", "gaussian-dem"):
             policies = tuple(args.policy or POLICIES)

@@ -1,13 +1,13 @@
-"""How often sites are safe that the Gaussian DEM calls so: the fit, and worlds kept out of it.
+"""Fit the safety probability of the Gaussian DEM and test it on held-out worlds.
 
-Scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`), fits the
-calibrated probability of `lunarsim.safety.calibration` to all of them, and then once more without
-each relief, each rock law, each lander and each range, to judge it on what it has not seen. A fit
-is an ensemble: to its worlds, and without each of them.
+The script scans a matrix of worlds (relief, rocks, lander, range, angle, noise; `worlds.py`) and
+fits the calibrated probability of `lunarsim.safety.calibration` to all of them. It then repeats the
+fit without each relief, rock law, lander and range, and evaluates each fit on the held-out part. A
+fit is an ensemble: one model for all its worlds, and one without each of them.
 
 python scenarios/lidar_maps/calibration.py --scenes 480 --jobs 2 --out out/lidar_maps
 
-With --row one row alone is judged, on more scenes of it than the matrix has:
+With --row, only one row is evaluated, on more scenes of it than the matrix contains:
 
 python scenarios/lidar_maps/calibration.py --scenes 480 --row "rocks posts" --fresh 200
 """
@@ -22,10 +22,10 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
-from kept import Judged, judged_scenes
+from kept import SceneSites, evaluated_scenes
 from rich.console import Console
 from rich.table import Table
-from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, Scene, scenes
+from worlds import LANDERS, RANGES, RELIEFS, ROCKS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.console import plain_console
@@ -54,14 +54,14 @@ from lunarsim.viz.style import COLOURS, new_figure, save
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-SITES = 100  # judged of each scene
-# Edges of the strata: nominal slope over the limit, and share of ground above the limit.
+SITES = 100  # evaluated sites per scene
+# Edges of the strata: nominal slope / limit, and fraction of terrain above the roughness limit.
 SLOPES = (0.0, 0.5, 0.85, 1.15, np.inf)
 COVERS = (0.0, 0.002, 0.01, np.inf)
 
 
-def judge(scene: Scene) -> Judged:
-    """Scan one scene and judge some of its sites."""
+def judge(scene: LidarScene) -> SceneSites:
+    """Scan one scene and evaluate some of its sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     pool = SamplePool(grid)
     scan, position = scene.flash(terrain)
@@ -72,7 +72,7 @@ def judge(scene: Scene) -> Judged:
     sites = scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False)
     where = np.zeros(grid.shape, bool)
     where.ravel()[sites] = True
-    return Judged(
+    return SceneSites(
         scene,
         features(evidence, where).astype(np.float32),
         in_domain(evidence)[where],
@@ -86,8 +86,8 @@ def judge(scene: Scene) -> Judged:
 
 
 @dataclass(frozen=True)
-class Sites:
-    """Sites of many scenes, end to end (n, ...)."""
+class PooledSites:
+    """Sites of many scenes, concatenated (n, ...)."""
 
     features: np.ndarray
     known: np.ndarray
@@ -99,8 +99,8 @@ class Sites:
     safe: np.ndarray
 
     @classmethod
-    def of(cls, judged: list[Judged]) -> Sites:
-        """Put scenes end to end."""
+    def of(cls, judged: list[SceneSites]) -> PooledSites:
+        """Concatenate scenes."""
         columns = [
             np.concatenate([getattr(j, name) for j in judged])
             for name in ("features", "known", "ceiling", "bound", "slope", "doomed")
@@ -109,11 +109,11 @@ class Sites:
         return cls(*columns, cover, np.concatenate([j.safe for j in judged]))
 
 
-def fitted(
-    judged: list[Judged], rising: int = RISING, note: str = "", start: Ensemble | None = None
+def fit_model(
+    judged: list[SceneSites], rising: int = RISING, note: str = "", start: Ensemble | None = None
 ) -> Ensemble:
-    """Fit to the sites that may lie in the domain, and without each world; see `Ensemble.fit`."""
-    s = Sites.of(judged)
+    """Fit to the sites in the domain, and without each world; see `Ensemble.fit`."""
+    s = PooledSites.of(judged)
     number = np.repeat(np.arange(len(judged)), [len(j.safe) for j in judged])[s.known]
     worlds = {
         f"{axis} {name}": np.array([of(j.scene) == name for j in judged])[number]
@@ -125,24 +125,24 @@ def fitted(
 
 
 def probability(
-    model: Ensemble, sites: Sites, farther: float = FARTHER, hopeless: float = HOPELESS
+    model: Ensemble, sites: PooledSites, farther: float = FARTHER, hopeless: float = HOPELESS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the map would say of all sites, and where it claims a frequency (n,).
+    """Return the probability of all sites in a map, and whether it is calibrated (n,).
 
-    `farther` is the margin of the log odds where it does not; sites are surely not safe up to
-    `hopeless`.
+    `farther` is the log-odds margin outside the calibrated domain. Sites with a probability up to
+    `hopeless` are classified as certainly unsafe.
     """
     odds = model.of_features(sites.features)
     p = cautious(odds.low, sites.ceiling, sites.bound, sites.known, farther)
     return p, sites.known & odds.verdict(sites.ceiling, hopeless, sites.doomed).agreed
 
 
-def nearest_range(scene: Scene) -> str:
-    """Return the range of the matrix that a scene belongs to."""
+def nearest_range(scene: LidarScene) -> str:
+    """Return the range of the matrix to which a scene belongs."""
     return f"{RANGES[int(np.argmin(np.abs(np.log(np.divide(RANGES, scene.distance)))))]:.0f} m"
 
 
-AXES: tuple[tuple[str, tuple[str, ...], Callable[[Scene], str]], ...] = (
+AXES: tuple[tuple[str, tuple[str, ...], Callable[[LidarScene], str]], ...] = (
     ("relief", RELIEFS, lambda s: s.relief),
     ("rocks", ROCKS, lambda s: s.rocks),
     ("lander", tuple(LANDERS), lambda s: s.lander),
@@ -150,8 +150,10 @@ AXES: tuple[tuple[str, tuple[str, ...], Callable[[Scene], str]], ...] = (
 )
 
 
-def left_out(judged: list[Judged]) -> Iterator[tuple[str, list[Judged], list[Judged]]]:
-    """Yield the name of a row of the matrix, the scenes outside of it and those in it."""
+def held_out_rows(
+    judged: list[SceneSites],
+) -> Iterator[tuple[str, list[SceneSites], list[SceneSites]]]:
+    """Yield each row of the matrix: name, scenes outside it, scenes in it."""
     for axis, names, of in AXES:
         for name in names:
             inside = [of(j.scene) == name for j in judged]
@@ -165,7 +167,7 @@ FIGURES = ("base", "ece", "chance", "skill", "share", "gap", "surer", "right")
 
 
 def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return how well probabilities (n,) tell what is safe (n,): `FIGURES`, NaN of none."""
+    """Return calibration metrics `FIGURES` of probabilities (n,); NaN without sites."""
     if not p.size:
         return dict.fromkeys(FIGURES, np.nan)
     base = safe.mean()
@@ -183,11 +185,11 @@ def figures(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
 
 
 def worst_stratum(
-    p: np.ndarray, claimed: np.ndarray, sites: Sites, least: int = 20
+    p: np.ndarray, claimed: np.ndarray, sites: PooledSites, least: int = 20
 ) -> tuple[float, str]:
-    """Return the least Brier skill of the strata of slope and cover with enough sites.
+    """Return the minimum Brier skill over strata of slope and cover, and its stratum.
 
-    Only where some sites are safe and some are not: else there is no skill to be had.
+    Strata with fewer than `least` safe or unsafe sites are ignored: their skill is undefined.
     """
     worst = (np.inf, "")
     k = claimed
@@ -197,7 +199,6 @@ def worst_stratum(
             inside = (s >= SLOPES[i]) & (s < SLOPES[i + 1])
             inside &= (c >= COVERS[j]) & (c < COVERS[j + 1])
             safe = sites.safe[k][inside]
-            # At least so many of either kind.
             if min(safe.sum(), (~safe).sum()) < least:
                 continue
             own = brier_skill(p[k][inside], safe)
@@ -207,26 +208,30 @@ def worst_stratum(
 
 
 @dataclass(frozen=True)
-class Row:
-    """A row of the matrix: what the fit without it says of its sites, and where it claims that."""
+class HeldOutRow:
+    """Probabilities and claims for a held-out row by the fit without it."""
 
     name: str
     p: np.ndarray
     claimed: np.ndarray
-    sites: Sites
+    sites: PooledSites
 
 
-def table_of(rows: list[Row]) -> Table:
-    """Return the figures of rows of the matrix."""
-    table = Table(title="Sites in the domain; each row judged by the fit without it")
+def table_of(rows: list[HeldOutRow]) -> Table:
+    """Return the metrics of rows of the matrix."""
+    table = Table(
+        title="Calibration on sites in the domain; each row evaluated with the fit without it"
+    )
 
     def number(value: float, form: str) -> str:
         return format(value, form) if np.isfinite(value) else "-"
 
-    for heading in ("kept out", "sites", "in the\ndomain", "share\nsafe", "ECE",
-                    "by chance\n(95 %)", "Brier\nskill", "p > 0.95", "mean p less\nshare safe",
-                    "p > 0.99", "share\nsafe", "not claimed,\np > 0.5", "mean p", "share\nsafe",
-                    "least skill\nof a stratum", "where"):  # fmt: skip
+    for heading in ("held out", "sites", "in the domain\n(fraction)", "safe\n(fraction)", "ECE",
+                    "ECE by chance\n(95th pct.)", "Brier\nskill", "p > 0.95\n(fraction)",
+                    "bias (mean p\nminus safe)",
+                    "p > 0.99\n(fraction)", "safe\n(fraction)", "not calibrated,\np > 0.5",
+                    "mean p", "safe\n(fraction)",
+                    "min skill\nof a stratum", "stratum"):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
         p, k, sites = row.p, row.claimed, row.sites
@@ -243,8 +248,8 @@ def table_of(rows: list[Row]) -> Table:
     return table
 
 
-def draw(rows: list[Row], path: Path) -> None:
-    """Draw the reliability of what was kept out, by axis of the matrix."""
+def draw(rows: list[HeldOutRow], path: Path) -> None:
+    """Plot the reliability on held-out scenes for each axis of the matrix."""
     figure = new_figure(9.6, 9.6)
     for panel, axis in zip(
         figure.subplots(2, 2, sharex=True, sharey=True).ravel(),
@@ -255,39 +260,39 @@ def draw(rows: list[Row], path: Path) -> None:
         p = np.concatenate([r.p[r.claimed] for r in mine])
         safe = np.concatenate([r.sites.safe[r.claimed] for r in mine])
         table = reliability(p, safe)
-        label = f"{len(mine)} kept out in turn, ECE {calibration_error(table):.3f}"
+        label = f"{len(mine)} rows, each held out; ECE {calibration_error(table):.3f}"
         plot_reliability(panel, table, color=COLOURS[0], label=label)
         panel.set_title(axis)
         panel.legend(loc="lower right")
         panel.grid(alpha=0.3)
-        panel.set_xlabel("probability of safety")
-        panel.set_ylabel("share exactly safe")
+        panel.set_xlabel("Probability of safety")
+        panel.set_ylabel("Fraction truly safe")
     save(figure, path)
 
 
 def options(count: int, own: str) -> Callable[[F], F]:
-    """Return the options of a calibration: how many scenes, and the file of the package's model."""
+    """Return the options of a calibration: default scene count and model file."""
     first = click.IntRange(min=8)
     wanted = (
         click.option("--scenes", "count", type=first, default=count, show_default=True,
-                     help="Scenes, drawn evenly from the matrix."),
+                     help="Number of scenes, spread evenly over the matrix."),
         click.option("--seed", type=click.IntRange(min=0), default=5, show_default=True,
-                     help="Of the scenes."),
+                     help="Random seed of the scenes."),
         click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-                     help="Processes; results do not depend on it."),
+                     help="Number of processes; does not change the results."),
         click.option("--scenes-file", "file", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
-                     help="Scenes are read from this .npz file; if there is none, written to it."),
+                     help="Scene cache (.npz): read if it exists, else written."),
         click.option("--save", "target", type=click.Path(path_type=Path, dir_okay=False),
                      default=None,
-                     help=f"Write the model to this file; the package's own is {own}."),
+                     help=f"Output file of the model (shipped: {own})."),
         click.option("--out", "picture", type=click.Path(path_type=Path, file_okay=False),
-                     default=None, help="Folder for the diagram."),
+                     default=None, help="Output folder of the reliability diagram."),
         click.option("--row", type=click.Choice(tuple(_REPLACED)), default=None, metavar="ROW",
-                     help="Judge this row alone ('rocks posts', 'relief pits', 'lander small'), by "
-                     "the fit without it, on scenes that are in no fit."),
+                     help="Evaluate one row ('rocks posts') on new scenes "
+                     "with the fit without it."),
         click.option("--fresh", type=click.IntRange(min=1), default=120, show_default=True,
-                     help="Scenes that --row is judged on."),
+                     help="Number of new scenes for --row."),
     )  # fmt: skip
 
     def decorate(function: F) -> F:
@@ -298,7 +303,7 @@ def options(count: int, own: str) -> Callable[[F], F]:
     return decorate
 
 
-# Rows that scenes of any other become by a part of theirs replaced.
+# Rows that can be generated from other scenes by replacement of one part.
 _REPLACED = {
     f"{axis} {name}": {axis: name}
     for axis, names in (("relief", RELIEFS), ("rocks", ROCKS), ("lander", tuple(LANDERS)))
@@ -307,47 +312,47 @@ _REPLACED = {
 
 
 @dataclass(frozen=True)
-class Method:
-    """A map and its probability.
+class CalibrationMethod:
+    """A mapper and the settings of its calibration.
 
     Attributes
     ----------
     command
-        That fits and judges it.
+        Script that fits and evaluates it.
     judge, draw
-        Map and judge a scene; draw so many scenes by a seed.
+        Functions that map and evaluate a scene, and that generate scenes (count, seed).
     rising, farther, hopeless
-        As for `fitted` and `probability`.
+        See `fit_model` and `probability`.
     """
 
     command: str
-    judge: Callable[[Scene], Judged]
-    draw: Callable[[int, int], list[Scene]]
+    judge: Callable[[LidarScene], SceneSites]
+    draw: Callable[[int, int], list[LidarScene]]
     rising: int
     farther: float = FARTHER
     hopeless: float = HOPELESS
 
-    def row(self, name: str, model: Ensemble, inside: list[Judged]) -> Row:
-        """Return what a model says of scenes."""
-        sites = Sites.of(inside)
-        return Row(name, *probability(model, sites, self.farther, self.hopeless), sites)
+    def row(self, name: str, model: Ensemble, inside: list[SceneSites]) -> HeldOutRow:
+        """Return the probabilities of a model for scenes."""
+        sites = PooledSites.of(inside)
+        return HeldOutRow(name, *probability(model, sites, self.farther, self.hopeless), sites)
 
 
 def report(
-    method: Method,
-    judged: list[Judged],
+    method: CalibrationMethod,
+    judged: list[SceneSites],
     note: str,
     target: Path | None,
     picture: Path | None,
     jobs: int,
     console: Console,
 ) -> None:
-    """Fit to all scenes and write that model; judge every row of the matrix by a fit without it."""
-    model = fitted(judged, method.rising, note)
+    """Fit to all scenes and save the model; evaluate each row with the fit without it."""
+    model = fit_model(judged, method.rising, note)
     if target is not None:
         model.save(target)
-    left = list(left_out(judged))
-    fit = partial(fitted, rising=method.rising, start=model)
+    left = list(held_out_rows(judged))
+    fit = partial(fit_model, rising=method.rising, start=model)
     models = [model, *gathered(fit, [others for _, others, _ in left], jobs, console, "fits")]
     kept = [("nothing", judged), *((name, inside) for name, _, inside in left)]
     rows = [
@@ -360,39 +365,42 @@ def report(
         draw(rows, picture)
 
 
-def judged_again(method: Method, judged: list[Judged], name: str, fresh: list[Judged]) -> Row:
-    """Judge fresh scenes of a row of the matrix by the fit to all scenes that are not of it."""
-    others = next((others for row, others, _ in left_out(judged) if row == name), judged)
-    return method.row(name, fitted(others, method.rising), fresh)
+def evaluate_row(
+    method: CalibrationMethod, judged: list[SceneSites], name: str, fresh: list[SceneSites]
+) -> HeldOutRow:
+    """Evaluate new scenes of a row with the fit to all scenes outside this row."""
+    others = next((others for row, others, _ in held_out_rows(judged) if row == name), judged)
+    return method.row(name, fit_model(others, method.rising), fresh)
 
 
-def fresh_scenes(method: Method, name: str, count: int, seed: int) -> list[Scene]:
-    """Draw scenes of a row; the matrix of the same seed has none of them."""
+def fresh_scenes(method: CalibrationMethod, name: str, count: int, seed: int) -> list[LidarScene]:
+    """Generate scenes of a row; none of them is in the matrix of the same seed."""
     changes: dict[str, Any] = _REPLACED[name]
     return [replace(scene, **changes) for scene in method.draw(count, seed + 1)]
 
 
 def study(
-    method: Method, *, count: int, seed: int, jobs: int, file: Path | None, target: Path | None,
+    method: CalibrationMethod, *, count: int, seed: int, jobs: int, file: Path | None,
+    target: Path | None,
     picture: Path | None, row: str | None, fresh: int,
 ) -> None:  # fmt: skip
-    """Do what the options of a calibration ask for."""
+    """Run a calibration study with the options of the command."""
     if row is not None and (target is not None or picture is not None):
-        raise click.UsageError("--row judges one row: it saves no model and draws no diagram")
+        raise click.UsageError("--row: cannot be combined with --save or --out")
     console = plain_console(205)
-    judged = judged_scenes(method.judge, method.draw(count, seed), file, jobs, console)
+    judged = evaluated_scenes(method.judge, method.draw(count, seed), file, jobs, console)
     judged = [j for j in judged if len(j.safe)]
     if row is not None:
         deck = fresh_scenes(method, row, fresh, seed)
         more = [j for j in gathered(method.judge, deck, jobs, console, "scenes") if len(j.safe)]
-        console.print(table_of([judged_again(method, judged, row, more)]))
+        console.print(table_of([evaluate_row(method, judged, row, more)]))
         return
     note = f"{method.command} --scenes {count} --seed {seed}"
     path = None if picture is None else picture / f"{Path(method.command).stem}.png"
     report(method, judged, note, target, path, jobs, console)
 
 
-def drawn(count: int, seed: int) -> list[Scene]:
+def draw_scenes(count: int, seed: int) -> list[LidarScene]:
     """Return scenes of all ranges."""
     return list(scenes(count, seed))
 
@@ -400,8 +408,11 @@ def drawn(count: int, seed: int) -> list[Scene]:
 @click.command()
 @options(480, "lunarsim/safety/calibration.json")
 def main(**wanted: Any) -> None:
-    """Fit the calibrated probability, and judge it on worlds kept out of the fit."""
-    study(Method("scenarios/lidar_maps/calibration.py", judge, drawn, RISING), **wanted)
+    """Fit the calibrated probability; test it on held-out worlds."""
+    study(
+        CalibrationMethod("scenarios/lidar_maps/calibration.py", judge, draw_scenes, RISING),
+        **wanted,
+    )
 
 
 if __name__ == "__main__":

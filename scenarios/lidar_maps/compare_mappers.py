@@ -1,14 +1,14 @@
-"""Both LiDAR maps flown to touchdown over five worlds.
+"""Compare both LiDAR maps on flights to touchdown over five worlds.
 
-Maps are compared, not navigation: on all worlds but the hazard field, where it is looked for on a
-map, the lander is told its place by the truth and a stated budget of errors (`navigation-fix`).
-Flight i of a world has the same ground, start and noise on every map; `safest` lands where the map
-gives the highest probability, `scoreboard` where the quadtree's own ranking does. One flight of
-each index carries all mappers: their maps are judged by exact safety at its first and its last
-decision, by stratum of the true ground, over all ground that any of them has seen. Where a map
-claims that its probability is a frequency it is judged as one, elsewhere it is a bound. Intervals
-are 95 %: Wilson's for landings, bootstrap over flights for maps. With --out every flight is kept
-as it ends: the same command goes on after an interrupt.
+The comparison is between maps, not navigation. In all worlds except the hazard field (where the
+vehicle finds its position on a map), navigation uses the truth plus an error budget
+(`navigation-fix`). Flight i of a world has the same terrain, start and noise with every map.
+`safest` lands at the highest map probability, `scoreboard` at the top of the quadtree ranking. One
+flight of each index runs all mappers: their maps are compared with exact safety at the first and
+the last decision, by stratum of the true terrain, over all terrain that any of them has observed.
+Where a map claims a calibrated probability it is evaluated as one; elsewhere its value is a bound.
+Intervals are 95 %: Wilson for landings, bootstrap over flights for maps. With --out every finished
+flight is saved, and the same command resumes after an interruption.
 
 python scenarios/lidar_maps/compare_mappers.py --flights 100 --jobs 2 --out out/mappers
 """
@@ -23,8 +23,8 @@ from typing import Any
 
 import click
 import numpy as np
-from flown import MAPPERS, STRATA, WAYS, WORLDS, Flown, Judged, Task, fly
-from flown_kept import flown_or_kept
+from flown import MAPPERS, STRATA, WAYS, WORLDS, MapEvaluation, MapperFlight, MapperFlightTask, fly
+from flown_kept import load_or_fly
 from rich.table import Table
 from rows import ROWS
 from scipy.stats import binomtest
@@ -37,19 +37,19 @@ from lunarsim.evaluation.statistics import Proportion
 from lunarsim.viz.style import COLOURS, new_figure, save
 
 RESAMPLES = 1000
-Flights = list[Flown]
+Flights = list[MapperFlight]
 Figures = dict[str, dict[str, Any]]
 
 
-def counts_of(judged: list[Judged]) -> np.ndarray:
-    """Return hits, false safe, missed, rejected of each map (n, strata, 4)."""
+def counts_of(judged: list[MapEvaluation]) -> np.ndarray:
+    """Return true safe, false safe, missed and rejected cells of maps (n, strata, 4)."""
     return np.array([j.counts for j in judged], dtype=np.float64)
 
 
 def ratio_interval(
     counts: np.ndarray, of: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[float, float, float]:
-    """Return a figure of pooled counts (n, ...), and its interval by bootstrap over flights."""
+    """Return a metric of pooled counts (n, ...) with its bootstrap interval."""
     rng = np.random.default_rng(0)
     drawn = rng.integers(0, len(counts), (RESAMPLES, len(counts)))
     weights = np.stack([np.bincount(d, minlength=len(counts)) for d in drawn]).astype(np.float64)
@@ -64,19 +64,19 @@ def ratio_interval(
 
 
 def precision(c: np.ndarray) -> np.ndarray:
-    """Return the share of cells called safe that are, of counts (..., 4)."""
+    """Return the fraction of cells called safe that are safe, from counts (..., 4)."""
     return c[..., 0] / (c[..., 0] + c[..., 1])
 
 
 def recall(c: np.ndarray) -> np.ndarray:
-    """Return the share of safe cells called so, of counts (..., 4)."""
+    """Return the fraction of safe cells that are called safe, from counts (..., 4)."""
     return c[..., 0] / (c[..., 0] + c[..., 2])
 
 
 def skill_of(claim: np.ndarray) -> float:
-    """Return the Brier skill of claimed cells (3,) over their own share of safe ones.
+    """Return the Brier skill of claimed cells (3,) relative to their safe fraction.
 
-    NaN where all are alike.
+    NaN if all cells are safe or all are unsafe.
     """
     n, safe, squares = claim
     base = safe / max(n, 1.0)
@@ -84,7 +84,7 @@ def skill_of(claim: np.ndarray) -> float:
 
 
 def landings(flights: Flights) -> Figures:
-    """Return how flights ended, by way."""
+    """Return landing metrics by map and policy."""
     first = [f.rows[next(iter(WAYS))]["safe"] for f in flights]
     out = {}
     for way in WAYS:
@@ -107,8 +107,8 @@ def landings(flights: Flights) -> Figures:
     return out
 
 
-def quality(judged: list[Judged]) -> dict[str, Any]:
-    """Return the figures of a mapper's maps of one moment; empty without any."""
+def quality(judged: list[MapEvaluation]) -> dict[str, Any]:
+    """Return the metrics of the maps of a mapper at one decision; empty without maps."""
     if not judged:
         return {}
     counts = counts_of(judged)
@@ -133,7 +133,7 @@ def quality(judged: list[Judged]) -> dict[str, Any]:
 
 
 def maps(flights: Flights) -> Figures:
-    """Return what the maps were worth, by mapper."""
+    """Return the map metrics by mapper."""
     out = {}
     for mapper in MAPPERS:
         mine = [f.maps[mapper] for f in flights]
@@ -147,18 +147,19 @@ def maps(flights: Flights) -> Figures:
 
 
 HEADINGS = {
-    "landings": (2, ("world", "map and policy", "flights", "landed safe",
-                     "against the first:\nwon, lost (p)", "divert\nmedian (m)",
+    "landings": (2, ("world", "map and policy", "flights", "safe landings",
+                     "against the first:\nbetter, worse (p)", "divert\nmedian (m)",
                      "propellant\nmedian (kg)")),
-    "maps": (3, ("world", "map", "decision", "precision", "recall", "claimed\nshare",
-                 "ECE of\nclaimed", "its Brier\nskill", "mapper\n(s a flight)", "kept\n(MB)")),
-    "strata": (3, ("world", "stratum", "map", "share\nsafe", "precision", "recall",
+    "maps": (3, ("world", "map", "decision", "precision", "recall", "claimed\n(fraction)",
+                 "ECE of\nclaimed", "its Brier\nskill", "mapper time\n(s per flight)",
+                 "memory\n(MB)")),
+    "strata": (3, ("world", "stratum", "map", "safe\n(fraction)", "precision", "recall",
                    "Brier skill\nof claimed")),
 }  # fmt: skip
 TITLES = {
     "landings": "Landings",
-    "maps": "Maps at the first and the last decision (p > 0.5 is called safe)",
-    "strata": "Maps at the last decision by stratum of the true ground",
+    "maps": "Maps at the first and the last decision (safe: p > 0.5)",
+    "strata": "Maps at the last decision by stratum of the true terrain",
 }
 
 
@@ -176,22 +177,22 @@ def table_of(name: str, worlds: dict[str, Figures]) -> Table:
 
 
 def draw(worlds: dict[str, Figures], path: Path) -> None:
-    """Draw landings by way, and precision and recall of the last maps, by world."""
+    """Plot landings by map and policy, and precision and recall of the last maps."""
     figure = new_figure(12.0, 5.0)
     panels = figure.subplots(1, 3, sharey=True)
     colours = dict(zip(WAYS, COLOURS, strict=False))
     for way, colour in colours.items():
         rows = [figures["landings"][way] for figures in worlds.values()]
         values = [(f["landed"] / f["flights"], *f["interval"]) for f in rows]
-        _points(panels[0], values, list(WAYS).index(way), len(WAYS), colour, way)
+        _plot_intervals(panels[0], values, list(WAYS).index(way), len(WAYS), colour, way)
     for n, (mapper, name) in enumerate(MAPPERS.items()):
         last = [figures["maps"][mapper]["last"] for figures in worlds.values()]
         for panel, key in zip(panels[1:], ("precision", "recall"), strict=True):
             values = [q[key] if q else (np.nan,) * 3 for q in last]
-            _points(panel, values, n, len(MAPPERS), colours[name], name)
+            _plot_intervals(panel, values, n, len(MAPPERS), colours[name], name)
     for panel, label in zip(
         panels,
-        ("landed safe", "precision of the last map", "recall of the last map"),
+        ("Safe landings", "Precision of the last map", "Recall of the last map"),
         strict=True,
     ):
         panel.set_xlabel(f"{label} (95 % interval)")
@@ -202,7 +203,7 @@ def draw(worlds: dict[str, Figures], path: Path) -> None:
     save(figure, path)
 
 
-def _points(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -> None:
+def _plot_intervals(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -> None:
     v = np.array(values, dtype=np.float64)
     y = np.arange(len(v)) + 0.18 * (n - 0.5 * (of - 1))
     spread = np.maximum(np.stack((v[:, 0] - v[:, 1], v[:, 2] - v[:, 0])), 0.0)
@@ -213,25 +214,27 @@ def _points(panel: Any, values: Any, n: int, of: int, colour: str, label: str) -
 
 @click.command()
 @click.option("--flights", type=click.IntRange(min=2), default=10, show_default=True,
-              help="Of each world.")  # fmt: skip
+              help="Number of flights per world.")  # fmt: skip
 @click.option("--worlds", default="; ".join(WORLDS), show_default=True,
-              help="Worlds, separated by semicolons.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="World names, separated by semicolons.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results but for times do not depend on it.")  # fmt: skip
+              help="Number of processes; changes only the run times.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for figures.json, the picture and each flight.")  # fmt: skip
+              help="Output folder of figures.json, figure and flights.")  # fmt: skip
 def main(flights: int, worlds: str, seed: int, jobs: int, out: Path | None) -> None:
-    """Fly every map over every world and compare."""
+    """Fly every map over every world and compare the maps."""
     console = plain_console(200)
     names = [w.strip() for w in worlds.split(";")]
     for name in names:
         if name not in WORLDS:
-            raise click.UsageError(f"--worlds = {name!r}: one of {'; '.join(WORLDS)}")
+            raise click.UsageError(f"--worlds: must be one of {'; '.join(WORLDS)}, got {name!r}")
     if len(set(names)) < len(names):
-        raise click.UsageError(f"--worlds = {worlds!r}: each world once")
-    tasks = [Task(world, i, seed) for world in names for i in range(flights)]
-    flight = fly if out is None else partial(flown_or_kept, out / "flights")
+        raise click.UsageError(f"--worlds: must contain each world once, got {worlds!r}")
+    tasks = [MapperFlightTask(world, i, seed) for world in names for i in range(flights)]
+    flight = fly if out is None else partial(load_or_fly, out / "flights")
     done = gathered(flight, tasks, jobs, console, "flights")
     by_world: dict[str, Flights] = {}
     for task, flown in zip(tasks, done, strict=False):

@@ -1,8 +1,7 @@
-"""Flights of one world on the map of each mapper, and what all maps said on the way.
+"""Fly one world with the map of each mapper and evaluate all maps on the way.
 
-Flights that share an index have the same world, start and noise. The first of them carries all
-mappers at once and decides on one: their maps are made of the same returns and can be set side by
-side.
+Flights with the same index have the same world, start and noise. The first one runs all mappers at
+once and decides with one of them: their maps use the same returns and are directly comparable.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ from lunarsim.world.terrain import Terrain
 from lunarsim.world.truth import Truth
 
 SCENARIOS = Path(__file__).resolve().parents[1]
-# Maps are compared, not navigation: the lander is told its place, by the truth and a stated budget.
-PLACED: dict[str, Any] = {
+# Maps are compared, not navigation: the position comes from the truth with an error budget.
+WITH_FIXES: dict[str, Any] = {
     "sensors": {
         "altimeter": None,
         "velocimeter": None,
@@ -41,23 +40,23 @@ PLACED: dict[str, Any] = {
         "fix": {"kind": "navigation-fix"},
     }
 }
-# File and what is changed in it.
+# Scenario file and its changes.
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
-    "HiRISE, c = 0.2": ("hirise.toml", PLACED),
-    "HiRISE, c = 0.5": ("hirise.toml", {**PLACED, "terrain": {"relief_scale": 0.5}}),
-    # Its figures are of ground without detail below its posts.
-    "cratered highland": ("highland.toml", {**PLACED, "terrain": {"detail_m": 0.0}}),
-    "Apollo 15": ("apollo15.toml", PLACED),
+    "HiRISE, c = 0.2": ("hirise.toml", WITH_FIXES),
+    "HiRISE, c = 0.5": ("hirise.toml", {**WITH_FIXES, "terrain": {"relief_scale": 0.5}}),
+    # The published results are for terrain without detail below its posting.
+    "cratered highland": ("highland.toml", {**WITH_FIXES, "terrain": {"detail_m": 0.0}}),
+    "Apollo 15": ("apollo15.toml", WITH_FIXES),
     "hazard field": ("morpheus.toml", {}),
 }
-# Mapper and policy; the first flies with all mappers.
+# Mapper and policy; the first flight runs all mappers.
 WAYS: dict[str, tuple[str, str]] = {
     "Gaussian DEM, calibrated": ("calibrated", "safest"),
     "Gaussian DEM, Eqs. 15-17": ("level", "safest"),
     "quadtree": ("quadtree", "safest"),
     "quadtree, scoreboard": ("quadtree", "scoreboard"),
 }
-# Half side of the quadtree's landing zone over that of the lander's footprint, as in the paper.
+# Ratio of the half side of the quadtree landing zone to that of the lander footprint (its paper).
 ZONE = 1.35
 STRATA = (
     "level, no rock",
@@ -68,8 +67,8 @@ STRATA = (
 
 
 @dataclass(frozen=True)
-class Task:
-    """One index of one world."""
+class MapperFlightTask:
+    """One flight index of one world."""
 
     world: str
     flight: int
@@ -77,18 +76,17 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A map against the truth, by stratum.
+class MapEvaluation:
+    """Evaluation of a map against the truth, by stratum.
 
     Attributes
     ----------
     counts
-        Hits, false safe, missed, rejected (strata, 4).
+        True safe, false safe, missed and rejected cells (strata, 4).
     claimed
-        Cells where the map says that its probability is a frequency: number, safe ones, sum of the
-        squared error (strata, 3).
+        Cells with a calibrated probability: number, safe cells, sum of squared errors (strata, 3).
     table
-        Of `reliability` over these, all strata together (bins, 3).
+        Result of `reliability` over these cells, all strata together (bins, 3).
     """
 
     counts: np.ndarray
@@ -97,39 +95,39 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Mapped:
-    """What a mapper made of one flight.
+class MapperRecord:
+    """Results of a mapper in one flight.
 
     Attributes
     ----------
     first, last
         Its map at the first and the last decision that had one; None without.
     seconds
-        That it worked.
+        Computing time, s.
     megabytes
-        That it kept at the end.
+        Memory at the end, MB.
     """
 
-    first: Judged | None
-    last: Judged | None
+    first: MapEvaluation | None
+    last: MapEvaluation | None
     seconds: float
     megabytes: float
 
 
 @dataclass(frozen=True)
-class Flown:
-    """One index.
+class MapperFlight:
+    """Results of one flight index.
 
     Attributes
     ----------
     rows
-        By way: as `lunarsim.evaluation.outcome.evaluate` gives it.
+        By map and policy: result of `lunarsim.evaluation.outcome.evaluate`.
     maps
         By mapper.
     """
 
     rows: dict[str, dict[str, Any]]
-    maps: dict[str, Mapped]
+    maps: dict[str, MapperRecord]
 
 
 def scenario_of(world: str) -> Scenario:
@@ -139,7 +137,7 @@ def scenario_of(world: str) -> Scenario:
 
 
 def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
-    """Return a scenario with other mappers over the same ground; it decides on the first."""
+    """Return a scenario with other mappers; decisions use the first of them."""
     name = next(iter(scenario.mappers))
     tables: dict[str, Any] = {m: _table(scenario, m) for m in mappers}
     if name not in tables:
@@ -150,7 +148,7 @@ def with_mappers(scenario: Scenario, mappers: tuple[str, ...]) -> Scenario:
 def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
     own = next(iter(scenario.mappers.values()))
     table = {"sensor": own.sensor, "size_m": own.size_m, "posting_m": own.posting_m}
-    # As often as anybody decides.
+    # As often as decisions are made.
     table["interval_s"] = scenario.decisions.interval_s
     if mapper != "quadtree":
         return table | {"kind": "gaussian-dem", "safety": mapper}
@@ -164,8 +162,8 @@ def _table(scenario: Scenario, mapper: str) -> dict[str, Any]:
     return table | {"kind": "quadtree", "sites": sites}
 
 
-class Clock:
-    """Counts the time that a mapper works."""
+class SingleMapperTimer:
+    """Measure the computing time of a mapper."""
 
     def __init__(self, mapper: HazardMapper) -> None:
         self.seconds = 0.0
@@ -184,7 +182,7 @@ class Clock:
 
 
 def megabytes(mapper: HazardMapper) -> float:
-    """Return what a mapper keeps between scans, MB."""
+    """Return the memory that a mapper keeps between scans, MB."""
     if isinstance(mapper, GaussianDemMapper):
         return mapper.pool.nbytes / 1e6
     assert isinstance(mapper, QuadtreeMapper)
@@ -192,9 +190,9 @@ def megabytes(mapper: HazardMapper) -> float:
 
 
 def strata_of(world: World, truth: Truth) -> np.ndarray:
-    """Return the stratum of each cell of the truth (rows, cols), by the true ground.
+    """Return the stratum of each truth cell (rows, cols), from the true terrain.
 
-    The slope is that of the relief without rocks over the lander's width.
+    The slope is that of the relief without rocks over the width of the lander.
     """
     grid, lander = truth.safety.grid, truth.lander
     bare = Terrain(world.terrain.relief, RockField.empty()).raster(grid).astype(np.float64)
@@ -207,8 +205,10 @@ def strata_of(world: World, truth: Truth) -> np.ndarray:
     return np.where(slope >= 1.0, 3, np.where(near, 2, np.where(slope >= 0.5, 1, 0)))
 
 
-def judge(hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np.ndarray) -> Judged:
-    """Judge cells (rows, cols) of a map by whether they are safe and their strata (rows, cols)."""
+def judge(
+    hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np.ndarray
+) -> MapEvaluation:
+    """Evaluate cells (rows, cols) of a map by their true safety and stratum."""
     p = np.where(hazard_map.observed, hazard_map.p_safe, 0.0)[where].astype(np.float64)
     s, k = safe[where], strata[where]
     called = p > 0.5
@@ -222,11 +222,11 @@ def judge(hazard_map: HazardMap, where: np.ndarray, safe: np.ndarray, strata: np
         [np.bincount(k[c], weights=w[c], minlength=len(STRATA))
          for w in (np.ones(p.size), s.astype(np.float64), (p - s) ** 2)], axis=-1,
     )  # fmt: skip
-    return Judged(counts, claimed, reliability(p[c], s[c], EDGES))
+    return MapEvaluation(counts, claimed, reliability(p[c], s[c], EDGES))
 
 
-def under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np.ndarray:
-    """Return what a raster of the truth has under the cells of a map; off it the last stratum."""
+def raster_under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np.ndarray:
+    """Return the values of a truth raster at the cells of a map; clipped at its edge."""
     own = truth.safety.grid
     xy = grid.centres() - error[:2]
     row, col = own.cell(xy)
@@ -237,13 +237,13 @@ def under(grid: Grid, error: np.ndarray, truth: Truth, raster: np.ndarray) -> np
 Maps = dict[str, HazardMap]
 
 
-def fly(task: Task) -> Flown:
-    """Fly one index of one world on each map."""
+def fly(task: MapperFlightTask) -> MapperFlight:
+    """Fly one index of one world with each map."""
     plain = scenario_of(task.world)
     world = build_world(plain, Streams(flight_seed(task.seed, task.flight)))
     truth = Truth.of(world, plain.vehicle.make())
     rows: dict[str, dict[str, Any]] = {}
-    maps: dict[str, Mapped] = {}
+    maps: dict[str, MapperRecord] = {}
     for n, (way, (mapper, policy)) in enumerate(WAYS.items()):
         seed = flight_seed(task.seed, task.flight)
         carried = tuple(MAPPERS) if n == 0 else (mapper,)
@@ -255,13 +255,13 @@ def fly(task: Task) -> Flown:
         else:
             simulation.run()
         rows[way] = evaluate(simulation.flight(), truth)
-    return Flown(rows, maps)
+    return MapperFlight(rows, maps)
 
 
-def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, Mapped]:
-    """Fly to the end and judge all maps as they were at the first and the last decision."""
+def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, MapperRecord]:
+    """Fly to the end and evaluate all maps at the first and the last decision."""
     mappers = simulation.computer.mappers
-    clocks = {name: Clock(mapper) for name, mapper in mappers.items()}
+    clocks = {name: SingleMapperTimer(mapper) for name, mapper in mappers.items()}
     seen: list[tuple[Maps, np.ndarray]] = []
     while not simulation.done:
         if simulation.decision_due:
@@ -271,7 +271,7 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, Mapped]:
         simulation.step()
     ends = [judge_all(*moment, simulation.truth, strata) for moment in seen[:1] + seen[-1:]]
     return {
-        name: Mapped(
+        name: MapperRecord(
             *((ends[0][name], ends[-1][name]) if ends else (None, None)), clocks[name].seconds,
             megabytes(mappers[name]),
         )
@@ -279,24 +279,27 @@ def _with_all(simulation: Simulation, strata: np.ndarray) -> dict[str, Mapped]:
     }  # fmt: skip
 
 
-def judge_all(maps: Maps, error: np.ndarray, truth: Truth, strata: np.ndarray) -> dict[str, Judged]:
-    """Judge maps over all ground that any of them has seen.
+def judge_all(
+    maps: Maps, error: np.ndarray, truth: Truth, strata: np.ndarray
+) -> dict[str, MapEvaluation]:
+    """Evaluate maps over all terrain that any of them has observed.
 
-    What a map has not seen it does not call safe. Each is judged on its own grid: mappers may have
-    laid them about different points.
+    Unobserved cells count as not called safe. Each map is evaluated on its own grid,
+    because mappers
+    can center their grids on different points.
     """
     out = {}
     for name, drawn in maps.items():
         where = np.logical_or.reduce([seen_under(drawn.grid, m) for m in maps.values()])
         where &= truth.safety.grid.contains(drawn.grid.centres() - error[:2])
-        where &= under(drawn.grid, error, truth, truth.safety.observed)
-        safe = under(drawn.grid, error, truth, truth.safety.safe)
-        out[name] = judge(drawn, where, safe, under(drawn.grid, error, truth, strata))
+        where &= raster_under(drawn.grid, error, truth, truth.safety.observed)
+        safe = raster_under(drawn.grid, error, truth, truth.safety.safe)
+        out[name] = judge(drawn, where, safe, raster_under(drawn.grid, error, truth, strata))
     return out
 
 
 def seen_under(grid: Grid, hazard_map: HazardMap) -> np.ndarray:
-    """Tell which cells of a grid a map has seen (rows, cols)."""
+    """Return whether a map has observed each cell of a grid (rows, cols)."""
     own, xy = hazard_map.grid, grid.centres()
     row, col = own.cell(xy)
     at = np.clip(row, 0, own.rows - 1), np.clip(col, 0, own.cols - 1)

@@ -1,7 +1,7 @@
-"""Scenes that were scanned and judged, kept in a file: to fit to them again takes no drawing.
+"""Cache evaluated scenes in a file for repeated fits.
 
-The file is for one matrix of scenes. Whether the code still draws what is in it the first scene
-tells: it is drawn again.
+The file is valid for one matrix of scenes. To detect changed code, the first scene is generated
+again and compared.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from zipfile import BadZipFile
 import click
 import numpy as np
 from rich.console import Console
-from worlds import Scene
+from worlds import LidarScene
 
 from lunarsim.campaign.pool import gathered
 from lunarsim.whole_files import write_whole
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Sites of one scene (n, ...); `features` float32, `cover` and `slope` choose the stratum.
+class SceneSites:
+    """Evaluated sites of one scene (n, ...); `features` is float32.
 
-    `ceiling` holds everywhere, `bound` outside the domain; where `doomed` they may be called surely
-    unsafe.
+    `ceiling` is an upper bound everywhere,
+    `bound` only outside the domain. Sites with `doomed` may be
+    classified as certainly unsafe. `cover` and `slope` select the stratum.
     """
 
-    scene: Scene
+    scene: LidarScene
     features: np.ndarray
     known: np.ndarray
     ceiling: np.ndarray
@@ -43,28 +44,28 @@ class Judged:
 ARRAYS = ("features", "known", "ceiling", "bound", "slope", "doomed", "safe")
 
 
-def judged_scenes(
-    judge: Callable[[Scene], Judged],
-    deck: list[Scene],
+def evaluated_scenes(
+    judge: Callable[[LidarScene], SceneSites],
+    deck: list[LidarScene],
     file: Path | None,
     jobs: int,
     console: Console,
-) -> list[Judged]:
-    """Return scenes judged, from a file where it is there; else judge them, and write it.
+) -> list[SceneSites]:
+    """Return evaluated scenes from the file; compute and write it if missing.
 
     Raises
     ------
     click.ClickException
-        If the file is another one: of other scenes, or of what is drawn otherwise now.
+        If the file holds other scenes, or was computed with different code.
     """
     if file is None or not file.exists():
         judged = gathered(judge, deck, jobs, console, "scenes")
         if file is not None:
             _save(judged, file)
         return judged
-    judged = _loaded(file)
+    judged = _load(file)
     if [j.scene for j in judged] != deck:
-        raise click.ClickException(f"{file} holds other scenes: delete it, or name another file")
+        raise click.ClickException(f"{file} holds other scenes. Delete it or choose another file.")
     first = judge(deck[0])
     same = first.cover == judged[0].cover and all(
         np.array_equal(getattr(first, name), getattr(judged[0], name), equal_nan=True)
@@ -72,13 +73,13 @@ def judged_scenes(
     )
     if not same:
         raise click.ClickException(
-            f"{file} was drawn by another version: its first scene comes out otherwise now; "
-            "delete it, or name another file"
+            f"{file} was computed by another version: its first scene differs. "
+            "Delete it or choose another file."
         )
     return judged
 
 
-def _save(judged: list[Judged], file: Path) -> None:
+def _save(judged: list[SceneSites], file: Path) -> None:
     columns = {name: np.concatenate([getattr(j, name) for j in judged]) for name in ARRAYS}
     count = np.array([len(j.safe) for j in judged])
     scenes = json.dumps([asdict(j.scene) for j in judged])
@@ -93,16 +94,16 @@ def _save(judged: list[Judged], file: Path) -> None:
     write_whole(file, write)
 
 
-def _loaded(file: Path) -> list[Judged]:
+def _load(file: Path) -> list[SceneSites]:
     try:
         with np.load(file) as data:
-            scenes = [Scene(**scene) for scene in json.loads(str(data["scenes"]))]
+            scenes = [LidarScene(**scene) for scene in json.loads(str(data["scenes"]))]
             ends = np.cumsum(data["count"])[:-1]
             columns = [np.split(data[name], ends) for name in ARRAYS]
             covers = [float(cover) for cover in data["cover"]]
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
-        raise click.ClickException(f"{file} is no file of scenes ({error})") from None
+        raise click.ClickException(f"{file} is not a file of scenes ({error})") from None
     return [
-        Judged(scene, *(column[n] for column in columns[:-1]), cover, columns[-1][n])
+        SceneSites(scene, *(column[n] for column in columns[:-1]), cover, columns[-1][n])
         for n, (scene, cover) in enumerate(zip(scenes, covers, strict=True))
     ]

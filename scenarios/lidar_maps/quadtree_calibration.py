@@ -1,7 +1,7 @@
-"""How often sites are safe that the quadtree calls so: the fit, and worlds kept out of it.
+"""Fit the safety probability of the quadtree and test it on held-out worlds.
 
-As `calibration.py` does for the Gaussian DEM: four flashes of each scene of the same matrix make a
-quadtree, of which the sites are judged by exact safety.
+The method is that of `calibration.py`: four flashes of each scene of the same matrix build a
+quadtree, and its sites are compared with exact safety.
 
 python scenarios/lidar_maps/quadtree_calibration.py --scenes 240 --jobs 2 --out out/lidar_maps
 """
@@ -13,9 +13,9 @@ from typing import Any
 
 import click
 import numpy as np
-from calibration import SITES, Method, options, study
-from kept import Judged
-from worlds import LANDERS, UPRIGHT, Scene, scenes
+from calibration import SITES, CalibrationMethod, options, study
+from kept import SceneSites
+from worlds import LANDERS, UPRIGHT, LidarScene, scenes
 
 from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector, SiteSettings
 from lunarsim.onboard.hazards.quadtree.site_probability import (
@@ -31,14 +31,15 @@ from lunarsim.safety import exact_safety
 from lunarsim.safety.ensemble import MARGIN
 
 FLASHES = 4
-# Half side of the landing zone over that of the lander's footprint, as in the paper.
+# Ratio of the half side of the landing zone to that of the lander footprint, as in the paper.
 ZONE = 1.35
-# The paper's map wants five points on a square metre: farther away there is none.
-NEAREST, FARTHEST = 80.0, 420.0
+# Range limits, m. The map of the paper requires five points per square metre, which limits the
+# maximum.
+MIN_RANGE, MAX_RANGE = 80.0, 420.0
 
 
-def judge(scene: Scene) -> Judged:
-    """Map one scene by a few flashes and judge some of the sites."""
+def judge(scene: LidarScene) -> SceneSites:
+    """Map one scene with a few flashes and evaluate some of its sites."""
     terrain, grid, lander = scene.terrain(), scene.grid(), LANDERS[scene.lander]
     west, east, _, _ = grid.extent
     level = float(terrain.elevation(np.zeros(2)))
@@ -62,7 +63,7 @@ def judge(scene: Scene) -> Judged:
     sites = np.sort(scene.rng(4).choice(sites, min(SITES, len(sites)), replace=False))
     where = np.zeros(len(row), bool)
     where[sites] = True
-    return Judged(
+    return SceneSites(
         scene,
         features(evidence, where).astype(np.float32),
         evidence.in_domain[where],
@@ -75,10 +76,10 @@ def judge(scene: Scene) -> Judged:
     )
 
 
-def drawn(count: int, seed: int) -> list[Scene]:
-    """Return scenes that are near enough for the paper's density of points."""
+def draw_scenes(count: int, seed: int) -> list[LidarScene]:
+    """Return scenes within the range that gives the point density of the paper."""
     rng = np.random.default_rng([seed, 98])
-    reach = np.exp(rng.uniform(np.log(NEAREST), np.log(FARTHEST), count))
+    reach = np.exp(rng.uniform(np.log(MIN_RANGE), np.log(MAX_RANGE), count))
     deck = scenes(count, seed)
     return [replace(s, distance=float(r)) for s, r in zip(deck, reach, strict=True)]
 
@@ -86,9 +87,9 @@ def drawn(count: int, seed: int) -> list[Scene]:
 @click.command()
 @options(240, "lunarsim/onboard/hazards/quadtree/calibration.json")
 def main(**wanted: Any) -> None:
-    """Fit the quadtree's probability, and judge it on worlds kept out of the fit."""
+    """Fit the probability of the quadtree; test it on held-out worlds."""
     command = "scenarios/lidar_maps/quadtree_calibration.py"
-    study(Method(command, judge, drawn, RISING, MARGIN, HOPELESS), **wanted)
+    study(CalibrationMethod(command, judge, draw_scenes, RISING, MARGIN, HOPELESS), **wanted)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the comparison of maps says, row by row: for its tables and for the page of results."""
+"""Format the rows of the mapper comparison for tables and the results page."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ MAPPERS = {
     "level": "Gaussian DEM, Eqs. 15-17",
     "quadtree": "quadtree",
 }
-World = dict[str, Any]
-Row = list[str]
+WorldResults = dict[str, Any]
+TableRow = list[str]
 
 
 def number(value: float | None, form: str) -> str:
-    """Return a number, a dash for none."""
+    """Format a number; a dash for None or NaN."""
     return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def interval(figure: Sequence[float | None]) -> str:
-    """Return a figure with its 95 % interval."""
+    """Format a metric with its 95 % interval."""
     value, low, high = (number(v, ".3f") for v in figure)
     return value if value == "-" else f"{value} [{low}, {high}]"
 
 
-def landing_rows(world: World) -> list[Row]:
-    """Return how flights ended, without the name of the world."""
+def landing_rows(world: WorldResults) -> list[TableRow]:
+    """Return the rows of landing results, without the world name."""
     out = []
     for n, (way, f) in enumerate(world["landings"].items()):
         low, high = f["interval"]
@@ -39,12 +39,12 @@ def landing_rows(world: World) -> list[Row]:
     return out
 
 
-def map_rows(world: World) -> list[Row]:
-    """Return maps as a whole at both moments, time and memory."""
+def map_rows(world: WorldResults) -> list[TableRow]:
+    """Return the rows of map metrics at both decisions, with time and memory."""
     out = []
     for mapper, f in world["maps"].items():
-        told = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
-        for n, (moment, q) in enumerate(told):
+        entries = [(moment, q) for moment in ("first", "last") if (q := f[moment])]
+        for n, (moment, q) in enumerate(entries):
             top = n == 0
             out.append([
                 MAPPERS[mapper] if top else "", moment, interval(q["precision"]),
@@ -55,14 +55,14 @@ def map_rows(world: World) -> list[Row]:
     return out
 
 
-def stratum_rows(world: World) -> list[Row]:
-    """Return maps at the last decision by stratum of the true ground."""
+def stratum_rows(world: WorldResults) -> list[TableRow]:
+    """Return the rows of map metrics at the last decision by terrain stratum."""
     last = {MAPPERS[mapper]: f["last"] for mapper, f in world["maps"].items() if f["last"]}
     strata = dict.fromkeys(name for q in last.values() for name in q["strata"])
     out = []
     for stratum in strata:
-        told = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
-        for n, (mapper, s) in enumerate(told.items()):
+        entries = {m: s for m, q in last.items() if (s := q["strata"][stratum])["cells"]}
+        for n, (mapper, s) in enumerate(entries.items()):
             out.append([
                 stratum if n == 0 else "", mapper, number(s["safe"], ".3f") if n == 0 else "",
                 interval(s["precision"]), interval(s["recall"]), number(s["skill"], "+.2f"),
@@ -70,6 +70,6 @@ def stratum_rows(world: World) -> list[Row]:
     return out
 
 
-ROWS: dict[str, Callable[[World], list[Row]]] = {
+ROWS: dict[str, Callable[[WorldResults], list[TableRow]]] = {
     "landings": landing_rows, "maps": map_rows, "strata": stratum_rows,
 }  # fmt: skip

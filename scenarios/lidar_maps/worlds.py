@@ -1,6 +1,7 @@
-"""The matrix of worlds on which maps of LiDAR returns are judged: relief, rocks, lander, scan.
+"""Generate the matrix of worlds for the evaluation of LiDAR maps.
 
-A world is named by its parts, so that whole rows of the matrix can be kept out of a fit.
+The axes are relief, rocks, lander and scan. A world is identified by the names of its parts, so
+that complete rows of the matrix can be held out of a fit.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ from lunarsim.world.terrain import (
 )
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-SIDE = 130.0  # of the relief, m
-MIDDLE = 90.0  # of what is judged at most, m
-POSTING = 0.2  # of map and truth, m
+SIDE = 130.0  # side of the relief, m
+MAX_MAP_SIDE = 90.0  # maximum side of the evaluated area, m
+POSTING = 0.2  # posting of map and truth, m
 RELIEF_POSTING = 0.25
-SHARP_POSTING = 0.125  # of relief with edges
+SHARP_POSTING = 0.125  # posting of relief with edges, m
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 
 RELIEFS = (
@@ -59,7 +60,7 @@ ANGLES = (0.0, 30.0, 60.0)
 
 
 @dataclass(frozen=True)
-class Scene:
+class LidarScene:
     """One cell of the matrix.
 
     Attributes
@@ -67,11 +68,11 @@ class Scene:
     relief, rocks, lander
         Names from `RELIEFS`, `ROCKS`, `LANDERS`.
     distance, angle_deg
-        Of the flash from the middle of the map, and off nadir.
+        Distance of the flash from the map center, m, and angle off nadir, deg.
     noise
-        Times the sensor's usual noise.
+        Factor on the default noise of the sensor.
     seed
-        Of relief, rocks and noise.
+        Seed of relief, rocks and noise.
     """
 
     relief: str
@@ -83,7 +84,7 @@ class Scene:
     seed: int
 
     def rng(self, stream: int) -> np.random.Generator:
-        """Return a generator of the scene's own."""
+        """Return a random generator of this scene."""
         return np.random.default_rng([self.seed, stream])
 
     def terrain(self) -> Terrain:
@@ -92,11 +93,11 @@ class Scene:
         return Terrain(ground, rocks(self.rocks, ground, self.rng(1)))
 
     def grid(self) -> Grid:
-        """Return the map: what the flash covers, and no more than `MIDDLE`."""
-        return Grid.centred((0.0, 0.0), min(MIDDLE, 0.2 * self.distance), POSTING)
+        """Return the map grid: the area covered by the flash, at most `MAX_MAP_SIDE` wide."""
+        return Grid.centred((0.0, 0.0), min(MAX_MAP_SIDE, 0.2 * self.distance), POSTING)
 
     def flash(self, terrain: Terrain) -> tuple[LidarScan, np.ndarray]:
-        """Flash once at the middle; return the scan and where it was taken from (3,)."""
+        """Flash once at the center; return the scan and the sensor position (3,), m."""
         angle, azimuth = np.deg2rad(self.angle_deg), self.rng(2).uniform(0.0, 2.0 * np.pi)
         away = np.array([np.cos(azimuth), np.sin(azimuth)])
         level = float(terrain.elevation(np.zeros(2)))
@@ -111,7 +112,7 @@ class Scene:
 
 
 def relief(name: str, seed: int) -> Heightfield:
-    """Return a ground without rocks, `SIDE` metres wide (measured ones: as they are)."""
+    """Return terrain without rocks, `SIDE` wide (measured terrain: its own size)."""
     kind, _, figure = name.partition("-")
     grid = Grid.centred((0.0, 0.0), SIDE, RELIEF_POSTING)
     rng = np.random.default_rng([seed, 0])
@@ -133,7 +134,7 @@ def relief(name: str, seed: int) -> Heightfield:
 
 
 def _cut(kind: str, rng: np.random.Generator) -> Heightfield:
-    """Return gentle ground with trenches side by side, or with pits, of one size each."""
+    """Return smooth terrain with parallel trenches or with pits of one size."""
     grid = Grid.centred((0.0, 0.0), SIDE, SHARP_POSTING)
     z = fractal_relief(grid, rng, hurst=0.85, rms_slope=np.deg2rad(1.5)).z.astype(np.float64)
     x, y = np.moveaxis(grid.centres(), -1, 0)
@@ -170,14 +171,14 @@ def _measured(kind: str, scale: float) -> Heightfield:
 
 
 def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField:
-    """Return the rocks of a law, drawn on a ground."""
+    """Return the rocks of a rock law, placed on a relief."""
     kind, _, figure = name.partition("-")
     west, east, south, north = ground.bounds
     area = (east - west) * (north - south)
     if kind == "none":
         return RockField.empty()
     if kind in {"one", "small", "large"}:
-        # As many as cover 1 % of the ground: 500 of 1 m on 200 x 200 m.
+        # The number that covers 1 % of the terrain: 500 rocks of 1 m on 200 x 200 m.
         diameter = {"one": 1.0, "small": 0.6, "large": 2.0}[kind]
         count = rng.poisson(0.01 * area / (0.25 * np.pi * diameter**2))
         return place_rocks(ground, np.full(count, diameter), rng)
@@ -193,8 +194,8 @@ def rocks(name: str, ground: Heightfield, rng: np.random.Generator) -> RockField
     return place_rocks(ground, diameters, rng, model=model)
 
 
-def scenes(count: int, seed: int) -> Iterator[Scene]:
-    """Yield scenes in which every part of the matrix has its turn, drawn evenly."""
+def scenes(count: int, seed: int) -> Iterator[LidarScene]:
+    """Yield scenes that use every part of the matrix equally often."""
     rng = np.random.default_rng([seed, 99])
     decks: dict[str, list[str]] = {}
     for n in range(count):
@@ -203,7 +204,7 @@ def scenes(count: int, seed: int) -> Iterator[Scene]:
             if not decks.get(name):
                 decks[name] = list(rng.permutation(cards))
             hand[name] = str(decks[name].pop())
-        yield Scene(
+        yield LidarScene(
             **hand,
             distance=float(RANGES[n % len(RANGES)] * rng.uniform(0.8, 1.25)),
             angle_deg=float(rng.choice(ANGLES)),

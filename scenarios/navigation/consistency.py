@@ -1,11 +1,12 @@
-"""Whether navigation errs by what it says, in flights, and what an error at the start does.
+r"""Check navigation consistency (NEES, NIS) and the effect of initial errors.
 
-Flies a scenario whose navigation has an error state. At five fixed shares of the planned descent
-the errors of position, velocity and attitude are set against their covariance (NEES), and the
-innovations of every kind of measurement against theirs (NIS): of the last ones before each of these
-epochs, and of all since the epoch before. The second are many and so tell finer, but are not
-independent: bounds are for those that are. With `--start` given twice or more each flight is flown
-from each error of position at the start, over the same ground.
+The script flies a scenario whose navigation has an error state. At five fixed fractions of the
+planned descent time it compares the errors of position, velocity and attitude with their covariance
+(NEES), and the innovations of each kind of measurement with theirs (NIS): those of the last
+measurement before each epoch, and those of all measurements since the previous epoch. The second
+set is larger and therefore more sensitive, but not independent; the bounds assume independence.
+With `--start` given twice or more, each flight is repeated with each initial position error over
+the same terrain.
 
 python scenarios/navigation/consistency.py --flights 50 --jobs 2
 python scenarios/navigation/consistency.py --flights 50 --jobs 2 --start 0.01 --start 100
@@ -49,31 +50,34 @@ EPOCHS = (0.15, 0.35, 0.55, 0.75, 0.95)
 PARTS = {"all nine": np.arange(9), "position": np.r_[0:3], "velocity": np.r_[3:6],
          "attitude": np.r_[6:9]}  # fmt: skip
 LEVEL = 0.999
-# Sets of sensors that are judged at length: how modest each may be, since what a map's post tells
-# counts less where it is used again and scans are taken to differ by more than they do on level
-# grass; and what the mission knows of the ground, so that a level plane is not told to be relief.
-PLANE = ("navigation.relief_deg=0.5", "start_knowledge.ground_m=5")
+# Scenarios of the long check: lower limit of NEES as a fraction of its bound, and changed keys. In
+# morpheus NEES is lower, because a map post that is used again counts less and scans are assumed to
+# differ by more than they do on horizontal grass. The keys give the terrain knowledge of the
+# mission, so that a horizontal plane is not modelled as relief.
+HORIZONTAL_TERRAIN = ("navigation.relief_deg=0.5", "start_knowledge.ground_m=5")
 SETS = {
     "instruments": (1.0, ()),
-    "two_eyes": (1.0, PLANE),
-    "shadow_nominal": (1.0, PLANE),
+    "two_eyes": (1.0, HORIZONTAL_TERRAIN),
+    "shadow_nominal": (1.0, HORIZONTAL_TERRAIN),
     "morpheus": (0.5, ()),
 }
-# Innovations may be smaller than said, by kind: a rock shows in the same wrong place from look to
-# look while the view hardly turns, and what a map that is used again makes of scans and of fits.
-MODEST = {"places": 0.4, "scans": 0.2, "map": 0.0}
-# And larger: rocks of a pixel a radius scatter by more than is said.
-BOLD = {"places": 1.7}
-# No error is so many of its deviations unless navigation is lost; so many flights may be, of 50.
-FAR, LOST = 5.0, 0.02
-# What is watched and corrects nothing is no measurement, by the last word of its kind: how many
-# rocks were found again and whether shadows fall where the Sun throws them, both against a
-# tolerance, and whether scans that fit the map fit it where they are taken to lie.
+# Innovations may be smaller than their covariance, by kind: a rock appears at the same wrong
+# position in successive images while the view changes little, and reused maps correlate scans and
+# fits.
+MIN_NIS_FACTOR = {"places": 0.4, "scans": 0.2, "map": 0.0}
+# They may also be larger: rocks with a radius of one pixel scatter by more than the model.
+MAX_NIS_FACTOR = {"places": 1.7}
+# Maximum error in standard deviations of a flight that is not declared lost; maximum fraction of
+# lost flights.
+MAX_ERROR_SIGMA, MAX_LOST_FRACTION = 5.0, 0.02
+# Last words of the names of monitored quantities that correct nothing and are therefore not
+# measurements: number of rocks found again, direction of shadows, and the position of scans that
+# fit the map.
 CHECKS = ("expected", "shadows", "fits")
 
 
 @dataclass(frozen=True)
-class Task:
+class ConsistencyTask:
     """One flight."""
 
     scenario: str
@@ -88,26 +92,26 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it.
+class ConsistencyFlight:
+    """Results of a flight.
 
     Attributes
     ----------
     error, covariance
-        At the epochs (e, 9), (e, 9, 9).
+        Error and covariance at the epochs (e, 9), (e, 9, 9).
     latest, innovations
-        Before each epoch by kind of measurement, normalised squares added up: of the last cycle
-        that measured it, and of all cycles from the epoch before on.
+        Sums of normalised squares before each epoch, by kind of measurement: of the last cycle
+        with a measurement, and of all cycles since the previous epoch.
     whole
-        The same of the whole flight.
+        The same for the complete flight.
     refused, doubted
-        Measurements that were, by kind; how often a kind was doubted.
+        Number of rejected measurements by kind; number of times that a kind was doubted.
     lost
-        Whether navigation said so at the end, and whether it ever did.
+        Whether navigation declared itself lost at the end, and whether it ever did.
     start_error, map_error
-        Error of position at the start, and at touchdown, m.
+        Position error at the start, and at touchdown, m.
     safe
-        Whether the lander came down safely.
+        Whether the landing was safe.
     """
 
     error: np.ndarray
@@ -123,8 +127,8 @@ class Flown:
     safe: bool
 
 
-def fly(task: Task) -> Flown:
-    """Fly once, and compare what navigation says with the truth."""
+def fly(task: ConsistencyTask) -> ConsistencyFlight:
+    """Fly once and compare the reported covariance with the true errors."""
     scenario = with_changes(Scenario.load(Path(task.scenario)), task.changes)
     if task.start is not None:
         scenario = scenario.changed(start_knowledge={"position_m": task.start})
@@ -137,7 +141,9 @@ def fly(task: Task) -> Flown:
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), task.policy)
     navigation = simulation.computer.navigation
     if not isinstance(navigation, Navigator | UnscentedFilter):
-        raise click.UsageError(f"{task.scenario}: its navigation has no error state to be judged")
+        raise click.UsageError(
+            f"{task.scenario}: navigation must have an error state (inertial or ukf)"
+        )
     planned = simulation.computer.time_to_go
     due = [share * planned for share in EPOCHS]
     errors, covariances, before, latest = [], [], [], []
@@ -146,7 +152,7 @@ def fly(task: Task) -> Flown:
     while not simulation.done:
         already = totals(navigation)
         simulation.step()
-        new = since(already, totals(navigation))
+        new = difference(already, totals(navigation))
         last |= {kind: c for kind, c in new.items() if c.degrees}
         if due and not simulation.done and simulation.time >= due[0] - 1e-9:
             due.pop(0)
@@ -156,11 +162,11 @@ def fly(task: Task) -> Flown:
             latest.append(last)
             last = {}
     names = [name for _, name, _ in simulation.computer.telemetry]
-    return Flown(
+    return ConsistencyFlight(
         np.array(errors).reshape(-1, 9),
         np.array(covariances).reshape(-1, 9, 9),
         latest,
-        [since(a, b) for a, b in pairwise(({}, *before))],
+        [difference(a, b) for a, b in pairwise(({}, *before))],
         totals(navigation),
         {k: w.refused for k, w in navigation.watches.items() if corrects(k)},
         names.count("doubted"),
@@ -172,7 +178,7 @@ def fly(task: Task) -> Flown:
 
 
 def corrects(kind: str) -> bool:
-    """Return whether what is watched under a name corrects the state."""
+    """Return whether a monitored quantity corrects the state."""
     return kind.rsplit(maxsplit=1)[-1] not in CHECKS
 
 
@@ -184,8 +190,10 @@ def totals(navigation: Navigator | UnscentedFilter) -> dict[str, Consistency]:
     }  # fmt: skip
 
 
-def since(before: dict[str, Consistency], now: dict[str, Consistency]) -> dict[str, Consistency]:
-    """Return what has been added to the totals."""
+def difference(
+    before: dict[str, Consistency], now: dict[str, Consistency]
+) -> dict[str, Consistency]:
+    """Return the difference of two totals."""
     none = Consistency()
     return {
         kind: Consistency(
@@ -196,7 +204,7 @@ def since(before: dict[str, Consistency], now: dict[str, Consistency]) -> dict[s
 
 
 def error_of(simulation: Simulation) -> np.ndarray:
-    """Return the errors of position, velocity and attitude (ENU) in the site frame (9,)."""
+    """Return position, velocity and attitude errors (ENU) in the site frame (9,)."""
     state = simulation.state
     found = simulation.computer.navigation.estimate_in_site(simulation.time, state.mass)
     turn = quat_multiply(state.attitude, quat_conjugate(found.attitude))
@@ -209,8 +217,8 @@ def error_of(simulation: Simulation) -> np.ndarray:
     )
 
 
-def nees_of(flights: list[Flown], epoch: int, keep: np.ndarray) -> Consistency:
-    """Return the NEES of some of the nine errors at an epoch, over the flights that came so far."""
+def nees_of(flights: list[ConsistencyFlight], epoch: int, keep: np.ndarray) -> Consistency:
+    """Return the NEES of selected errors at an epoch, over flights that reached it."""
     found = Consistency()
     for f in flights:
         if len(f.error) > epoch:
@@ -219,10 +227,10 @@ def nees_of(flights: list[Flown], epoch: int, keep: np.ndarray) -> Consistency:
     return found
 
 
-def nees_table(flights: list[Flown]) -> Table:
-    """Return NEES over its degrees of freedom, by epoch and part."""
-    table = Table(title=f"NEES over degrees of freedom, {100 * LEVEL:g} % bounds in brackets")
-    table.add_column("share of the descent", justify="right")
+def nees_table(flights: list[ConsistencyFlight]) -> Table:
+    """Return the table of NEES / degrees of freedom by epoch and state part."""
+    table = Table(title=f"NEES / degrees of freedom [{100 * LEVEL:g} % bounds]; !: outside")
+    table.add_column("fraction of the descent", justify="right")
     for part in PARTS:
         table.add_column(part, justify="right")
     for k, share in enumerate(EPOCHS):
@@ -236,19 +244,17 @@ def nees_table(flights: list[Flown]) -> Table:
     return table
 
 
-def nis_table(flights: list[Flown], which: str, title: str) -> Table:
-    """Return NIS over its degrees of freedom, by kind of measurement and epoch.
+def nis_table(flights: list[ConsistencyFlight], which: str, title: str) -> Table:
+    """Return the table of NIS / degrees of freedom by kind of measurement and epoch.
 
     Parameters
     ----------
     which
-        Attribute of `Flown`: "latest" or "innovations".
+        Attribute of `ConsistencyFlight`: "latest" or "innovations".
     """
-    table = Table(
-        title=f"NIS over degrees of freedom, {title}; !: not within {100 * LEVEL:g} % bounds"
-    )
-    for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at the last",
-                    "refused"):  # fmt: skip
+    table = Table(title=f"NIS / degrees of freedom, {title}; !: outside {100 * LEVEL:g} % bounds")
+    for heading in ("measurement", *(f"{share:.2f}" for share in EPOCHS), "bounds at last epoch",
+                    "rejected"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "measurement" else "right")
     by_epoch = [[getattr(f, which)[k] for f in flights if len(f.innovations) > k]
                 for k in range(len(EPOCHS))]  # fmt: skip
@@ -268,23 +274,23 @@ def nis_table(flights: list[Flown], which: str, title: str) -> Table:
     return table
 
 
-def broken(flights: list[Flown], modest: float) -> list[str]:
-    """Return where errors are not what is said, a line each.
+def inconsistencies(flights: list[ConsistencyFlight], modest: float) -> list[str]:
+    """Return a line for each inconsistency between errors and covariance.
 
     Parameters
     ----------
     modest
-        Share of its lower bound by which NEES may be less.
+        Factor on the lower bound of NEES.
     """
     out = []
     lost = sum(f.lost[0] for f in flights)
-    if lost > LOST * len(flights):
-        out.append(f"{lost} of {len(flights)} flights are lost")
+    if lost > MAX_LOST_FRACTION * len(flights):
+        out.append(f"{lost} of {len(flights)} flights ended lost")
     for n, f in enumerate(flights):
-        # A mean hides one that is far off and does not know.
+        # A mean can hide one flight with a large undeclared error.
         off = np.abs(f.error) / np.sqrt(np.diagonal(f.covariance, axis1=1, axis2=2))
-        if not (f.lost[0] or (off < FAR).all()):
-            out.append(f"flight {n} is {off.max():.1f} sigma off, undeclared")
+        if not (f.lost[0] or (off < MAX_ERROR_SIGMA).all()):
+            out.append(f"flight {n}: undeclared error of {off.max():.1f} sigma")
     for k, share in enumerate(EPOCHS):
         for part, keep in PARTS.items():
             out += _outside(f"NEES of {part} at {share}", nees_of(flights, k, keep), modest, 1.0)
@@ -294,7 +300,7 @@ def broken(flights: list[Flown], modest: float) -> list[str]:
             total = Consistency(sum(c.total for c in found), sum(c.degrees for c in found))
             least, most = (
                 next((share for end, share in of.items() if kind.endswith(end)), 1.0)
-                for of in (MODEST, BOLD)
+                for of in (MIN_NIS_FACTOR, MAX_NIS_FACTOR)
             )
             out += _outside(f"NIS of {kind} at {share}", total, least, most)
     return out
@@ -304,15 +310,16 @@ def _outside(name: str, found: Consistency, modest: float, bold: float) -> list[
     low, high = found.bounds(LEVEL)
     if modest * low <= found.ratio <= bold * high:
         return []
-    return [f"{name}: {found.ratio:.3f}, not from {modest * low:.3f} to {bold * high:.3f}"]
+    return [f"{name}: {found.ratio:.3f} is outside {modest * low:.3f} to {bold * high:.3f}"]
 
 
-def safe_table(by_start: dict[str, list[Flown]]) -> Table:
-    """Return how flights ended, by error at the start."""
+def safe_table(by_start: dict[str, list[ConsistencyFlight]]) -> Table:
+    """Return the table of landing results by initial error."""
     table = Table(title="Landings")
-    for heading in ("error at the start\n(1 sigma an axis, m), kind", "drawn, median (m)",
-                    "at touchdown,\nmedian (m)", "landed safe", "against the first:\nwon, lost (p)",
-                    "doubted", "lost at the end,\never"):  # fmt: skip
+    for heading in ("initial error\n(1 sigma per axis, m), kind", "initial error,\nmedian (m)",
+                    "touchdown error,\nmedian (m)", "safe landings",
+                    "against the first:\nbetter, worse (p)",
+                    "measurements\ndoubted", "lost at the\nend, ever"):  # fmt: skip
         table.add_column(heading, justify="right")
     first = [f.safe for f in next(iter(by_start.values()))]
     for n, (start, flights) in enumerate(by_start.items()):
@@ -333,8 +340,8 @@ def safe_table(by_start: dict[str, list[Flown]]) -> Table:
     return table
 
 
-def plain(flight: Flown) -> dict[str, Any]:
-    """Return a flight as JSON has it: NEES, and NIS of all of it, over degrees of freedom."""
+def flight_to_json(flight: ConsistencyFlight) -> dict[str, Any]:
+    """Return a flight for JSON, with NEES and NIS per degree of freedom."""
     nees = {}
     for part, keep in PARTS.items():
         squares = [
@@ -361,66 +368,67 @@ def plain(flight: Flown) -> dict[str, Any]:
     type=click.Path(exists=True, dir_okay=False),
     default=str(SCENARIOS / "instruments.toml"),
     show_default="instruments.toml",
-    help="Scenario whose navigation is judged.",
+    help="Scenario file.",
 )
 @click.option(
     "--flights",
     type=click.IntRange(min=2),
     default=10,
     show_default=True,
-    help="From each error at the start.",
+    help="Number of flights per initial error.",
 )
 @click.option(
     "--start",
     "starts",
     type=click.FloatRange(min=1e-3),
     multiple=True,
-    help="Error of position at the start, 1 sigma an axis, m; may be given again. "
-    "Left out: the scenario's.",
+    help="Initial position error, 1 sigma per axis (m); repeatable (default: of the scenario).",
 )
 @click.option(
     "--kind",
     "kinds",
     type=click.Choice(("inertial", "ukf")),
     multiple=True,
-    help="Navigation; may be given again, to be flown over the same ground. Left out: the "
-    "scenario's.",
+    help="Navigation kind; repeatable, over the same terrain (default: of the scenario).",
 )
 @click.option(
     "--speed",
     "speeds",
     type=click.FloatRange(min=1e-3),
     multiple=True,
-    help="Error of velocity at the start, 1 sigma an axis, m/s; may be given again. Left out: the "
-    "scenario's.",
+    help="Initial velocity error, 1 sigma per axis (m/s); repeatable (default: of the scenario).",
 )
-@click.option(
-    "--without", multiple=True, help="Sensor that the lander does not carry; may be given again."
-)
+@click.option("--without", multiple=True, help="Sensor to remove; repeatable.")
 @click.option(
     "--set",
     "changes",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Another value of a key of the scenario; may be repeated.",
+    help="Set a scenario key; repeatable.",
 )
-@click.option("--judge", type=click.FloatRange(min=0, max=1, min_open=True), metavar="MODEST",
-              help="End with 1 where errors are not what is said; NEES may be less than its lower "
-                   "bound by this share.")  # fmt: skip
+@click.option("--judge", type=click.FloatRange(min=0, max=1, min_open=True),
+metavar="MODEST",
+              help="Exit with status 1 if inconsistent; MODEST is a factor on "
+                   "the lower NEES bound.")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
-@click.option("--json", "out", type=click.Path(path_type=Path), help="Every flight, by its start.")
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(path_type=Path),
+    help="Output file of all flights, by initial error.",
+)
 @seed_and_jobs
 def main(
     scenario: str, flights: int, starts: tuple[float, ...], kinds: tuple[str, ...],
     speeds: tuple[float, ...], without: tuple[str, ...], changes: tuple[str, ...], policy: str,
     judge: float | None, out: Path | None, seed: int, jobs: int,
 ) -> None:  # fmt: skip
-    """Fly, and compare what navigation says of its errors with the errors."""
+    """Fly, and compare the reported navigation errors with the true ones."""
     console = plain_console(120)
-    by_start: dict[str, list[Flown]] = {}
+    by_start: dict[str, list[ConsistencyFlight]] = {}
     for kind, start, speed in product(kinds or (None,), starts or (None,), speeds or (None,)):
         tasks = [
-            Task(scenario, start, n, seed, policy, kind, speed, without, changes)
+            ConsistencyTask(scenario, start, n, seed, policy, kind, speed, without, changes)
             for n in range(flights)
         ]
         name = "the scenario's" if start is None else f"{start:g}"
@@ -428,16 +436,22 @@ def main(
         name += "" if kind is None else f", {kind}"
         by_start[name] = gathered(fly, tasks, jobs, console, f"flights from {name}")
     for name, flown in by_start.items():
-        console.print(f"Error at the start: {name}")
+        console.print(f"Initial error: {name}")
         console.print(nees_table(flown))
         console.print(nis_table(flown, "latest", "of the last measurement before each epoch"))
-        console.print(nis_table(flown, "innovations", "of all since the epoch before"))
+        console.print(
+            nis_table(flown, "innovations", "of all measurements since the previous epoch")
+        )
     console.print(safe_table(by_start))
     if out is not None:
-        written = {name: [plain(f) for f in flown] for name, flown in by_start.items()}
+        written = {name: [flight_to_json(f) for f in flown] for name, flown in by_start.items()}
         out.write_text(json.dumps(written, indent=1))
     if judge is not None:
-        wrong = [f"{name}: {w}" for name, flown in by_start.items() for w in broken(flown, judge)]
+        wrong = [
+            f"{name}: {w}"
+            for name, flown in by_start.items()
+            for w in inconsistencies(flown, judge)
+        ]
         for line in wrong:
             console.print(line)
         if wrong:

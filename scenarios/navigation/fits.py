@@ -1,11 +1,12 @@
-"""How often a fit of a scan to a map is wrong and believed: the nearest minimum is not the place.
+"""Measure how often a wrong scan-to-map fit is accepted (local minima).
 
-No flight: single flashes, wide and narrow, from 100 to 400 m at slants of 30 to 80 deg, over the
-grounds of `places.py`, begun with errors of place drawn from the error that is stated (and of
-attitude and of the scanner likewise). A fit is wrong where, once it is taken in, the middle of the
-scan is more than half a post and more than five of its own deviations off, east or north.
-`RegistrationSettings.believes` decides which are taken; the gate of the filter, by which
-`MapMatcher` refuses some more, is left out.
+No flight is simulated: single flashes, wide and narrow, from heights of 100 to 400 m at slants of
+30 to 80 deg, over the terrains of `places.py`. The fits start from random errors of position,
+attitude and scanner with the assumed covariance. A fit is wrong if, after the update, the center of
+the scan has an error of more than half a posting and of more than five of its standard deviations,
+east or north. `RegistrationSettings.believes` decides which fits are accepted. The filter gate,
+with
+which `MapMatcher` rejects more fits, is not applied.
 
 python scenarios/navigation/fits.py --fits 1000 --jobs 2
 """
@@ -36,17 +37,17 @@ from lunarsim.vehicle import State
 from lunarsim.world.survey import survey
 
 GROUNDS = {"objects": objects, "craters": craters}
-SIGMAS = (0.3, 1.0, 2.0)  # of the place, an axis, m
+SIGMAS = (0.3, 1.0, 2.0)  # position, 1 sigma per axis, m
 STALE = (0.0, 0.2)
 POSTINGS = (0.5, 1.0)
 TURN = np.deg2rad(0.1)
 LIDARS = (FlashLidar(128, 128, 0.0131, 5e-5), FlashLidar(128, 128, 0.1, 5e-5))
 PER_WORLD = 20
-FAR = 5.0  # standard deviations
+MAX_ERROR_SIGMA = 5.0  # standard deviations
 
 
 @dataclass(frozen=True)
-class Task:
+class FitTask:
     """Fits over one world."""
 
     ground: str
@@ -57,15 +58,17 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What came of a fit.
+class FitTrial:
+    """Results of a fit.
 
     Attributes
     ----------
+    sigma
+        Initial position error, 1 sigma per axis, m.
     believed, wrong
-        Whether it was taken, and whether it is wrong.
+        Whether it was accepted, and whether it is wrong.
     tells
-        Whether it makes the place better known than before by a fifth and more.
+        Whether it reduces the position uncertainty by a fifth or more.
     """
 
     sigma: float
@@ -74,7 +77,7 @@ class Tried:
     tells: bool
 
 
-def fits(task: Task) -> list[Tried]:
+def fits(task: FitTask) -> list[FitTrial]:
     """Fit flashes to the map of one world."""
     index = list(GROUNDS).index(task.ground)
     rng = np.random.default_rng(
@@ -94,12 +97,14 @@ def fits(task: Task) -> list[Tried]:
         error = sigmas * rng.standard_normal(11)
         seen = flash(world, rng, error)
         result, _ = register(seen, features, np.diag(sigmas**2), variance)
-        out.append(judged(seen, error, sigmas, result, settings.believes(result), task.posting))
-    return [Tried(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
+        out.append(
+            evaluate_fit(seen, error, sigmas, result, settings.believes(result), task.posting)
+        )
+    return [FitTrial(SIGMAS[n % len(SIGMAS)], *f) for n, f in enumerate(out)]
 
 
 def flash(world, rng: np.random.Generator, error: np.ndarray) -> SeenScan:  # type: ignore[no-untyped-def]
-    """Return a flash as it is believed to have been taken; with `error` (11,) added it is right."""
+    """Return a flash with erroneous state; adding `error` (11,) makes it correct."""
     aim = np.append(rng.uniform(-50.0, 50.0, 2), 0.0)
     height, slant = rng.uniform(100.0, 400.0), np.deg2rad(rng.uniform(30.0, 80.0))
     heading = rng.uniform(-np.pi, np.pi)
@@ -110,12 +115,12 @@ def flash(world, rng: np.random.Generator, error: np.ndarray) -> SeenScan:  # ty
     scan = LIDARS[int(rng.integers(len(LIDARS)))].measure(world, state, 0.0, rng, mount)
     attitude = quat_multiply(UPRIGHT, quat_from_rotation_vector(-error[3:6]))
     seen = SeenScan(scan, position - error[:3], attitude, np.zeros(3), np.zeros(3))
-    # What the scanner errs by, the other way round.
+    # The scanner error has the opposite sign.
     return seen.moved(np.concatenate((np.zeros(6), -error[6:10], [0.0])))
 
 
-def judged(seen, error, sigmas, result, believed, posting):  # type: ignore[no-untyped-def]
-    """Return whether a fit was believed, is wrong and tells the place."""
+def evaluate_fit(seen, error, sigmas, result, believed, posting):  # type: ignore[no-untyped-def]
+    """Return whether a fit is accepted, wrong and informative."""
     before = np.diag(sigmas**2)
     both = np.eye(11) + result.information @ before
     found = before @ np.linalg.solve(both, result.vector)
@@ -126,25 +131,26 @@ def judged(seen, error, sigmas, result, believed, posting):  # type: ignore[no-u
     off = np.abs(across @ (error - found))
     own = np.sqrt(np.diag(across @ after @ across.T))
     first = np.sqrt(np.diag(across @ before @ across.T))
-    far = (off > 0.5 * posting) & (off > FAR * own)
+    far = (off > 0.5 * posting) & (off > MAX_ERROR_SIGMA * own)
     return believed, bool(believed and far.any()), bool(believed and (own < 0.8 * first).all())
 
 
 @click.command()
 @click.option("--fits", "count", type=click.IntRange(min=1), default=200, show_default=True,
-              help="In each row, at least.")  # fmt: skip
+              help="Minimum number of fits per row.")  # fmt: skip
 @seed_and_jobs
 def main(count: int, seed: int, jobs: int) -> None:
-    """Fit flashes to maps, and count those that are believed and wrong."""
+    """Fit flashes to maps and count the accepted wrong fits."""
     console = plain_console(120)
     worlds = -(-count // PER_WORLD)
     rows = list(product(GROUNDS, POSTINGS, STALE))
-    tasks = [Task(*row, n, seed) for row in rows for n in range(worlds)]
+    tasks = [FitTask(*row, n, seed) for row in rows for n in range(worlds)]
     tried = gathered(fits, tasks, jobs, console, "worlds")
     table = Table(title="Fits of single flashes to a map")
-    for heading in ("ground, posts (m), out of date, place (m)", "fits", "believed",
-                    "of these tell\nthe place", "wrong [95 %]"):  # fmt: skip
-        table.add_column(heading, justify="left" if heading.startswith("ground") else "right")
+    for heading in ("terrain, posting (m), outdated fraction, position sigma (m)", "fits",
+    "accepted",
+                    "of these,\ninformative", "wrong [95 % interval]"):  # fmt: skip
+        table.add_column(heading, justify="left" if heading.startswith("terrain") else "right")
     lines = {
         f"{ground} {posting:g} {stale:g} {sigma:g}": [
             f for task, some in zip(tasks, tried, strict=True) for f in some

@@ -1,9 +1,9 @@
-"""Whether a late lock on the prior map lands as safe as an early one, and none at all.
+"""Compare landings with an early, a late and no lock on the prior map.
 
-Flies `morpheus.toml` over the same fields with the map handed to navigation from the start, later,
-or never, and with an error at the start of the scenario's size or larger. Ground is mapped in the
-local frame from the first scan on, and the policy decides on that map, whether or not there is a
-lock. Pairs of flights differ in nothing but that.
+The script flies `morpheus.toml` over the same fields, with the map available to navigation from the
+start, later, or never, and with the initial error of the scenario or a larger one. Terrain is
+mapped in the local frame from the first scan, and the policy decides on that map with or without a
+lock. Paired flights differ only in the lock.
 
 python scenarios/navigation/late_lock.py --flights 10 --late 0 --late 12 --late 24 --late inf
 python scenarios/navigation/late_lock.py --flights 10 --start 0.01 --start 100 --late inf
@@ -32,15 +32,15 @@ SCENARIOS = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
-class Task:
+class LateLockTask:
     """One flight.
 
     Attributes
     ----------
     late
-        Before this the map is kept from navigation, s.
+        Time at which navigation receives the map, s.
     start
-        Error of position at the start, 1 sigma an axis, m; None: the scenario's.
+        Initial position error, 1 sigma per axis, m; None: that of the scenario.
     """
 
     late: float
@@ -52,28 +52,28 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it.
+class LateLockFlight:
+    """Results of a flight.
 
     Attributes
     ----------
     lock
-        When the place was found, s; NaN: never.
+        Time of the lock, s; NaN: never.
     moved
-        How far the site moved in the local frame with the lock, m.
+        Displacement of the site in the local frame at the lock, m.
     jumped
-        Farthest that the lander's estimate moved in the local frame in a cycle, besides what it
-        flew, m.
+        Maximum jump of the position estimate in the local frame in one cycle, beyond the flown
+        distance, m.
     decisions
-        How often the policy was asked while something had been mapped.
+        Number of decisions with a map.
     missed
-        Distance between where the lander came down and where it meant to, m.
+        Distance between touchdown and the selected site, m.
     sigmas
-        Greatest error of position or attitude on an axis in the last cycle, in its own deviations.
+        Maximum position error on an axis in the last cycle, in standard deviations.
     lost
-        Whether navigation called itself lost at the end.
+        Whether navigation declared itself lost at the end.
     safe
-        Whether the lander came down safely.
+        Whether the landing was safe.
     """
 
     lock: float
@@ -86,7 +86,7 @@ class Flown:
     safe: bool
 
 
-def fly(task: Task) -> Flown:
+def fly(task: LateLockTask) -> LateLockFlight:
     """Fly once."""
     scenario = Scenario.load(Path(task.scenario))
     if task.start is not None:
@@ -95,7 +95,7 @@ def fly(task: Task) -> Flown:
     computer = simulation.computer
     navigation = computer.navigation
     if not isinstance(navigation, Navigator) or navigation.matcher is None:
-        raise click.UsageError(f"{task.scenario}: its navigation knows no map")
+        raise click.UsageError(f"{task.scenario}: must contain a prior map for navigation")
     matcher = navigation.parts.pop(navigation.parts.index(navigation.matcher))
     jumped, decisions, sigmas = 0.0, 0, np.nan
     while not simulation.done:
@@ -109,11 +109,11 @@ def fly(task: Task) -> Flown:
         if not simulation.done:
             way = 0.5 * (before.velocity + after.velocity) * (after.time - before.time)
             jumped = max(jumped, float(np.linalg.norm(after.position - before.position - way)))
-            sigmas = off_by(simulation)
+            sigmas = max_error_sigma(simulation)
     locks = [e for e in navigation.events if e.name == "lock"]
     touchdown = simulation.verdict.touchdown
     aimed = simulation.site - simulation.navigation_error
-    return Flown(
+    return LateLockFlight(
         locks[0].time if locks else np.nan,
         locks[0].details["moved"] if locks else np.nan,
         jumped,
@@ -125,20 +125,21 @@ def fly(task: Task) -> Flown:
     )
 
 
-def off_by(simulation: Simulation) -> float:
-    """Return the greatest error of position on an axis in its own deviations."""
+def max_error_sigma(simulation: Simulation) -> float:
+    """Return the maximum position error on an axis in standard deviations."""
     error = np.abs(simulation.site_error)
     return float((error / np.sqrt(np.diag(simulation.estimate.covariance)[:3])).max())
 
 
-def summary(flown: dict[str, list[Flown]]) -> Table:
-    """Return a line each way of flying."""
-    table = Table(title="Landings by when the map was handed over")
-    for heading in ("map from, start", "locked", "lock,\nmedian (s)",
-                    "site moved by\nthe lock (m)", "lander jumped at\nmost, local (m)",
-                    "decisions,\nmedian", "off its aim,\nmedian, most (m)",
-                    "over 5 sigma,\nnot called lost", "landed safe",
-                    "against the first:\nwon, lost (p)"):  # fmt: skip
+def summary(flown: dict[str, list[LateLockFlight]]) -> Table:
+    """Return a table with one line per variant."""
+    table = Table(title="Landings by the time at which the map becomes available")
+    for heading in ("map available from, initial error", "flights with\na lock",
+    "lock time,\nmedian (s)",
+                    "site displacement\nat the lock (m)", "estimate jump,\nmaximum (m)",
+                    "decisions,\nmedian", "touchdown miss,\nmedian, max (m)",
+                    "over 5 sigma,\nnot declared lost", "safe landings",
+                    "against the first:\nbetter, worse (p)"):  # fmt: skip
         table.add_column(heading, justify="right")
     first = [f.safe for f in next(iter(flown.values()))]
     for n, (name, mine) in enumerate(flown.items()):
@@ -168,25 +169,25 @@ def summary(flown: dict[str, list[Flown]]) -> Table:
               default=str(SCENARIOS / "morpheus.toml"), show_default="morpheus.toml",
               help="Scenario with a prior map.")  # fmt: skip
 @click.option("--flights", type=click.IntRange(min=1), default=5, show_default=True,
-              help="Of each kind, over the same ground.")  # fmt: skip
+              help="Number of flights per variant, over the same terrain.")  # fmt: skip
 @click.option("--late", "lates", type=click.FloatRange(min=0.0), multiple=True,
               default=(0.0, 12.0, float("inf")), show_default=True,
-              help="When navigation gets the map, s; inf: never. May be given again.")  # fmt: skip
+              help="Time of map availability (s); inf: never. Repeatable.")  # fmt: skip
 @click.option("--start", "starts", type=click.FloatRange(min=1e-3), multiple=True,
-              help="Error of position at the start, 1 sigma an axis, m; may be given again. "
-              "Left out: the scenario's.")  # fmt: skip
+              help="Initial position error, 1 sigma per axis (m); repeatable "
+              "(default: of the scenario).")  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
 @seed_and_jobs
 def main(
     scenario: str, flights: int, lates: tuple[float, ...], starts: tuple[float, ...], policy: str,
     seed: int, jobs: int,
 ) -> None:  # fmt: skip
-    """Hand the map over early, late or never, and see how the lander comes down."""
+    """Provide the map early, late or never; compare the landings."""
     console = plain_console(150)
-    flown: dict[str, list[Flown]] = {}
+    flown: dict[str, list[LateLockFlight]] = {}
     for start in starts or (None,):
         for late in lates:
-            tasks = [Task(late, start, scenario, n, seed, policy) for n in range(flights)]
+            tasks = [LateLockTask(late, start, scenario, n, seed, policy) for n in range(flights)]
             name = f"{late:g} s" + ("" if start is None else f", {start:g} m")
             flown[name] = gathered(fly, tasks, jobs, console, name)
     console.print(summary(flown))

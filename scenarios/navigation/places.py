@@ -1,9 +1,9 @@
-"""How soon, how often and how surely the place of a sweep is found on maps of many kinds.
+"""Measure how fast and reliably a LiDAR sweep is located on prior maps.
 
-No flight: a lander on a straight path sweeps the ground about its target as `tasking.sweep` does,
-with errors of position (30 m an axis), attitude (0.5 deg) and speed (0.05 m/s), and its scans are
-searched for on the map until the place is certain. Every search has ground, map and errors of its
-own; the measured ground is one crop, on which targets are drawn.
+No flight is simulated: a vehicle on a straight path sweeps the terrain around its target as in
+`tasking.sweep`, with errors of position (30 m per axis), attitude (0.5 deg) and velocity
+(0.05 m/s). Its scans are searched on the map until the position is certain. Every search has its
+own terrain, map and errors; the measured terrain is one crop with random targets.
 
 python scenarios/navigation/places.py --searches 20 --jobs 2
 python scenarios/navigation/places.py --only "stale 0.2" --searches 300
@@ -49,7 +49,7 @@ SIZE = 300.0
 
 
 def objects(rng: np.random.Generator) -> World:
-    """Return a hazard field: boulders and craters on level grass."""
+    """Return a hazard field: boulders and craters on horizontal grass."""
     return World(hazard_field(rng), 9.81)
 
 
@@ -73,8 +73,8 @@ def measured(rng: np.random.Generator) -> World:
 
 
 @dataclass(frozen=True)
-class Case:
-    """A row of the table: ground, posts and their noise (m), and what is wrong with the map."""
+class MapCase:
+    """A row of the table: terrain, posting and map noise (m), and map defects."""
 
     ground: Callable[[np.random.Generator], World]
     posting: float
@@ -88,28 +88,28 @@ class Case:
 
 
 CASES = (
-    Case(objects, 0.5, 0.1),
-    Case(objects, 0.5, 0.1, {"stale_share": 0.2}),
-    Case(objects, 0.5, 0.1, {"stale_share": 0.3}),
-    Case(objects, 0.5, 0.1, {"void_share": 0.05}),
-    Case(objects, 0.5, 0.1, {"correlation": 2.0}),
-    Case(objects, 0.5, 0.3),
-    Case(objects, 1.0, 0.3),
-    Case(objects, 3.0, 0.1),
-    Case(craters, 0.5, 0.3),
-    Case(craters, 1.0, 0.3),
-    Case(craters, 1.0, 0.3, {"stale_share": 0.2}),
-    Case(craters, 1.0, 0.3, {"void_share": 0.05}),
-    Case(craters, 1.0, 0.3, {"correlation": 3.0}),
-    Case(craters, 3.0, 0.3),
-    Case(measured, 1.0, 0.3),
-    Case(measured, 5.0, 0.3),
-    Case(measured, 5.0, 0.3, {"stale_share": 0.2}),
+    MapCase(objects, 0.5, 0.1),
+    MapCase(objects, 0.5, 0.1, {"stale_share": 0.2}),
+    MapCase(objects, 0.5, 0.1, {"stale_share": 0.3}),
+    MapCase(objects, 0.5, 0.1, {"void_share": 0.05}),
+    MapCase(objects, 0.5, 0.1, {"correlation": 2.0}),
+    MapCase(objects, 0.5, 0.3),
+    MapCase(objects, 1.0, 0.3),
+    MapCase(objects, 3.0, 0.1),
+    MapCase(craters, 0.5, 0.3),
+    MapCase(craters, 1.0, 0.3),
+    MapCase(craters, 1.0, 0.3, {"stale_share": 0.2}),
+    MapCase(craters, 1.0, 0.3, {"void_share": 0.05}),
+    MapCase(craters, 1.0, 0.3, {"correlation": 3.0}),
+    MapCase(craters, 3.0, 0.3),
+    MapCase(measured, 1.0, 0.3),
+    MapCase(measured, 5.0, 0.3),
+    MapCase(measured, 5.0, 0.3, {"stale_share": 0.2}),
 )
 
 
 @dataclass(frozen=True)
-class Task:
+class PlaceSearchTask:
     """One search."""
 
     case: int
@@ -119,19 +119,19 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Found:
-    """What came of a search.
+class PlaceSearchResult:
+    """Results of a search.
 
     Attributes
     ----------
     time, scans
-        Until the lock, s; None without one.
+        Time (s) and number of scans until the lock; time None without one.
     error, sigma
-        Of the place then, east, north and up (3,), m.
+        Position error at the lock and its standard deviation, east, north and up (3,), m.
     forecast
-        Whether the map promised it.
+        Whether a lock was predicted from the map.
     off
-        By how much the lander was off at the start, over the ground, m.
+        Horizontal position error at the start, m.
     """
 
     time: float | None
@@ -143,8 +143,8 @@ class Found:
 
 
 @dataclass
-class Lander:
-    """A lander on a straight path, and what it wrongly believes."""
+class SweepingLander:
+    """A vehicle on a straight path with errors in its estimated state."""
 
     world: World
     target: np.ndarray
@@ -155,23 +155,23 @@ class Lander:
         self.drift = DRIFT * self.rng.standard_normal(3)
         turn = quat_from_rotation_vector(TURN * self.rng.standard_normal(3))
         self.attitude = quat_multiply(UPRIGHT, turn)
-        # Once it is known the sweep is aimed by it.
+        # Height correction, m: when it is known, the sweep is aimed with it.
         self.up = 0.0
 
     def scan(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a scan's points as believed and as they are (n, 3)."""
+        """Return the points of a scan with estimated and with true state (n, 3), m."""
         time = count / RATE
         true = self.target + START + VELOCITY * time
         believed = true - self.shift + self.drift * time
-        aim = self.target + aimed(count) - believed - np.array([0.0, 0.0, self.up])
+        aim = self.target + sweep_aim_point(count) - believed - np.array([0.0, 0.0, self.up])
         mount = gimbal_mount(self.attitude, aim)
         state = State(true, VELOCITY, UPRIGHT, np.zeros(3), 1.0)
         scan = LIDAR.measure(self.world, state, time, self.rng, mount)
         return scan.points(believed, self.attitude), scan.points(true, UPRIGHT)
 
 
-def aimed(count: int) -> np.ndarray:
-    """Return where a scan of the sweep is aimed at, from its middle (3,), m."""
+def sweep_aim_point(count: int) -> np.ndarray:
+    """Return the aim point of a scan of the sweep relative to its center (3,), m."""
     rows = 20
     row, col = divmod(count, rows)
     row %= rows
@@ -179,7 +179,7 @@ def aimed(count: int) -> np.ndarray:
     return SWEPT * (np.array([row, col, 0.0]) / (rows - 1) - np.array([0.5, 0.5, 0.0]))
 
 
-def search(task: Task) -> Found:
+def search(task: PlaceSearchTask) -> PlaceSearchResult:
     """Search once."""
     case = CASES[task.case]
     rng = np.random.default_rng([task.seed, task.case, task.number])
@@ -190,7 +190,7 @@ def search(task: Task) -> Found:
     prior = survey(world.terrain, grid, rng, sigma=case.sigma, **case.wrong)
     places = PlaceSearch(MapFeatures(prior))
     forecast = can_lock(prior, (float(xy[0]), float(xy[1])), SWEPT, SIGMA).can_lock
-    lander = Lander(world, target, rng)
+    lander = SweepingLander(world, target, rng)
     off = float(np.hypot(*lander.shift[:2]))
     for count in range(round(task.seconds * RATE)):
         believed, true = lander.scan(count)
@@ -202,20 +202,20 @@ def search(task: Task) -> Found:
             continue
         if match.up_variance < 4.0:
             lander.up = match.up
-        if certain(match):
+        if is_lock(match):
             error = match.shift - np.nanmean(true - believed, axis=0)
             sigma = np.sqrt(np.diag(match.covariance))
-            return Found(count / RATE, count + 1, error, sigma, forecast, off)
-    return Found(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast, off)
+            return PlaceSearchResult(count / RATE, count + 1, error, sigma, forecast, off)
+    return PlaceSearchResult(None, count + 1, np.full(3, np.nan), np.full(3, np.nan), forecast, off)
 
 
-def certain(match: Match) -> bool:
-    """Tell whether navigation would take a place for found."""
+def is_lock(match: Match) -> bool:
+    """Return whether navigation would accept a match as a lock."""
     return match.certainty >= 0.99999 and match.share >= 0.6
 
 
-def row_of(case: Case, found: list[Found]) -> list[str]:
-    """Return the cells of a row."""
+def row_of(case: MapCase, found: list[PlaceSearchResult]) -> list[str]:
+    """Return the cells of a table row."""
     locked = [f for f in found if f.time is not None]
     away = [f.off for f in found if f.time is None]
     missed = f"{min(away):.0f} to {max(away):.0f}" if away else ""
@@ -233,30 +233,30 @@ def row_of(case: Case, found: list[Found]) -> list[str]:
     ]  # fmt: skip
 
 
-def forecasts(found: list[Found]) -> str:
-    """Return how often a lock was promised, and how often that was wrong."""
+def forecasts(found: list[PlaceSearchResult]) -> str:
+    """Return the number of searches for which a lock was predicted."""
     return f"{sum(f.forecast for f in found)} of {len(found)}"
 
 
 @click.command()
 @click.option("--searches", type=click.IntRange(min=1), default=10, show_default=True,
-              help="Of each row.")  # fmt: skip
-@click.option("--only", default="", help="Rows whose name holds this text.")
+              help="Number of searches per row.")  # fmt: skip
+@click.option("--only", default="", help="Select rows whose name contains this text.")
 @click.option("--seconds", type=click.FloatRange(min=1.0), default=15.0, show_default=True,
-              help="Of the sweep, after which a search has failed.")  # fmt: skip
+              help="Time limit of a search (s).")  # fmt: skip
 @seed_and_jobs
 def main(searches: int, only: str, seconds: float, seed: int, jobs: int) -> None:
-    """Search for the place of sweeps on maps, and print how it went."""
+    """Locate sweeps on maps and print time, error and success."""
     console = plain_console(180)
     rows = [n for n, case in enumerate(CASES) if only in str(case)]
     if not rows:
-        raise click.UsageError(f"--only: none of {', '.join(map(str, CASES))}")
-    tasks = [Task(n, k, seed, seconds) for n in rows for k in range(searches)]
+        raise click.UsageError(f"--only: must match one of {', '.join(map(str, CASES))}")
+    tasks = [PlaceSearchTask(n, k, seed, seconds) for n in rows for k in range(searches)]
     found = gathered(search, tasks, jobs, console, "searches")
-    table = Table(title=f"Searches of {seconds:g} s")
-    for heading in ("map", "locked", "after, median / max (s)", "scans", "wrong",
-                    "error, median; greatest over sigma", "promised",
-                    "not locked: off at the start (m)"):  # fmt: skip
+    table = Table(title=f"Searches with a time limit of {seconds:g} s")
+    for heading in ("map", "locked", "lock time, median / max (s)", "scans", "wrong",
+                    "error, median; max error / sigma", "predicted",
+                    "not locked: initial error (m)"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "map" else "right")
     for n in rows:
         mine = [f for t, f in zip(tasks, found, strict=False) if t.case == n]

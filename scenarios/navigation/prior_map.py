@@ -1,11 +1,11 @@
-"""Whether navigation on a prior map says so when it is wrong: maps out of date, scanners that err.
+"""Test whether navigation declares itself lost with map or scanner faults.
 
-Flies `morpheus.toml`, a LiDAR sweep on a prior map, over its hazard field and over cratered relief:
-with maps of which up to 0.3 is out of date, that have voids or errors that are alike, with errors
-of the scanner that nobody told of, and with flashes that fail after 6 s. An error is too large
-where position, velocity or attitude is off by more than five of its standard deviations on an axis;
-a flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
-not told: landings show what a fault does.
+The script flies `morpheus.toml`, a LiDAR sweep on a prior map, over its hazard field and over
+cratered relief. The faults are: a map of which up to 0.3 is outdated, voids or correlated errors in
+the map, unmodelled scanner errors, and flashes that fail after 6 s. An error is too large if
+position, velocity or attitude exceeds five standard deviations on an axis. A flight fails
+undeclared if it ends with such an error and navigation does not declare itself lost. The policy is
+not informed: landing results show the effect of a fault.
 
 python scenarios/navigation/prior_map.py --flights 2 --jobs 2
 """
@@ -29,8 +29,8 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-BEGINS, ENDS = 6.0, 10.0  # s
-FAR = 5.0  # standard deviations
+FAULT_START_S, FAULT_END_S = 6.0, 10.0  # s
+MAX_ERROR_SIGMA = 5.0  # standard deviations
 GROUNDS: dict[str, dict[str, Any]] = {
     "hazard field": {},
     "craters": {
@@ -41,15 +41,15 @@ GROUNDS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Row:
-    """What is wrong.
+class PriorMapFault:
+    """A fault.
 
     Attributes
     ----------
     prior, scanner
-        Keys of `[prior_map]` and of `[sensors.flash]`.
+        Changed keys of `[prior_map]` and of `[sensors.flash]`.
     kept
-        Of a flash, its time (s) and a generator: whether it comes.
+        Function of flash time (s) and random generator: whether the flash is delivered.
     """
 
     prior: dict[str, Any]
@@ -57,26 +57,28 @@ class Row:
     kept: Callable[[float, np.random.Generator], bool] | None = None
 
 
-ROWS: dict[str, Row] = {
-    "none": Row({}, {}),
-    "none, map of 1 m posts, 0.3 m": Row({"posting_m": 1.0, "sigma_m": 0.3}, {}),
-    "0.1 of the map out of date": Row({"stale_share": 0.1}, {}),
-    "0.2 of the map out of date": Row({"stale_share": 0.2}, {}),
-    "0.3 of the map out of date": Row({"stale_share": 0.3}, {}),
-    "0.05 of the map void": Row({"void_share": 0.05}, {}),
-    "the map's errors alike over 5 m": Row({"correlation_m": 5.0}, {}),
-    "ranges 0.3 m long": Row({}, {"range_bias_m": 0.3}),
-    "boresight 0.5 deg off": Row({}, {"boresight_off_deg": 0.5}),
-    "flashes 20 ms late": Row({}, {"late_s": 0.02}),
-    "half of the flashes lost": Row({}, {}, lambda time, rng: rng.random() < 0.5),
-    "no flashes for 4 s": Row({}, {}, lambda time, rng: not BEGINS <= time < ENDS),
-    "no more flashes": Row({}, {}, lambda time, rng: time < BEGINS),
+ROWS: dict[str, PriorMapFault] = {
+    "none": PriorMapFault({}, {}),
+    "none, map of 1 m posts, 0.3 m": PriorMapFault({"posting_m": 1.0, "sigma_m": 0.3}, {}),
+    "0.1 of the map out of date": PriorMapFault({"stale_share": 0.1}, {}),
+    "0.2 of the map out of date": PriorMapFault({"stale_share": 0.2}, {}),
+    "0.3 of the map out of date": PriorMapFault({"stale_share": 0.3}, {}),
+    "0.05 of the map void": PriorMapFault({"void_share": 0.05}, {}),
+    "the map's errors alike over 5 m": PriorMapFault({"correlation_m": 5.0}, {}),
+    "ranges 0.3 m long": PriorMapFault({}, {"range_bias_m": 0.3}),
+    "boresight 0.5 deg off": PriorMapFault({}, {"boresight_off_deg": 0.5}),
+    "flashes 20 ms late": PriorMapFault({}, {"late_s": 0.02}),
+    "half of the flashes lost": PriorMapFault({}, {}, lambda time, rng: rng.random() < 0.5),
+    "no flashes for 4 s": PriorMapFault(
+        {}, {}, lambda time, rng: not FAULT_START_S <= time < FAULT_END_S
+    ),
+    "no more flashes": PriorMapFault({}, {}, lambda time, rng: time < FAULT_START_S),
 }
 
 
 @dataclass(frozen=True)
-class Task:
-    """One flight with one thing wrong."""
+class PriorMapTask:
+    """One flight with one fault."""
 
     row: str
     ground: str
@@ -85,23 +87,23 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it.
+class PriorMapFlight:
+    """Results of a flight.
 
     Attributes
     ----------
     row, ground
-        What was wrong, and over which ground.
+        Name of the fault and of the terrain.
     worst
-        Greatest errors at the end in standard deviations: position, velocity, attitude.
+        Maximum errors at the end in standard deviations: position, velocity, attitude.
     lock
-        When the place was found, s; NaN: never.
+        Time of the lock, s; NaN: never.
     lost, ever
-        Whether navigation said so, at the end and at all.
+        Whether navigation declared itself lost at the end, and whether it ever did.
     doubted
-        How often it doubted a measurement.
+        Number of doubted measurements.
     safe
-        Whether the lander came down safely.
+        Whether the landing was safe.
     """
 
     row: str
@@ -115,11 +117,11 @@ class Flown:
 
     @property
     def far(self) -> bool:
-        """Whether it was too far off at the end."""
-        return max(self.worst) > FAR
+        """Whether an error was too large at the end."""
+        return max(self.worst) > MAX_ERROR_SIGMA
 
 
-def fly(task: Task) -> Flown:
+def fly(task: PriorMapTask) -> PriorMapFlight:
     """Fly once."""
     row = ROWS[task.row]
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
@@ -128,16 +130,16 @@ def fly(task: Task) -> Flown:
     scenario = scenario.changed(prior_map=row.prior, sensors={"flash": row.scanner})
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
     navigation = simulation.computer.navigation
-    honest, rng = navigation.take, np.random.default_rng([task.seed, task.flight])
+    take_unchanged, rng = navigation.take, np.random.default_rng([task.seed, task.flight])
 
-    def tampered(sensor: str, measurement: Any, time: float) -> None:
+    def take_faulty(sensor: str, measurement: Any, time: float) -> None:
         if isinstance(measurement, LidarScan) and row.kept and not row.kept(time, rng):
             return
-        honest(sensor, measurement, time)
+        take_unchanged(sensor, measurement, time)
 
-    navigation.take = tampered  # type: ignore[method-assign]
+    navigation.take = take_faulty  # type: ignore[method-assign]
     while not simulation.done:
-        # As long as the lander flies: nothing is measured at rest.
+        # Only in flight: no measurements are taken at rest.
         sigma = np.sqrt(np.diag(simulation.estimate.covariance))
         off = np.abs(error_of(simulation)) / sigma
         lost = simulation.computer.estimate.lost
@@ -146,7 +148,7 @@ def fly(task: Task) -> Flown:
     locks = [time for time, name, _ in simulation.computer.telemetry if name == "lock"]
     worst = (float(off[:3].max()), float(off[3:6].max()), float(off[6:].max()))
     verdict = simulation.verdict
-    return Flown(
+    return PriorMapFlight(
         task.row, task.ground, worst, locks[0] if locks else np.nan, lost, "lost" in names,
         names.count("doubted"), verdict is not None and verdict.safe,
     )  # fmt: skip
@@ -155,24 +157,24 @@ def fly(task: Task) -> Flown:
 @click.command()
 @click.option(
     "--flights", type=click.IntRange(min=1), default=2, show_default=True,
-    help="Over each ground with each thing wrong.",
+    help="Number of flights per terrain and fault.",
 )  # fmt: skip
 @click.option(
     "--only", type=click.Choice(list(ROWS)), multiple=True,
-    help="What is wrong; may be given again. Left out: every one.",
+    help="Fault; repeatable (default: all).",
 )  # fmt: skip
 @json_option
-@click.option("--cells", is_flag=True, help="Print every flight as well.")
+@click.option("--cells", is_flag=True, help="Also print every flight.")
 @seed_and_jobs
 def main(
     flights: int, only: tuple[str, ...], out: Path | None, cells: bool, seed: int, jobs: int
 ) -> None:
-    """Fly on maps and scanners that are wrong, and see whether navigation says so."""
+    """Fly with map and scanner faults; count undeclared failures."""
     console = plain_console(120)
     rows = list(only or ROWS)
-    # No two rows fly over the same ground.
+    # Every row has its own terrain.
     tasks = [
-        Task(row, ground, n * len(ROWS) + list(ROWS).index(row), seed)
+        PriorMapTask(row, ground, n * len(ROWS) + list(ROWS).index(row), seed)
         for row in rows for ground in GROUNDS for n in range(flights)
     ]  # fmt: skip
     flown = gathered(fly, tasks, jobs, console, "flights")
@@ -183,8 +185,8 @@ def main(
             f" doubted {f.doubted}, safe {f.safe}"
         )
     table = [(row, [f for f in flown if f.row == row]) for row in rows]
-    title = "Flights on a prior map; hazard field and craters together"
-    console.print(declared_table(title, "wrong", [*table, ("all", flown)]))
+    title = "Flights on a prior map; hazard field and craters pooled"
+    console.print(declared_table(title, "fault", [*table, ("all", flown)]))
     write_flights(out, table)
 
 

@@ -1,11 +1,11 @@
-"""Whether navigation by rocks says so when it is wrong: relief, cover, a wrong Sun, lost pictures.
+"""Test whether rock navigation declares itself lost in difficult conditions.
 
-Flies `shadow_nominal.toml`, pictures at 2.5 Hz from 160 m on, over relief of 0 to 8 deg, with 2 to
-15 % of the ground under rocks and the Sun taken to stand up to 180 deg from where it does; then
-with pictures that fail from 28 s on. An error is too large where velocity, attitude, height above
-ground or place among the rocks is off by more than five of its standard deviations on an axis; a
-flight fails undeclared if it ends so and navigation does not say that it is lost. The policy is
-not told: landings show what a fault does.
+The script flies `shadow_nominal.toml` with images at 2.5 Hz from 160 m, over relief of 0 to 8 deg,
+with a rock cover of 2 to 15 % and an error of the assumed Sun azimuth of up to 180 deg; then with
+images that fail from 28 s. An error is too large if velocity, attitude, height above terrain or
+position relative to the rocks exceeds five standard deviations on an axis. A flight fails
+undeclared if it ends with such an error and navigation does not declare itself lost. The policy is
+not informed: landing results show the effect of a fault.
 
 python scenarios/navigation/rocks.py --flights 1
 """
@@ -35,30 +35,30 @@ from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 from lunarsim.world.terrain import Terrain
 
-RELIEFS = (0.0, 2.0, 4.0, 8.0)  # rms slope, deg
+RELIEFS = (0.0, 2.0, 4.0, 8.0)  # RMS slope, deg
 COVERS = (0.02, 0.08, 0.15)
-SUNS = (0.0, 5.0, 45.0, 180.0)  # azimuth off by, deg
-BEGINS, ENDS = 28.0, 32.0  # s
-FAR = 5.0  # standard deviations
+SUNS = (0.0, 5.0, 45.0, 180.0)  # error of the Sun azimuth, deg
+FAULT_START_S, FAULT_END_S = 28.0, 32.0  # s
+MAX_ERROR_SIGMA = 5.0  # standard deviations
 
 Tamper = Callable[[Picture, np.random.Generator], Picture | None]
 
 
 def black(picture: Picture, rng: np.random.Generator) -> Picture:
-    """Return a picture of nothing."""
+    """Return a black image."""
     return Picture(picture.time, np.zeros_like(picture.counts), picture.camera)
 
 
 FAULTS: dict[str, tuple[float, Tamper]] = {
     "half of the pictures lost": (np.inf, lambda p, rng: p if rng.random() < 0.5 else None),
-    "no pictures for 4 s": (ENDS, lambda p, rng: None),
-    "black pictures for 4 s": (ENDS, black),
+    "no pictures for 4 s": (FAULT_END_S, lambda p, rng: None),
+    "black pictures for 4 s": (FAULT_END_S, black),
     "no more pictures": (np.inf, lambda p, rng: None),
 }
 
 
 @dataclass(frozen=True)
-class Task:
+class RockNavigationTask:
     """One flight."""
 
     relief: float
@@ -70,23 +70,23 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it.
+class RockNavigationFlight:
+    """Results of a flight.
 
     Attributes
     ----------
     worst
-        Greatest errors at the end in standard deviations: velocity, attitude, height above the
-        ground, place among the rocks.
+        Maximum errors at the end in standard deviations: velocity, attitude, height above the
+        terrain, position relative to the rocks.
     lost, ever
-        Whether navigation said so, at the end and at all.
+        Whether navigation declared itself lost at the end, and whether it ever did.
     doubted
-        How often rocks were doubted or begun anew.
+        Number of times that rocks were doubted or their tracks restarted.
     safe
-        Whether the lander came down safely.
+        Whether the landing was safe.
     """
 
-    task: Task
+    task: RockNavigationTask
     worst: tuple[float, float, float, float]
     lost: bool
     ever: bool
@@ -95,11 +95,11 @@ class Flown:
 
     @property
     def far(self) -> bool:
-        """Whether it was too far off at the end."""
-        return max(self.worst) > FAR
+        """Whether an error was too large at the end."""
+        return max(self.worst) > MAX_ERROR_SIGMA
 
 
-def fly(task: Task) -> Flown:
+def fly(task: RockNavigationTask) -> RockNavigationFlight:
     """Fly once."""
     scenario = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(
         terrain={"rms_slope_deg": task.relief},
@@ -110,37 +110,37 @@ def fly(task: Task) -> Flown:
     simulation = Simulation(scenario, flight_seed(task.seed, task.flight), "safest")
     mapper = simulation.computer.mapper
     if not isinstance(mapper, ShadowMapper):
-        raise click.UsageError("shadow_nominal.toml: its mapper is not one of shadows")
+        raise click.UsageError("shadow_nominal.toml: must have a shadow mapper")
     mislead(mapper, task)
-    errors = Errors(simulation, mapper)
+    errors = RockNavigationErrors(simulation, mapper)
     while not simulation.done:
-        # As long as the lander flies: nothing is measured at rest.
+        # Only in flight: no measurements are taken at rest.
         worst, lost = errors.now(), simulation.computer.estimate.lost
         simulation.step()
     events = [(name, d.get("measurement", "")) for _, name, d in simulation.computer.telemetry]
     doubted = sum(name in {"doubted", "renewed"} and "rocks" in what for name, what in events)
     ever = any(name == "lost" for name, _ in events)
-    return Flown(task, worst, lost, ever, doubted, simulation.verdict.safe)
+    return RockNavigationFlight(task, worst, lost, ever, doubted, simulation.verdict.safe)
 
 
-def mislead(mapper: ShadowMapper, task: Task) -> None:
-    """Turn the Sun that the mapper believes in, and let pictures fail."""
+def mislead(mapper: ShadowMapper, task: RockNavigationTask) -> None:
+    """Rotate the Sun direction assumed by the mapper, and apply the image fault."""
     mapper.sun = turned_about_up(np.deg2rad(task.sun)) @ mapper.sun
     if not task.fault:
         return
     rng = np.random.default_rng([task.seed, task.flight])
-    honest, (end, tamper) = mapper.update, FAULTS[task.fault]
+    update_unchanged, (end, tamper) = mapper.update, FAULTS[task.fault]
 
-    def tampered(picture: Picture, estimate: Any) -> None:
-        left = tamper(picture, rng) if BEGINS <= picture.time < end else picture
+    def update_faulty(picture: Picture, estimate: Any) -> None:
+        left = tamper(picture, rng) if FAULT_START_S <= picture.time < end else picture
         if left is not None:
-            honest(left, estimate)
+            update_unchanged(left, estimate)
 
-    mapper.update = tampered  # type: ignore[method-assign]
+    mapper.update = update_faulty  # type: ignore[method-assign]
 
 
-class Errors:
-    """Errors of a flight in standard deviations, as `Flown.worst` has them."""
+class RockNavigationErrors:
+    """Errors of a flight in standard deviations, see `RockNavigationFlight.worst`."""
 
     def __init__(self, simulation: Simulation, mapper: ShadowMapper) -> None:
         self.simulation, self.mapper = simulation, mapper
@@ -149,14 +149,14 @@ class Errors:
         self.rocks = cKDTree(np.column_stack((terrain.rocks.x, terrain.rocks.y)))
 
     def now(self) -> tuple[float, float, float, float]:
-        """Return what they are now."""
+        """Return the current errors."""
         state, rocks = self.simulation.state, self.mapper.tracker.filter
         off = np.abs(error_of(self.simulation))[3:]
         off = off / np.sqrt(np.diag(self.simulation.estimate.covariance)[3:])
-        # The ground's height in the lander's frame, by the mission's word and where that lies.
+        # Terrain height in the lander frame: state entries of height, terrain and map.
         at = [2, rocks.state.block(GROUND).start, rocks.state.block(MAP).start + 2]
         over = np.array([1.0, -1.0, -1.0])
-        # The altimeter may see the ground or the top of a rock that stands there.
+        # The altimeter can measure the terrain or the top of a rock.
         below = [float(t.elevation(state.position[:2])) for t in (self.bare, self.rough)]
         above = state.position[2] - np.array(below)
         height = np.min(np.abs(above - (rocks.inertial.position[2] - rocks.ground)))
@@ -165,7 +165,7 @@ class Errors:
         return float(off[:3].max()), float(off[3:].max()), float(off_height), self.among_rocks()
 
     def among_rocks(self) -> float:
-        """Return by how many deviations the place among the rocks near the lander is off."""
+        """Return the position error relative to nearby rocks, in standard deviations."""
         tracker, rocks = self.mapper.tracker, self.mapper.tracker.filter
         away = np.hypot(*(rocks.xy - rocks.inertial.position[:2]).T)
         at = np.flatnonzero((tracker.existence > 0.9) & (rocks.radius > 0.25) & (away < 30.0))
@@ -181,19 +181,19 @@ class Errors:
 
 def tasks_of(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...]
-) -> list[Task]:
+) -> list[RockNavigationTask]:
     """Return all flights of the study."""
     matrix = [(r, c, s, "") for s in SUNS for r in reliefs for c in covers]
     failing = [(r, 0.08, 0.0, fault) for fault in FAULTS for r in reliefs]
-    # No two cells fly over the same ground.
+    # Every cell has its own terrain.
     return [
-        Task(*cell, flight=n * len(matrix + failing) + k, seed=seed)
+        RockNavigationTask(*cell, flight=n * len(matrix + failing) + k, seed=seed)
         for n in range(flights) for k, cell in enumerate(matrix + failing)
     ]  # fmt: skip
 
 
-def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
-    """Return the rows of the table: what they are of, and their flights."""
+def rows_of(flown: list[RockNavigationFlight]) -> list[tuple[str, list[RockNavigationFlight]]]:
+    """Return the rows of the table: their names and flights."""
     right = [f for f in flown if f.task.sun == 0.0 and not f.task.fault]
     reliefs, covers = ({getattr(f.task, k) for f in right} for k in ("relief", "cover"))
     rows = [
@@ -205,8 +205,8 @@ def rows_of(flown: list[Flown]) -> list[tuple[str, list[Flown]]]:
     return [row for row in (*rows, ("all", flown)) if row[1]]
 
 
-def name_of(task: Task) -> str:
-    """Return the row of a flight: what is wrong in it."""
+def name_of(task: RockNavigationTask) -> str:
+    """Return the row of a flight: its fault."""
     return task.fault or (f"Sun {task.sun:g} deg off" if task.sun else "none")
 
 
@@ -216,7 +216,7 @@ def name_of(task: Task) -> str:
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="In each cell of the matrix, which has 64.",
+    help="Number of flights per cell (64 cells).",
 )
 @click.option(
     "--relief",
@@ -225,7 +225,7 @@ def name_of(task: Task) -> str:
     multiple=True,
     default=RELIEFS,
     show_default=True,
-    help="Rms slope, deg; may be given again.",
+    help="RMS slope (deg); repeatable.",
 )
 @click.option(
     "--cover",
@@ -234,16 +234,16 @@ def name_of(task: Task) -> str:
     multiple=True,
     default=COVERS,
     show_default=True,
-    help="Share of the ground under rocks; may be given again.",
+    help="Rock cover (fraction); repeatable.",
 )
 @json_option
 @seed_and_jobs
-@click.option("--cells", is_flag=True, help="Print every flight as well.")
+@click.option("--cells", is_flag=True, help="Also print every flight.")
 def main(
     flights: int, seed: int, reliefs: tuple[float, ...], covers: tuple[float, ...], jobs: int,
     out: Path | None, cells: bool,
 ) -> None:  # fmt: skip
-    """Fly by rocks where it is hard, and see whether navigation says so when it is wrong."""
+    """Fly in difficult conditions; count undeclared failures."""
     console = plain_console(120)
     tasks = tasks_of(flights, seed, reliefs, covers)
     flown = gathered(fly, tasks, jobs, console, "flights")
@@ -254,7 +254,7 @@ def main(
                 f"relief {t.relief:g} cover {t.cover:g} Sun {t.sun:g} {t.fault or 'no fault'}: "
                 f"{off} sigma, lost {f.lost} (ever {f.ever}), doubted {f.doubted}, safe {f.safe}"
             )
-    title = "Flights by rocks; rows of relief and cover with the Sun right, no fault"
+    title = "Flights with rock navigation; rows of relief and cover: correct Sun, no fault"
     console.print(declared_table(title, "flights with", rows_of(flown)))
     write_flights(out, [(name_of(f.task), [f]) for f in flown])
 

@@ -1,4 +1,4 @@
-"""What the studies of navigation share: options, and the table of who said that it was lost."""
+"""Shared options and tables of the navigation studies."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ from rich.table import Table
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class Declared(Protocol):
-    """A flight with something wrong."""
+class DeclaredFlight(Protocol):
+    """A flight with a fault."""
 
     @property
     def far(self) -> bool:
-        """Whether it was too far off at the end."""
+        """Whether an error was too large at the end."""
         ...
 
     @property
     def lost(self) -> bool:
-        """Whether navigation said so at the end."""
+        """Whether navigation declared itself lost at the end."""
         ...
 
     @property
     def doubted(self) -> int:
-        """How often it doubted a measurement."""
+        """Number of doubted measurements."""
         ...
 
     @property
     def safe(self) -> bool:
-        """Whether the lander came down safely."""
+        """Whether the landing was safe."""
         ...
 
 
 def seed_and_jobs(function: F) -> F:
     """Add the options `--seed` and `--jobs`."""
     jobs = click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-                        help="Processes; results do not depend on it.")  # fmt: skip
+                        help="Number of processes; does not change the results.")  # fmt: skip
     seed = click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
-                        help="Root seed.")  # fmt: skip
+                        help="Root random seed.")  # fmt: skip
     return seed(jobs(function))
 
 
 def json_option(function: F) -> F:
     """Add the option `--json`."""
     return click.option("--json", "out", type=click.Path(path_type=Path, dir_okay=False),
-                        help="Every flight: its row and what came of it.")(function)  # fmt: skip
+                        help="Output file of all flights.")(function)  # fmt: skip
 
 
-def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[Declared]]]) -> None:
+def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]) -> None:
     """Write the flights of a study, each with its row, for `undeclared.py`."""
     if out is None:
         return
@@ -64,19 +64,22 @@ def write_flights(out: Path | None, rows: Iterable[tuple[str, Sequence[Declared]
     out.write_text(json.dumps(flights, indent=1) + "\n")
 
 
-def declared_table(title: str, first: str, rows: Iterable[tuple[str, Sequence[Declared]]]) -> Table:
-    """Return how many flights ended too far off, and how many of these were not called lost.
+def declared_table(
+    title: str, first: str, rows: Iterable[tuple[str, Sequence[DeclaredFlight]]]
+) -> Table:
+    """Return a table of flights with large errors and of undeclared ones among them.
 
     Parameters
     ----------
     title, first
-        Of the table and of its first column.
+        Title of the table and header of its first column.
     rows
         Name and flights of each row.
     """
     table = Table(title=title)
-    for heading in (first, "flights", "over 5 sigma\nat the end", "of these not\ncalled lost",
-                    "called lost\nat the end", "doubted\nat times", "landed safe"):  # fmt: skip
+    for heading in (first, "flights", "over 5 sigma\nat the end", "of these, not\ndeclared lost",
+                    "declared lost\nat the end", "with doubted\nmeasurements",
+                    "safe landings"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == first else "right")
     for name, mine in rows:
         table.add_row(

@@ -1,13 +1,13 @@
-"""What it costs to fly by own instruments and not by fixes: paired flights.
+"""Compare landings with onboard instruments and with position fixes.
 
-Each scenario is flown twice over the same ground, from the same starts: as it is, with a radar
-altimeter, a Doppler velocimeter and a star tracker in one filter, and with fixes instead (truth
-plus a budget of errors, the same as at the start of the other).
+Each scenario is flown twice over the same terrain from the same starts: as it is, with a radar
+altimeter, a Doppler velocimeter and a star tracker in one filter; and with position fixes (truth
+plus an error budget equal to the initial errors of the first).
 
-The miss is where the lander touched down less where the site that it flew to truly is, by the map
-that decided. Beside it stands what the last decision expected of it (`expected_miss`), and the root
-of the mean square of the one over the other, an axis: 1 if misses are what is expected. What is
-left of an error that map and lander share does no harm and is in the last column alone.
+The miss is the distance from the touchdown to the true position of the selected site, according to
+the decision map. The table also gives the miss expected at the last decision (`expected_miss`) and
+the root mean square of the ratio per axis, which is 1 if the expectation is correct. An error that
+map and vehicle share has no effect on the miss; it appears only in the last column.
 
 python scenarios/navigation/without_fixes.py --flights 10
 python scenarios/navigation/without_fixes.py --flights 10 --only golombek
@@ -31,7 +31,7 @@ from lunarsim.rng import flight_seed
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
-FLOWN = ("apollo15", "golombek", "highland", "hirise", "mare")
+SCENARIO_NAMES = ("apollo15", "golombek", "highland", "hirise", "mare")
 WAYS = ("fixes", "inertial")
 FIXES = {
     "altimeter": None,
@@ -42,7 +42,7 @@ FIXES = {
 
 
 @dataclass(frozen=True)
-class Task:
+class FixesComparisonTask:
     """One flight."""
 
     scenario: str
@@ -53,23 +53,23 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What came of it.
+class FixesComparisonFlight:
+    """Results of a flight.
 
     Attributes
     ----------
     safe, failed
-        Whether the lander came down safely, and why not.
+        Whether the landing was safe, and the failed criteria.
     miss
-        Over the ground, from the site on the map that decided, m; NaN without a touchdown.
+        Horizontal distance from the site on the decision map, m; NaN without a touchdown.
     expected
-        Of the miss, at the last decision, 1 sigma an axis, m.
+        Expected miss at the last decision, 1 sigma per axis, m.
     error
-        Of the position at the end, m.
+        Position error at the end, m.
     lost, doubted
-        Whether navigation ended lost, and how often it doubted a measurement.
+        Whether navigation ended lost, and the number of doubted measurements.
     seconds
-        Wall time of the flight, its world left out.
+        Wall time of the flight without world generation, s.
     """
 
     safe: bool
@@ -86,26 +86,26 @@ def scenario_of(name: str, way: str) -> Scenario:
     """Return a scenario as it is, or with fixes."""
     scenario = Scenario.load(SCENARIOS / f"{name}.toml")
     if scenario.terrain.kind == "fractal":
-        # Published figures are of ground without detail below its posts.
+        # The published results are for terrain without detail below its posting.
         scenario = scenario.changed(terrain={"detail_m": 0.0})
     return scenario.changed(sensors=FIXES) if way == "fixes" else scenario
 
 
-def fly(task: Task) -> Flown:
+def fly(task: FixesComparisonTask) -> FixesComparisonFlight:
     """Fly once."""
     simulation = Simulation(
         scenario_of(task.scenario, task.way), flight_seed(task.seed, task.flight), task.policy
     )
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     flight = simulation.run()
-    seconds = time.perf_counter() - begun
+    seconds = time.perf_counter() - start_s
     touchdown = flight.verdict.touchdown
     miss = np.nan
     if touchdown is not None:
         there = flight.sites[-1] - flight.map_error
         miss = float(np.linalg.norm((touchdown.position - there)[:2]))
     names = [event["name"] for event in flight.events]
-    return Flown(
+    return FixesComparisonFlight(
         flight.verdict.safe, ", ".join(flight.verdict.failed), miss,
         simulation.computer.expected_miss,
         float(np.linalg.norm(simulation.navigation_error)), simulation.computer.estimate.lost,
@@ -113,29 +113,30 @@ def fly(task: Task) -> Flown:
     )  # fmt: skip
 
 
-def misses(mine: list[Flown]) -> tuple[str, str]:
-    """Return how far sites were missed, and how that compares with what was expected."""
+def misses(mine: list[FixesComparisonFlight]) -> tuple[str, str]:
+    """Return the miss distances, and their ratio to the expected ones."""
     miss, expected = np.array([(f.miss, f.expected) for f in mine]).T
     down = miss[np.isfinite(miss)]
     if len(down) == 0:
-        return "none came down", ""
-    told = np.isfinite(miss) & np.isfinite(expected)
+        return "no touchdown", ""
+    known = np.isfinite(miss) & np.isfinite(expected)
     over = ""
-    if told.any():
-        ratio = np.sqrt(0.5 * np.mean((miss[told] / expected[told]) ** 2))
-        over = f"{np.median(expected[told]):.2f}, {ratio:.2f}"
+    if known.any():
+        ratio = np.sqrt(0.5 * np.mean((miss[known] / expected[known]) ** 2))
+        over = f"{np.median(expected[known]):.2f}, {ratio:.2f}"
     return f"{np.median(down):.2f}, {np.quantile(down, 0.95):.2f}, {down.max():.2f}", over
 
 
-def table_of(flown: dict[tuple[str, str], list[Flown]]) -> Table:
-    """Return a row a scenario and way."""
-    table = Table(title="Fixes against own instruments, over the same ground")
+def table_of(flown: dict[tuple[str, str], list[FixesComparisonFlight]]) -> Table:
+    """Return a table with one row per scenario and navigation."""
+    table = Table(title="Onboard instruments compared with fixes over the same terrain")
     for left in ("scenario", "navigation"):
         table.add_column(left)
-    for heading in ("landed safe", "inertial alone,\nfixes alone (p)",
-                    "miss of the site (m)\nmedian, 95 %, most", "expected,\nrms of miss over it",
-                    "doubted,\nlost", "s a flight,\nmedian",
-                    "position off at the\nend, median (m)"):  # fmt: skip
+    for heading in ("safe landings", "only inertial safe,\nonly fixes safe (p)",
+                    "miss of the site (m)\nmedian, 95th pct., max",
+                    "expected miss (m),\nRMS of miss / expected",
+                    "doubted,\nlost", "time per flight,\nmedian (s)",
+                    "final position error,\nmedian (m)"):  # fmt: skip
         table.add_column(heading, justify="right")
     for (name, way), mine in flown.items():
         landed = Proportion(sum(f.safe for f in mine), len(mine))
@@ -160,25 +161,27 @@ def table_of(flown: dict[tuple[str, str], list[Flown]]) -> Table:
 @click.command()
 @click.option(
     "--flights", type=click.IntRange(min=1), default=10, show_default=True,
-    help="Of each scenario in each way.",
+    help="Number of flights per scenario and navigation.",
 )  # fmt: skip
 @click.option(
-    "--only", type=click.Choice(FLOWN), multiple=True,
-    help="Scenario; may be given again. Left out: all of them.",
+    "--only", type=click.Choice(SCENARIO_NAMES), multiple=True,
+    help="Scenario; repeatable (default: all).",
 )  # fmt: skip
 @click.option("--policy", default="safest", show_default=True, help="Retargeting policy.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 @click.option(
     "--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-    help="Processes; only wall times depend on it.",
+    help="Number of processes; changes only the run times.",
 )  # fmt: skip
 def main(flights: int, only: tuple[str, ...], policy: str, seed: int, jobs: int) -> None:
-    """Fly scenarios with fixes and with instruments of their own, and compare."""
+    """Fly with fixes and with onboard instruments; compare."""
     console = plain_console(160)
-    flown: dict[tuple[str, str], list[Flown]] = {}
-    for name in only or FLOWN:
+    flown: dict[tuple[str, str], list[FixesComparisonFlight]] = {}
+    for name in only or SCENARIO_NAMES:
         for way in WAYS:
-            tasks = [Task(name, way, n, seed, policy) for n in range(flights)]
+            tasks = [FixesComparisonTask(name, way, n, seed, policy) for n in range(flights)]
             flown[name, way] = gathered(fly, tasks, jobs, console, f"{name}, {way}")
     console.print(table_of(flown))
     for (name, way), mine in flown.items():

@@ -1,4 +1,4 @@
-"""Figures of the hazard field experiment: the counterparts of Figures 10 to 23 of the paper."""
+"""Plot the figures of the hazard field experiment (Figures 10 to 23 of the paper)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GREY = "#bdbdbd"
 
 
 def draw_all(result: dict[str, Any], out: Path) -> None:
-    """Draw every figure of the experiment into a folder."""
+    """Plot all figures of the experiment into a folder."""
     last = result["looks"][-1]
     draw_mapping(last, out / "mapping.png")
     draw_slopes(last, out / "slopes.png")
@@ -28,7 +28,7 @@ def draw_all(result: dict[str, Any], out: Path) -> None:
 
 
 def _cells(axes: Any, xy: Any, size: Any, value: Any, **options: Any) -> Any:
-    """Draw square cells (n,) coloured by a value; those without one stay grey."""
+    """Plot square cells (n,) colored by a value; cells without a value stay grey."""
     known = np.isfinite(value)
     boxes = [
         Rectangle((x - 0.5 * s, y - 0.5 * s), s, s)
@@ -57,44 +57,44 @@ def _terrain(axes: Any, maps: dict[str, Any]) -> Any:
 
 
 def draw_mapping(look: dict[str, Any], path: Path) -> None:
-    """Draw true and mapped elevation and the error between (paper, Figures 10 to 12)."""
+    """Plot true and mapped elevation and the error (Figures 10 to 12 of the paper)."""
     maps = look["maps"]
     xy, size, error, true = maps["height"]
     figure = new_figure(13.0, 4.4)
     truth, mapped, wrong = figure.subplots(1, 3, sharex=True, sharey=True)
     image = _terrain(truth, maps)
-    figure.colorbar(image, ax=truth, label="elevation (m)", shrink=0.8)
+    figure.colorbar(image, ax=truth, label="Elevation (m)", shrink=0.8)
     _frame(truth, maps, "truth")
     low, high = image.get_clim()
     cells = _cells(mapped, xy, size, true + error, cmap="cividis", vmin=low, vmax=high)
-    figure.colorbar(cells, ax=mapped, label="elevation (m)", shrink=0.8)
+    figure.colorbar(cells, ax=mapped, label="Elevation (m)", shrink=0.8)
     _frame(mapped, maps, f"map at {look['time']:.0f} s")
     cells = _cells(wrong, xy, size, error, cmap="RdBu_r", vmin=-0.15, vmax=0.15)
-    figure.colorbar(cells, ax=wrong, label="map - truth (m)", shrink=0.8, extend="both")
-    _frame(wrong, maps, f"error, root mean square {look['map_error_rms']:.3f} m")
+    figure.colorbar(cells, ax=wrong, label="Map minus truth (m)", shrink=0.8, extend="both")
+    _frame(wrong, maps, f"error, RMS {look['map_error_rms']:.3f} m")
     save(figure, path)
 
 
 def draw_slopes(look: dict[str, Any], path: Path) -> None:
-    """Draw slope estimates and their errors at the sites (paper, Figures 13 and 14)."""
+    """Plot slope estimates and errors at the sites (Figures 13, 14 of the paper)."""
     maps = look["maps"]
     selection, size = maps["selection"], maps["sizes"]
     figure = new_figure(9.4, 4.4)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     xy = selection.position[:, :2]
     cells = _cells(left, xy, size, np.rad2deg(selection.slope), cmap="viridis", vmin=0.0, vmax=5.0)
-    figure.colorbar(cells, ax=left, label="slope (deg)", shrink=0.8, extend="max")
-    _frame(left, maps, f"slope of the ground planes at {look['time']:.0f} s")
+    figure.colorbar(cells, ax=left, label="Slope (deg)", shrink=0.8, extend="max")
+    _frame(left, maps, f"slope of the fitted planes at {look['time']:.0f} s")
     cells = _cells(right, xy, size, maps["slope"], cmap="magma_r", vmin=0.0, vmax=2.0)
     figure.colorbar(
-        cells, ax=right, label="angle to the true normal (deg)", shrink=0.8, extend="max"
+        cells, ax=right, label="Angle to the true normal (deg)", shrink=0.8, extend="max"
     )
-    _frame(right, maps, f"slope error, greatest {look['slope_error_max']:.1f} deg")
+    _frame(right, maps, f"slope error, maximum {look['slope_error_max']:.1f} deg")
     save(figure, path)
 
 
 def draw_hazards(look: dict[str, Any], path: Path) -> None:
-    """Draw exception ratio, hazards on the truth, and what is right (paper, Figures 15 to 17)."""
+    """Plot exception ratio, hazards and classes (Figures 15 to 17 of the paper)."""
     maps = look["maps"]
     figure = new_figure(13.0, 4.9)
     ratio, over, right = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -106,13 +106,13 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
         raster, origin="lower", extent=extent, interpolation="nearest", cmap="YlOrRd",
         vmin=0.0, vmax=0.1,
     )  # fmt: skip
-    figure.colorbar(image, ax=ratio, label="exceptions / points", shrink=0.8, extend="max")
+    figure.colorbar(image, ax=ratio, label="Exceptions / points", shrink=0.8, extend="max")
     _outline(ratio, raster > maps["limit"], extent)
     _frame(ratio, maps, "exception ratio; hazards outlined")
     image = _terrain(over, maps)
-    figure.colorbar(image, ax=over, label="true elevation (m)", shrink=0.8)
+    figure.colorbar(image, ax=over, label="True elevation (m)", shrink=0.8)
     _outline(over, raster > maps["limit"], extent, colour="white")
-    _frame(over, maps, "hazards on the true ground")
+    _frame(over, maps, "hazards on the true terrain")
     estimated, hazard = maps["estimated"], maps["hazard"]
     judged = np.isfinite(estimated) & np.isfinite(hazard)
     classes = np.where(
@@ -123,12 +123,12 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
         right, classes, maps["fine"], cmap=ListedColormap(["#a6cee3", "#33a02c", "#e31a1c"]),
         vmin=-0.5, vmax=2.5,
     )  # fmt: skip
-    _frame(right, maps, "against the truth")
+    _frame(right, maps, "compared with the truth")
     right.legend(
         handles=[
-            Patch(color="#a6cee3", label="right"),
-            Patch(color="#33a02c", label=f"called hazard, safe: {look['false_m2']:.0f} m²"),
-            Patch(color="#e31a1c", label=f"hazard missed: {look['missed_m2']:.1f} m²"),
+            Patch(color="#a6cee3", label="correct"),
+            Patch(color="#33a02c", label=f"false hazard: {look['false_m2']:.0f} m²"),
+            Patch(color="#e31a1c", label=f"missed hazard: {look['missed_m2']:.1f} m²"),
             Patch(color=GREY, label="too few points"),
         ],
         loc="upper center",
@@ -139,7 +139,7 @@ def draw_hazards(look: dict[str, Any], path: Path) -> None:
 
 
 def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None:
-    """Draw the edges of hazardous squares."""
+    """Plot the edges of hazardous squares."""
     west, east, south, north = extent
     rows, cols = hazard.shape
     dx, dy = (east - west) / cols, (north - south) / rows
@@ -155,7 +155,7 @@ def _outline(axes: Any, hazard: Any, extent: Any, colour: str = "black") -> None
 
 
 def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
-    """Draw the divisions of the quadtree (paper, Figures 19 and 20)."""
+    """Plot the divisions of the quadtree (Figures 19 and 20 of the paper)."""
     figure = new_figure(9.6, 5.0)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
         xy, size = look["maps"]["cells"]
@@ -164,7 +164,7 @@ def draw_quadtrees(looks: list[dict[str, Any]], path: Path) -> None:
         axes.add_collection(
             LineCollection(xy[:, None, :] + half * corners, colors="black", linewidths=0.15)
         )
-        _frame(axes, look["maps"], f"quadtree at {look['time']:.0f} s, to the 8th division")
+        _frame(axes, look["maps"], f"quadtree at {look['time']:.0f} s, down to the 8th division")
     save(figure, path)
 
 
@@ -186,7 +186,7 @@ def _sites(axes: Any, look: dict[str, Any], *, legend: bool) -> None:
 
 
 def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
-    """Draw the ranked sites on the true ground while and after it is swept (Figures 21 and 22)."""
+    """Plot the ranked sites during and after the sweep (Figures 21, 22)."""
     figure = new_figure(10.4, 5.8)
     for axes, look in zip(figure.subplots(1, 2, sharex=True, sharey=True), looks, strict=True):
         maps = look["maps"]
@@ -198,13 +198,13 @@ def draw_sites(looks: list[dict[str, Any]], path: Path) -> None:
         grey = np.where(np.isnan(maps["ratios"]), 1.0, np.nan)
         axes.imshow(grey, origin="lower", extent=extent, cmap=ListedColormap([GREY]), alpha=0.75)
         _sites(axes, look, legend=True)
-        figure.colorbar(image, ax=axes, label="true elevation (m)", shrink=0.8)
-        _frame(axes, maps, f"sites at {look['time']:.0f} s (grey: not seen)")
+        figure.colorbar(image, ax=axes, label="True elevation (m)", shrink=0.8)
+        _frame(axes, maps, f"sites at {look['time']:.0f} s (grey: not observed)")
     save(figure, path)
 
 
 def draw_choice(look: dict[str, Any], path: Path) -> None:
-    """Draw the sites on the true hazards and on the interest (paper, Figures 18 and 23)."""
+    """Plot the sites on true hazards and on interest (Figures 18, 23 of the paper)."""
     maps = look["maps"]
     figure = new_figure(10.0, 4.9)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -217,25 +217,25 @@ def draw_choice(look: dict[str, Any], path: Path) -> None:
     _frame(left, maps, "sites and true hazards")
     left.legend(
         handles=[Patch(color="#a6cee3", label="safe"), Patch(color="#e31a1c", label="hazard"),
-                 Patch(color=GREY, label="no truth mesh")],
+                 Patch(color=GREY, label="no true surface mesh")],
         loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3,
     )  # fmt: skip
     interest = maps["interest"]
     image = show(right, interest.value, interest.grid, cmap="RdYlBu", vmin=0.0, vmax=1.0)
-    figure.colorbar(image, ax=right, label="interest", shrink=0.8)
+    figure.colorbar(image, ax=right, label="Interest", shrink=0.8)
     _sites(right, look, legend=False)
     _frame(right, maps, "sites and interest")
     save(figure, path)
 
 
 def draw_navigation(result: dict[str, Any], path: Path) -> None:
-    """Draw the errors of navigation and what the filter makes of them."""
+    """Plot the navigation errors and the standard deviations of the filter."""
     track = result["track"]
     figure = new_figure(9.6, 5.4)
     panels = figure.subplots(2, 1, sharex=True)
     for axes, first, names, scale, unit in (
-        (panels[0], 1, ("east", "north", "up"), 1.0, "position error (m)"),
-        (panels[1], 4, ("body x", "body y", "body z"), np.rad2deg(1.0), "attitude error (deg)"),
+        (panels[0], 1, ("east", "north", "up"), 1.0, "Position error (m)"),
+        (panels[1], 4, ("body x", "body y", "body z"), np.rad2deg(1.0), "Attitude error (deg)"),
     ):
         for k, name in enumerate(names):
             axes.semilogy(
@@ -255,6 +255,6 @@ def draw_navigation(result: dict[str, Any], path: Path) -> None:
         axes.set_ylabel(unit)
         axes.grid(alpha=0.3)
         axes.legend(ncols=3, loc="upper right")
-    panels[0].set_title("size of the error (solid) and the filter's 1 sigma (dashed)")
-    panels[1].set_xlabel("time (s)")
+    panels[0].set_title("absolute error (solid) and 1 sigma of the filter (dashed)")
+    panels[1].set_xlabel("Time (s)")
     save(figure, path)

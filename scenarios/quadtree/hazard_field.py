@@ -1,7 +1,8 @@
-"""A LiDAR sweeps a hazard field, finds its place on a map, and ranks landing sites meanwhile.
+"""Sweep a hazard field by LiDAR, locate it on a map, and rank landing sites.
 
-The experiment of the quadtree paper (section 5) on simulated fields: boulders and craters on level
-grass, a Morpheus-like lander, 20 s of sweep. Sites are looked at 13 s and 20 s after the start.
+The experiment of the quadtree paper (section 5) on simulated fields: boulders and craters on
+horizontal grass, a Morpheus-like vehicle, a sweep of 20 s. Sites are evaluated 13 s and 20 s after
+the start.
 
 python scenarios/quadtree/hazard_field.py --fields 30 --jobs 2 --out out/morpheus
 """
@@ -16,7 +17,14 @@ from typing import Any
 
 import click
 import numpy as np
-from judging import Ground, confused, ground_under, judged_sites, map_errors, slope_errors
+from judging import (
+    QuadtreeTruth,
+    ground_under,
+    hazard_confusion,
+    judged_sites,
+    map_errors,
+    slope_errors,
+)
 from rich.console import Console
 from rich.table import Table
 
@@ -38,7 +46,7 @@ from lunarsim.simulation import Simulation
 
 SCENARIOS = Path(__file__).parents[1]
 TIMES = (13.0, 20.0)
-# Section 5 of the paper, by eye from its text: it gives no areas.
+# Section 5 of the paper, estimated from its text, which gives no areas.
 PAPER = {
     "map error": "generally under 0.5 m",
     "slope error": "under 6 deg everywhere",
@@ -49,7 +57,7 @@ PAPER = {
 
 
 @dataclass(frozen=True)
-class Task:
+class HazardFieldTask:
     """One field."""
 
     field: int
@@ -58,7 +66,7 @@ class Task:
 
 
 def interest_map(scenario: Scenario) -> InterestMap:
-    """Return an interest that is greatest in the north-east and nought in the south-west corner."""
+    """Return an interest map with its maximum in the north-east and a zero corner."""
     side = scenario.mappers["sites"].size_m
     grid = Grid.centred(scenario.target.position_m, side, 5.0)
     east, north = np.moveaxis(grid.centres() - scenario.target.position_m, -1, 0)
@@ -68,8 +76,8 @@ def interest_map(scenario: Scenario) -> InterestMap:
     return InterestMap(grid, np.where(corner, 0.0, value))
 
 
-def prepared(task: Task, folder: Path) -> Simulation:
-    """Return the flight over one field, told by a file in `folder` where the interest lies."""
+def make_simulation(task: HazardFieldTask, folder: Path) -> Simulation:
+    """Return the flight over one field; its interest map is a file in `folder`."""
     scenario = Scenario.load(SCENARIOS / "morpheus.toml")
     interest = interest_map(scenario)
     g, path = interest.grid, folder / "interest.npz"
@@ -79,10 +87,10 @@ def prepared(task: Task, folder: Path) -> Simulation:
     return Simulation(scenario, flight_seed(task.seed, task.field))
 
 
-def fly(task: Task) -> dict[str, Any]:
-    """Fly the sweep over one field; return figures of merit, and maps for the pictures."""
+def fly(task: HazardFieldTask) -> dict[str, Any]:
+    """Fly the sweep over one field; return metrics, and maps for the figures."""
     with TemporaryDirectory() as folder:
-        simulation = prepared(task, Path(folder))
+        simulation = make_simulation(task, Path(folder))
     found: Navigator = simulation.computer.navigation
     pending, looks = list(TIMES), []
     track: list[tuple[float, ...]] = []
@@ -90,7 +98,7 @@ def fly(task: Task) -> dict[str, Any]:
         simulation.step()
         track.append((simulation.time, *navigation_error(simulation), *deviations(simulation)))
         if simulation.time >= pending[0] - 1e-9:
-            looks.append(look(simulation, pending.pop(0), task.pictures))
+            looks.append(evaluate_map(simulation, pending.pop(0), task.pictures))
     tree = simulation.computer.mappers["sites"].map
     return {
         "field": task.field,
@@ -108,7 +116,7 @@ def fly(task: Task) -> dict[str, Any]:
 
 
 def navigation_error(simulation: Simulation) -> np.ndarray:
-    """Return true less estimated position on the map (m), and the small turn between (ENU, rad)."""
+    """Return true minus estimated position (m), and the rotation between (ENU, rad)."""
     found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
     turn = quat_multiply(simulation.state.attitude, quat_conjugate(found.attitude))
     return np.concatenate(
@@ -117,21 +125,21 @@ def navigation_error(simulation: Simulation) -> np.ndarray:
 
 
 def deviations(simulation: Simulation) -> np.ndarray:
-    """Return the standard deviations that go with `navigation_error` (6,)."""
+    """Return the standard deviations of `navigation_error` (6,)."""
     return np.sqrt(np.diag(simulation.estimate.covariance)[np.r_[0:3, 6:9]])
 
 
-def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
-    """Judge map and sites as they stand against the truth."""
+def evaluate_map(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
+    """Compare the current map and sites with the truth."""
     mapper = simulation.computer.mappers["sites"]
     selection = mapper.select()
     ground = ground_under(mapper, simulation)
     height = map_errors(mapper, ground)
     slope = slope_errors(mapper, selection, ground.mesh)
-    areas, estimated = confused(mapper, ground)
+    areas, estimated = hazard_confusion(mapper, ground)
     maps = None
     if pictures:
-        maps = pictured(mapper, selection, ground)
+        maps = figure_data(mapper, selection, ground)
         maps |= {"height": height, "slope": slope, "estimated": estimated}
     finite = height[2][np.isfinite(height[2])]
     angles = slope[np.isfinite(slope)]
@@ -148,8 +156,10 @@ def look(simulation: Simulation, time: float, pictures: bool) -> dict[str, Any]:
     }
 
 
-def pictured(mapper: QuadtreeMapper, selection: Selection, ground: Ground) -> dict[str, Any]:
-    """Return what the pictures show besides the errors."""
+def figure_data(
+    mapper: QuadtreeMapper, selection: Selection, ground: QuadtreeTruth
+) -> dict[str, Any]:
+    """Return additional data for the figures."""
     tree, selector = mapper.map, mapper.selector
     return {
         "elevation": ground.elevation,
@@ -168,13 +178,13 @@ def pictured(mapper: QuadtreeMapper, selection: Selection, ground: Ground) -> di
 
 
 def cells_of(quadtree: QuadtreeMap) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres (n, 2) and sides (n,) of the smallest cells down to the eighth division."""
+    """Return centers (n, 2) and sides (n,) of cells down to the 8th division."""
     nodes = quadtree.band(quadtree.side / 2**8, quadtree.side)
     return quadtree.centres(nodes), quadtree.sizes(nodes)
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the figures of merit over all fields."""
+    """Return the metrics over all fields."""
     locked = [r for r in results if r["lock"] is not None]
     position = np.array([r["position_error"] for r in locked]).reshape(-1, 3)
     attitude = np.array([r["attitude_error"] for r in locked]).reshape(-1, 3)
@@ -213,29 +223,36 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
     """Print the tables."""
     n, lock = summary["fields"], summary["lock_time_median_s"]
     console.print(
-        f"{summary['locked']} of {n} flights found their place on the map"
-        + (f", the median after {lock:.1f} s" if lock is not None else "")
-        + "; then at 20 s, root mean square of each axis: position "
+        f"{summary['locked']} of {n} flights were located on the map"
+        + (f", after {lock:.1f} s (median)" if lock is not None else "")
+        + "; RMS errors per axis at 20 s: position "
         + ", ".join(f"{v:.3f}" for v in summary["position_rms_m"])
         + " m, attitude "
         + ", ".join(f"{v:.3f}" for v in summary["attitude_rms_deg"])
         + " deg"
     )
     table = Table(title=f"Map and sites, mean of {n} fields")
-    for heading in ("", "at 13 s", "at 20 s", "paper, at 20 s"):
-        table.add_column(heading, justify="left" if heading in {"", "paper, at 20 s"} else "right")
+    for heading in ("metric", "at 13 s", "at 20 s", "paper, at 20 s"):
+        table.add_column(
+            heading, justify="left" if heading in {"metric", "paper, at 20 s"} else "right"
+        )
     rows = (
-        ("map error, root mean square (m)", "map_error_rms", "{:.3f}", PAPER["map error"]),
-        ("cells with less than 0.5 m", "map_error_within", "{:.4f}", ""),
+        ("map error, RMS (m)", "map_error_rms", "{:.3f}", PAPER["map error"]),
+        ("cells with an error below 0.5 m (fraction)", "map_error_within", "{:.4f}", ""),
         ("slope error, mean (deg)", "slope_error_mean", "{:.2f}", ""),
-        ("slope error, greatest of all (deg)", "slope_error_max", "{:.2f}", PAPER["slope error"]),
-        ("ground judged (m2)", "judged_m2", "{:.0f}", ""),
+        (
+            "slope error, maximum of all fields (deg)",
+            "slope_error_max",
+            "{:.2f}",
+            PAPER["slope error"],
+        ),
+        ("evaluated area (m2)", "judged_m2", "{:.0f}", ""),
         ("true hazards in it (m2)", "hazard_m2", "{:.1f}", ""),
-        ("hazards missed (m2)", "missed_m2", "{:.2f}", PAPER["missed"]),
-        ("share of their area missed", "missed_share", "{:.3f}", ""),
-        ("hazards missed wholly, all fields", "objects_missed", "{}", ""),
-        ("safe ground called hazardous (m2)", "false_m2", "{:.0f}", PAPER["false"]),
-        ("sites ranked, all fields", "sites", "{:d}", ""),
+        ("missed hazards (m2)", "missed_m2", "{:.2f}", PAPER["missed"]),
+        ("missed fraction of hazard area", "missed_share", "{:.3f}", ""),
+        ("completely missed hazards, all fields", "objects_missed", "{}", ""),
+        ("false hazards (m2)", "false_m2", "{:.0f}", PAPER["false"]),
+        ("ranked sites, all fields", "sites", "{:d}", ""),
         ("fields without a site", "fields_without_site", "{:d}", ""),
         ("landing zones with a true hazard", "zones_with_hazard", "{:d}", PAPER["zones"]),
         ("sites exactly safe", "sites_exactly_safe", "{:d}", ""),
@@ -262,18 +279,18 @@ def show(summary: dict[str, Any], first: dict[str, Any], console: Console) -> No
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Hazard fields.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+              help="Number of hazard fields.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write all figures to this file.")  # fmt: skip
+              help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for pictures of the first field; left out, none are drawn.")  # fmt: skip
+              help="Output folder of figures of the first field.")  # fmt: skip
 def main(fields: int, seed: int, jobs: int, json_file: Path | None, out: Path | None) -> None:
-    """Sweep hazard fields and judge maps and sites against the truth."""
+    """Sweep hazard fields; compare maps and sites with the truth."""
     console = plain_console(140)
-    tasks = [Task(i, seed, out is not None and i == 0) for i in range(fields)]
+    tasks = [HazardFieldTask(i, seed, out is not None and i == 0) for i in range(fields)]
     results = gathered(fly, tasks, jobs, console, "sweeps")
     summary = summarise(results)
     show(summary, results[0], console)

@@ -1,4 +1,4 @@
-"""Map, hazards and sites of the quadtree against the true ground, in the local frame."""
+"""Compare quadtree map, hazards and sites with the true terrain."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from lunarsim.simulation import Simulation
 
 # Posting of the truth DEM, m.
 TRUTH = 0.1
-# Limits that set the time-to-go for the fuel to a site, m/s^3 and m/s^4.
+# Limits that set the time-to-go in the propellant cost of a site, m/s^3 and m/s^4.
 JERK, SNAP = 0.25, 0.05
 
 
 @dataclass(frozen=True)
-class Ground:
-    """The truth as the lander would see it with its errors: local frame.
+class QuadtreeTruth:
+    """The true terrain in the local frame, that is, shifted by the navigation error.
 
     Attributes
     ----------
     grid
         Fine cells over the map.
     elevation
-        m (rows, cols).
+        Elevation (rows, cols), m.
     hazard
-        1 where the ground leaves the mesh, else 0; NaN without a mesh (rows, cols).
+        1 where the terrain deviates from the mesh, else 0; NaN without a mesh (rows, cols).
     mesh
-        The mesh.
+        True surface mesh.
     frame
-        From the true frame to the local one.
+        Transformation from the true frame to the local one.
     """
 
     grid: Grid
@@ -47,8 +47,8 @@ class Ground:
     frame: Shift
 
 
-def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> Ground:
-    """Return the true ground where the map has its cells now."""
+def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> QuadtreeTruth:
+    """Return the true terrain at the current cells of the map."""
     s, frame = mapper.selector.settings, simulation.true_to_local
     west, east, _, _ = mapper.grid.extent
     grid = Grid.centred(mapper.grid.centre, east - west, TRUTH)
@@ -57,13 +57,13 @@ def ground_under(mapper: QuadtreeMapper, simulation: Simulation) -> Ground:
     elevation = simulation.world.terrain.elevation(there[..., :2]) + frame.offset[2]
     mesh = TruthMesh(elevation, grid, 2.0 * s.zone)
     hazard = mesh.hazards(elevation, grid, s.roughness_limit)
-    return Ground(grid, elevation, hazard, mesh, frame)
+    return QuadtreeTruth(grid, elevation, hazard, mesh, frame)
 
 
 def judged_sites(
-    simulation: Simulation, selection: Selection, settings: SiteSettings, ground: Ground
+    simulation: Simulation, selection: Selection, settings: SiteSettings, ground: QuadtreeTruth
 ) -> list[dict[str, Any]]:
-    """Return the ranked sites, what it takes to fly to them, and what they are in truth."""
+    """Return the ranked sites with their flight cost and their true safety."""
     com = np.array([0.0, 0.0, simulation.lander.com_height])
     cost = site_cost(
         simulation.estimate,
@@ -88,9 +88,9 @@ def judged_sites(
 
 
 def map_errors(
-    mapper: QuadtreeMapper, ground: Ground
+    mapper: QuadtreeMapper, ground: QuadtreeTruth
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return centres (n, 2), sides, elevation errors and true elevations (n,) of cells of 0.4 m."""
+    """Return centers, sides, elevation errors and truth (n,) of cells of 0.4 m."""
     tree, fine = mapper.map, ground.grid
     nodes = tree.band(4.0 * tree.least, 8.0 * tree.least)
     xy, side = tree.centres(nodes), tree.sizes(nodes)
@@ -107,17 +107,19 @@ def map_errors(
 
 
 def slope_errors(mapper: QuadtreeMapper, selection: Selection, mesh: TruthMesh) -> np.ndarray:
-    """Return the angle between estimated and true normals at the sites (n,), deg; NaN off one."""
+    """Return the angle between estimated and true normals at the sites (n,), deg."""
     estimated = mapper.selector.mesh.normals_of(selection.nodes)
     true, _ = mesh.plane(selection.position[:, :2])
     cosine = np.einsum("ij,ij->i", estimated, true)
     return np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def confused(mapper: QuadtreeMapper, ground: Ground) -> tuple[dict[str, float], np.ndarray]:
-    """Compare hazard cells with the truth; return areas (m^2) and the estimate (rows, cols).
+def hazard_confusion(
+    mapper: QuadtreeMapper, ground: QuadtreeTruth
+) -> tuple[dict[str, float], np.ndarray]:
+    """Compare hazard cells with the truth; return areas (m^2) and the estimate.
 
-    The estimate is NaN where cells have too few points: the paper's grey.
+    The estimate is NaN where cells have too few points (grey in the paper).
     """
     fine, hazard = ground.grid, ground.hazard
     hazards, tree = mapper.selector.hazards, mapper.map
@@ -141,7 +143,7 @@ def confused(mapper: QuadtreeMapper, ground: Ground) -> tuple[dict[str, float], 
 
 
 def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]:
-    """Return how many connected hazards are judged at all, and how many of these wholly missed."""
+    """Return the number of evaluated connected hazards, and of completely missed ones."""
     label, count = ndimage.label(hazard, structure=np.ones((3, 3)))
     judged, called = (
         np.bincount(label[where], minlength=count + 1)[1:] > 0
@@ -150,8 +152,8 @@ def missed_objects(hazard: np.ndarray, estimated: np.ndarray) -> tuple[int, int]
     return int(judged.sum()), int((judged & ~called).sum())
 
 
-def zone_hazard(position: np.ndarray, ground: Ground, zone: float) -> float:
-    """Return the area of true hazard in a landing zone, m^2."""
+def zone_hazard(position: np.ndarray, ground: QuadtreeTruth, zone: float) -> float:
+    """Return the area of true hazards in a landing zone, m^2."""
     g = ground.grid
     near = np.ix_(np.abs(g.y - position[1]) <= zone, np.abs(g.x - position[0]) <= zone)
     return float((ground.hazard[near] == 1.0).sum() * g.posting**2)

@@ -1,10 +1,10 @@
-"""Both LiDAR maps on real returns: part of an airborne cloud is mapped, the rest judges.
+"""Test both LiDAR maps on an airborne cloud: map a part, test on the rest.
 
     python scenarios/real_returns/airborne.py --splits 4 --out out/real_returns
 
-Heights: one random half of the ground returns is mapped at 0.25 m, the other half tells the error.
-Safety: a lander is scaled so that the mapped returns are as far apart, over its footprint, as those
-of one scan from 1000 m; the exact test on the surface through the returns held back judges p_safe.
+Heights: a random half of the ground returns is mapped at 0.25 m; the other half gives the error.
+Safety: a lander is scaled so that its footprint contains as many mapped returns as in one scan from
+1000 m. The exact test on the surface through the held-out returns is the reference for p_safe.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 import click
 import numpy as np
 from figures import draw
-from judging import Heights, Verdicts, judge_heights, judge_safety, scores, strata_of
-from returns import SLOPE_LIMIT_DEG, STRATA, Cloud, load
+from judging import HeightErrors, SafetyComparison, judge_heights, judge_safety, scores, strata_of
+from returns import SLOPE_LIMIT_DEG, STRATA, AirborneCloud, load
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -25,23 +25,23 @@ from rich.table import Table
 from lunarsim.console import plain_console
 from lunarsim.evaluation.statistics import mean_interval
 
-SHARES = (0.5, 0.1)  # of the returns that are mapped where safety is judged
+SHARES = (0.5, 0.1)  # fractions of the returns that are mapped in the safety test
 
 
-def pooled(maps: list[Heights]) -> Heights:
+def pool_heights(maps: list[HeightErrors]) -> HeightErrors:
     """Return the errors of all splits together."""
     names = ("error", "sigma", "stratum", "xy")
-    return Heights(*(np.concatenate([getattr(m, name) for m in maps]) for name in names))
+    return HeightErrors(*(np.concatenate([getattr(m, name) for m in maps]) for name in names))
 
 
-def together(verdicts: list[Verdicts]) -> Verdicts:
-    """Return the sites of all splits together, with the means of the shares."""
+def pool_safety(verdicts: list[SafetyComparison]) -> SafetyComparison:
+    """Return the sites of all splits together, with the mean fractions."""
     first = verdicts[0]
     means = (
         float(np.mean([getattr(v, name) for v in verdicts]))
         for name in ("agreement", "dense_share", "held_share")
     )
-    return Verdicts(
+    return SafetyComparison(
         {m: np.concatenate([v.p[m] for v in verdicts]) for m in first.p},
         np.concatenate([v.safe for v in verdicts]),
         np.concatenate([v.stratum for v in verdicts]),
@@ -51,15 +51,17 @@ def together(verdicts: list[Verdicts]) -> Verdicts:
     )
 
 
-def show_heights(results: list[dict[str, Heights]], title: str, console: Console) -> dict[str, Any]:
+def show_heights(
+    results: list[dict[str, HeightErrors]], title: str, console: Console
+) -> dict[str, Any]:
     """Print errors by map and stratum; return them."""
-    table = Table(title=f"Height at the returns held back, {len(results)} splits, {title}")
-    for heading in ("map", "slope", "returns", "bias m", "RMSE m", "normalised square (1)",
-                    "beyond 2 sigma (0.046)", "beyond 3 sigma (0.003)"):  # fmt: skip
+    table = Table(title=f"Height error at the held-out returns, {len(results)} splits, {title}")
+    for heading in ("map", "slope", "returns", "bias (m)", "RMSE (m)", "NEES (ideal 1)",
+                    "beyond 2 sigma (ideal 0.046)", "beyond 3 sigma (ideal 0.003)"):  # fmt: skip
         table.add_column(heading, justify="right")
     kept: dict[str, Any] = {}
     for name in results[0]:
-        every = pooled([r[name] for r in results])
+        every = pool_heights([r[name] for r in results])
         own = [r[name].figures() for r in results]
         rows = [("all", every.figures())]
         rows += [(label, every.figures(k)) for k, label in enumerate(STRATA)]
@@ -76,17 +78,20 @@ def show_heights(results: list[dict[str, Heights]], title: str, console: Console
     return kept
 
 
-def show_safety(verdicts: Verdicts, share: float, console: Console) -> dict[str, Any]:
-    """Print how well p_safe does; return it."""
+def show_safety(verdicts: SafetyComparison, share: float, console: Console) -> dict[str, Any]:
+    """Print the quality of p_safe; return it."""
     console.print(
-        f"{share:.2f} of the returns mapped; lander {verdicts.scale:.2f} times as large, limit "
-        f"{SLOPE_LIMIT_DEG:.0f} deg. The exact verdicts on mapped returns and on those held back "
-        f"agree at {verdicts.agreement:.3f} of the sites; safe on all returns "
-        f"{verdicts.dense_share:.3f}, on those held back {verdicts.held_share:.3f}"
+        f"Fraction {share:.2f} of the returns mapped; lander scale {verdicts.scale:.2f}, slope "
+        f"limit "
+        f"{SLOPE_LIMIT_DEG:.0f} deg. The exact safety on mapped and on held-out returns "
+        f"agrees at {verdicts.agreement:.3f} of the sites; safe fraction on all returns "
+        f"{verdicts.dense_share:.3f}, on held-out returns {verdicts.held_share:.3f}"
     )
-    table = Table(title=f"p_safe against the verdict of the returns held back, {share:.2f} mapped")
-    for heading in ("map", "slope", "sites", "share safe", "mean p", "ECE", "Brier skill",
-                    "precision, p > 0.5", "recall", "share safe, p > 0.95"):  # fmt: skip
+    table = Table(
+        title=f"p_safe compared with the exact safety on held-out returns, {share:.2f} mapped"
+    )
+    for heading in ("map", "slope", "sites", "safe (fraction)", "mean p", "ECE", "Brier skill",
+                    "precision, p > 0.5", "recall", "safe fraction at p > 0.95"):  # fmt: skip
         table.add_column(heading, justify="right")
     kept: dict[str, Any] = {}
     for name in verdicts.p:
@@ -103,8 +108,10 @@ def show_safety(verdicts: Verdicts, share: float, console: Console) -> dict[str,
     return kept
 
 
-def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict[str, Any], Any]:
-    """Judge heights and safety on some random splits; return all figures and what is drawn."""
+def study(
+    cloud: AirborneCloud, splits: int, title: str, console: Console
+) -> tuple[dict[str, Any], Any]:
+    """Evaluate heights and safety on random splits; return metrics and plot data."""
     heights = [
         judge_heights(cloud, seed) for seed in track(range(splits), description=f"heights, {title}")
     ]
@@ -113,23 +120,24 @@ def study(cloud: Cloud, splits: int, title: str, console: Console) -> tuple[dict
     for share in SHARES:
         name = f"safety, {share:.2f} mapped, {title}"
         runs = [judge_safety(cloud, share, seed) for seed in track(range(splits), description=name)]
-        safety[share] = together(runs)
+        safety[share] = pool_safety(runs)
         kept["safety"][str(share)] = show_safety(safety[share], share, console)
-    return kept, (heights[0], {name: pooled([h[name] for h in heights]) for name in heights[0]},
+    return kept, (heights[0],
+    {name: pool_heights([h[name] for h in heights]) for name in heights[0]},
                   safety)  # fmt: skip
 
 
 @click.command()
 @click.option("--splits", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Random splits of the returns.")  # fmt: skip
+              help="Number of random splits of the returns.")  # fmt: skip
 @click.option("--quick", is_flag=True,
-              help="Only what lies within 24 m of the middle, and ground alone.")  # fmt: skip
+              help="Use only ground returns within 24 m of the center.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write all figures to this file.")  # fmt: skip
+              help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure.")  # fmt: skip
+              help="Output folder of the figure.")  # fmt: skip
 def main(splits: int, quick: bool, json_file: Path | None, out: Path | None) -> None:
-    """Map real returns with both LiDAR mappers and judge by returns held back."""
+    """Map real returns with both mappers; test on held-out returns."""
     console = plain_console(170)
     limit = 24.0 if quick else None
     kept, drawn = study(load(limit=limit), splits, "ground returns", console)

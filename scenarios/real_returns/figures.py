@@ -1,11 +1,11 @@
-"""Figure of `airborne.py`."""
+"""Plot the figure of `airborne.py`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from judging import Heights, Verdicts
+from judging import HeightErrors, SafetyComparison
 from matplotlib.colors import ListedColormap
 from returns import STRATA
 from scipy.stats import norm
@@ -18,21 +18,21 @@ _SHOWN = ("planes, field of Table 6", "planes, fitted", "Eqs. 15-17, field of Ta
 
 
 def draw(
-    first: dict[str, Heights],
-    heights: dict[str, Heights],
-    safety: dict[float, Verdicts],
+    first: dict[str, HeightErrors],
+    heights: dict[str, HeightErrors],
+    safety: dict[float, SafetyComparison],
     path: Path,
 ) -> None:
-    """Draw errors on a map and by their stated size, and p_safe against the verdict.
+    """Plot the errors on a map and by predicted sigma, and the reliability of p_safe.
 
     Parameters
     ----------
     first, heights
-        Of the first split and of all, by map.
+        Errors of the first split and of all splits, by map.
     safety
-        By share of the returns that was mapped.
+        Safety comparison, by mapped fraction of the returns.
     path
-        Of the figure.
+        File of the figure.
     """
     figure = new_figure(13.5, 8.2)
     axes = figure.subplots(2, 3)
@@ -41,8 +41,10 @@ def draw(
         one.xy[:, 0], one.xy[:, 1], c=np.abs(one.error) / one.sigma, s=0.6, vmin=0.0, vmax=4.0,
         cmap="viridis", lw=0,
     )  # fmt: skip
-    figure.colorbar(dots, ax=axes[0, 0], label="|error| / stated sigma", shrink=0.8, extend="max")
-    map_axes(axes[0, 0], "returns held back, Gaussian DEM as flights do")
+    figure.colorbar(
+        dots, ax=axes[0, 0], label="|error| / predicted sigma", shrink=0.8, extend="max"
+    )
+    map_axes(axes[0, 0], "held-out returns, Gaussian DEM as in flight")
     _errors(axes[0, 1], heights)
     _squares(axes[0, 2], heights)
     for ax, (share, verdicts) in zip(axes[1, :2], safety.items(), strict=True):
@@ -53,9 +55,9 @@ def draw(
             label = f"{name}, ECE {calibration_error(table):.2f}"
             plot_reliability(ax, table, color=colour, label=label)
         ax.set_xlabel("p_safe")
-        ax.set_ylabel("share safe on the returns held back")
-        ax.set_title(f"{share:.2f} mapped, lander x {verdicts.scale:.2f}")
-        ax.set_ylim(-0.4, 1.05)  # room for the legend
+        ax.set_ylabel("Safe fraction on the held-out returns")
+        ax.set_title(f"fraction {share:.2f} mapped, lander scale {verdicts.scale:.2f}")
+        ax.set_ylim(-0.4, 1.05)  # space for the legend
         ax.set_yticks(np.linspace(0.0, 1.0, 6))
         ax.legend(loc="lower right", fontsize=7)
         ax.grid(alpha=0.3)
@@ -67,12 +69,12 @@ def draw(
     image = show(axes[1, 2], classes, grid, cmap=palette, vmin=-0.5, vmax=3.5)
     bar = figure.colorbar(image, ax=axes[1, 2], shrink=0.8, ticks=range(4))
     bar.ax.set_yticklabels(["unsafe", "unsafe, called safe", "safe, called unsafe", "safe"])
-    map_axes(axes[1, 2], f"p > 0.5, {_SHOWN[0]}, {share:.2f} mapped")
+    map_axes(axes[1, 2], f"p > 0.5, {_SHOWN[0]}, fraction {share:.2f} mapped")
     save(figure, path)
 
 
-def _errors(ax, heights: dict[str, Heights]) -> None:
-    """Draw how often errors are larger than a multiple of what is stated."""
+def _errors(ax, heights: dict[str, HeightErrors]) -> None:
+    """Plot the fraction of errors beyond a multiple of the predicted sigma."""
     level = np.linspace(0.0, 6.0, 121)
     ax.plot(level, 2.0 * norm.sf(level), "k--", lw=1, label="normal")
     for (name, own), colour in zip(heights.items(), COLOURS, strict=False):
@@ -81,15 +83,15 @@ def _errors(ax, heights: dict[str, Heights]) -> None:
         ax.plot(level, beyond, color=colour, label=name)
     ax.set_yscale("log")
     ax.set_ylim(1e-3, 1.0)
-    ax.set_xlabel("multiple of the stated sigma")
-    ax.set_ylabel("share of errors beyond")
-    ax.set_title("size of the errors, all slopes")
+    ax.set_xlabel("Multiple of the predicted sigma")
+    ax.set_ylabel("Fraction of errors beyond")
+    ax.set_title("distribution of the errors, all slopes")
     ax.legend(fontsize=7)
     ax.grid(alpha=0.3)
 
 
-def _squares(ax, heights: dict[str, Heights]) -> None:
-    """Draw the mean normalised square by stratum."""
+def _squares(ax, heights: dict[str, HeightErrors]) -> None:
+    """Plot the mean normalised squared error by stratum."""
     place = np.arange(len(STRATA))
     for n, ((name, own), colour) in enumerate(zip(heights.items(), COLOURS, strict=False)):
         values = [own.figures(k)["nees"] for k in place]
@@ -97,7 +99,7 @@ def _squares(ax, heights: dict[str, Heights]) -> None:
     ax.axhline(1.0, color="black", lw=1)
     ax.set_yscale("log")
     ax.set_xticks(place, STRATA, fontsize=7)
-    ax.set_xlabel("slope")
-    ax.set_ylabel("mean square of error / stated sigma")
-    ax.set_title("calibration of the stated variance")
+    ax.set_xlabel("Slope")
+    ax.set_ylabel("Mean square of error / predicted sigma")
+    ax.set_title("calibration of the predicted variance")
     ax.legend(fontsize=7)

@@ -1,4 +1,4 @@
-"""Heights and verdicts of the maps against the returns held back."""
+"""Compare heights and safety of the maps with the held-out returns."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from returns import (
     SHIPPED,
     SIGMA,
     STRATA,
-    Cloud,
-    fitted,
+    AirborneCloud,
+    fit_prior,
     one_map,
     pooled_map,
     quadtree_map,
-    scaled,
+    scaled_lander,
     slope_of,
     stratum,
     without_trend,
@@ -32,26 +32,26 @@ from lunarsim.onboard.hazards.quadtree import STATUS, QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.mapper import rasterised
 from lunarsim.safety import exact_safety, plane_stochastic_safety, stochastic_safety
 
-POSTING = 0.25  # of the maps whose heights are judged, m
-STRIDE = 5  # cells between two that are judged for safety: neighbours say the same
+POSTING = 0.25  # posting of the maps in the height test, m
+STRIDE = 5  # spacing of the safety test sites in cells: neighbours are correlated
 ELIGIBLE = STATUS.index("eligible")
-LEAST_RETURNS = 4  # mapped and held back in a cell of the quadtree that is judged
+MIN_RETURNS = 4  # minimum number of mapped and of held-out returns in an evaluated quadtree cell
 
 
 @dataclass(frozen=True)
-class Heights:
-    """Errors of a map at the returns held back.
+class HeightErrors:
+    """Errors of a map at the held-out returns.
 
     Attributes
     ----------
     error
-        Mapped less measured height (n,), m.
+        Mapped minus measured height (n,), m.
     sigma
-        Deviation that the map states of that error, noise of the return included (n,), m.
+        Predicted standard deviation of the error, including return noise (n,), m.
     stratum
         Index into `STRATA` (n,).
     xy
-        Where (n, 2), m.
+        Position (n, 2), m.
     """
 
     error: np.ndarray
@@ -60,7 +60,7 @@ class Heights:
     xy: np.ndarray
 
     def figures(self, which: int | None = None) -> dict[str, float]:
-        """Return number, bias, RMSE, mean normalised square and shares beyond 2 and 3 sigma."""
+        """Return count, bias, RMSE, NEES and fractions beyond 2 and 3 sigma."""
         use = slice(None) if which is None else self.stratum == which
         error, ratio = self.error[use], self.error[use] / self.sigma[use]
         if not error.size:
@@ -76,15 +76,15 @@ class Heights:
 
 
 def bilinear(raster: np.ndarray, grid: Grid, xy: np.ndarray) -> np.ndarray:
-    """Return a raster between its cell centres (n,); NaN next to unknown."""
+    """Interpolate a raster between its cell centers (n,); NaN next to unknown cells."""
     place = ((xy[:, 1] - grid.y0) / grid.posting, (xy[:, 0] - grid.x0) / grid.posting)
     return np.asarray(
         ndimage.map_coordinates(raster.astype(np.float64), place, order=1, cval=np.nan)
     )
 
 
-def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> Heights:
-    """Judge a Gaussian DEM at the returns held back (n, 3); `slope` lies on its grid, deg."""
+def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> HeightErrors:
+    """Compare a Gaussian DEM with held-out returns (n, 3); `slope`: on its grid, deg."""
     seen = np.where(dem.observed, dem.mean, np.nan)
     mean = bilinear(seen, dem.grid, held[:, :2])
     variance = bilinear(np.where(dem.observed, dem.variance, np.nan), dem.grid, held[:, :2])
@@ -94,15 +94,15 @@ def heights_of(dem: GaussianDem, held: np.ndarray, slope: np.ndarray) -> Heights
     where[inside] = stratum(slope[row[inside], col[inside]])
     use = np.isfinite(mean) & np.isfinite(variance) & (where >= 0)
     sigma = np.sqrt(variance[use] + SIGMA**2)
-    return Heights(mean[use] - held[use, 2], sigma, where[use], held[use, :2])
+    return HeightErrors(mean[use] - held[use, 2], sigma, where[use], held[use, :2])
 
 
 def heights_of_cells(
     mapper: QuadtreeMapper, held: np.ndarray, slope: np.ndarray, grid: Grid
-) -> Heights:
-    """Judge the cells of a quadtree's sites by the returns held back in the same cells.
+) -> HeightErrors:
+    """Compare quadtree site cells with the held-out returns in the same cells.
 
-    What is stated is the deviation of the two means, from the variance of all returns in the cell.
+    The predicted sigma is that of the difference of two means, from the variance in the cell.
     """
     tree = mapper.map
     nodes = tree.band(*mapper.selector.settings.site_band)
@@ -119,7 +119,7 @@ def heights_of_cells(
                 mean[n] += z
                 square[n] += z * z
     number = tree.number(nodes)
-    use = (count >= LEAST_RETURNS) & (number >= LEAST_RETURNS)
+    use = (count >= MIN_RETURNS) & (number >= MIN_RETURNS)
     count, number = count[use], number[use]
     mean = mean[use] / count
     squares = number * tree.variance(nodes)[use] + square[use] - count * mean**2
@@ -129,7 +129,7 @@ def heights_of_cells(
     where = stratum(slope[np.clip(row, 0, grid.rows - 1), np.clip(col, 0, grid.cols - 1)])
     good = (sigma > 0.0) & (where >= 0)
     error = tree.elevation(nodes)[use] - mean
-    return Heights(error[good], sigma[good], where[good], xy[use][good])
+    return HeightErrors(error[good], sigma[good], where[good], xy[use][good])
 
 
 def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
@@ -137,17 +137,17 @@ def cells(xy: np.ndarray, corner: np.ndarray, size: float) -> np.ndarray:
     return np.floor((xy[:, :2] - corner) / size).astype(np.int64)
 
 
-def judge_heights(cloud: Cloud, seed: int) -> dict[str, Heights]:
-    """Map a random half of the returns in several ways; judge by the other half."""
+def judge_heights(cloud: AirborneCloud, seed: int) -> dict[str, HeightErrors]:
+    """Map a random half of the returns in several ways; compare with the other half."""
     rng = np.random.default_rng([seed, 0])
     mapped, held = cloud.split(0.5, rng)
     grid = cloud.grid(POSTING)
     slope = slope_of(cloud, grid)
-    own = fitted(without_trend(mapped), rng)
+    own = fit_prior(without_trend(mapped), rng)
     apart = cloud.spacing(0.5)
     out = {
         "field of Table 6": heights_of(one_map(mapped, grid, SHIPPED), held, slope),
-        "fitted": heights_of(one_map(mapped, grid, fitted(mapped, rng)), held, slope),
+        "fitted": heights_of(one_map(mapped, grid, fit_prior(mapped, rng)), held, slope),
         "fitted without trend": heights_of(one_map(mapped, grid, own), held, slope),
         "as flights do": heights_of(pooled_map(mapped, grid, apart, 1), held, slope),
         "as flights do, 4 parts": heights_of(pooled_map(mapped, grid, apart, 4), held, slope),
@@ -159,23 +159,23 @@ def judge_heights(cloud: Cloud, seed: int) -> dict[str, Heights]:
 
 
 @dataclass(frozen=True)
-class Verdicts:
-    """What the maps say of sites, and what the returns held back do.
+class SafetyComparison:
+    """Safety of sites according to the maps and to the held-out returns.
 
     Attributes
     ----------
     p
-        p_safe (n,) by method; NaN where a method has seen too little.
+        p_safe (n,) by method; NaN where a method has too few data.
     safe, stratum
-        The exact verdict on the returns held back (n,); index into `STRATA` (n,).
+        Exact safety on the held-out returns (n,); index into `STRATA` (n,).
     agreement
-        Share of sites of which the exact verdict on the mapped returns is the same.
+        Fraction of sites for which the exact safety on the mapped returns is the same.
     dense_share, held_share
-        Share of sites exactly safe on all returns, and on those held back.
+        Fraction of sites exactly safe on all returns, and on the held-out returns.
     scale
-        Of the lander.
+        Scale of the lander.
     pictures
-        Truth and p of one method as rasters, and their grid.
+        Truth and probabilities by method as rasters, evaluated cells, and their grid.
     """
 
     p: dict[str, np.ndarray]
@@ -188,15 +188,15 @@ class Verdicts:
     pictures: Any = None
 
 
-def judge_safety(cloud: Cloud, share: float, seed: int) -> Verdicts:
-    """Map a share of the returns with a lander to their scale; judge by the others."""
+def judge_safety(cloud: AirborneCloud, share: float, seed: int) -> SafetyComparison:
+    """Map a fraction of the returns with a scaled lander; test on the others."""
     rng = np.random.default_rng([seed, 1])
     mapped, held = cloud.split(share, rng)
     factor = cloud.spacing(share) / SCAN_SPACING
-    lander = scaled(Lander(), factor)
+    lander = scaled_lander(Lander(), factor)
     grid = cloud.grid(0.1 * factor)
-    own = fitted(without_trend(mapped), rng)
-    # All lengths scale, the height of the field and its correlation too.
+    own = fit_prior(without_trend(mapped), rng)
+    # All lengths scale, including the amplitude and the correlation length of the field.
     shipped = {name: factor * value for name, value in SHIPPED.items()}
     verdict = exact_on(held, grid, lander, own)
     use = verdict.observed.copy()
@@ -222,7 +222,7 @@ def judge_safety(cloud: Cloud, share: float, seed: int) -> Verdicts:
     rasters["quadtree"] = np.where(tree.observed, tree.p_safe, np.float32(np.nan))
     rasters["quadtree, eligible"] = np.where(tree.observed, eligible, np.nan)
     p = {name: raster[use] for name, raster in rasters.items()}
-    return Verdicts(
+    return SafetyComparison(
         p,
         verdict.safe[use],
         stratum(slope_of(cloud, grid))[use],
@@ -241,7 +241,7 @@ def exact_on(points: np.ndarray, grid: Grid, lander: Lander, setting: dict[str, 
 
 
 def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
-    """Return calibration error, Brier skill over the base rate, precision and recall at p > 0.5."""
+    """Return calibration error, Brier skill, and precision and recall at p > 0.5."""
     known = np.isfinite(p)
     p, safe = p[known], safe[known]
     names = ("n", "share", "mean_p", "ece", "skill", "precision", "recall", "above")
@@ -259,7 +259,7 @@ def scores(p: np.ndarray, safe: np.ndarray) -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
-def strata_of(verdicts: Verdicts, method: str) -> list[dict[str, float]]:
+def strata_of(verdicts: SafetyComparison, method: str) -> list[dict[str, float]]:
     """Return the scores of one method by stratum."""
     return [
         scores(verdicts.p[method][verdicts.stratum == k], verdicts.safe[verdicts.stratum == k])

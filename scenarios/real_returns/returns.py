@@ -1,4 +1,4 @@
-"""The airborne cloud, its parts, and the two LiDAR maps of a part."""
+"""Load the airborne cloud, split it, and build both LiDAR maps of a part."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from lunarsim.onboard.hazards.gaussian_dem.fit import fit_hyperparameters
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper, SiteSettings
 
 CLOUD = Path(__file__).parents[1] / "data" / "lidar_airborne_alirt_mountain.npz"
-GROUND = 2  # class of returns from the ground; the others are from what stands on it
-# Deviation of a return, m. The file states none: ground returns lie 0.08 m from the plane of their
-# neighbours, ground between them included.
+GROUND = 2  # class of ground returns; the others come from objects above the ground
+# Standard deviation of a return, m. The file gives none. Ground returns scatter by 0.08 m around
+# the plane of their neighbours, which includes the terrain between them.
 SIGMA = 0.05
-# Spacing of the returns of one scan from 1000 m straight above, m: the lander is scaled so that its
-# footprint holds as many of the cloud's.
+# Spacing of the returns of one scan from 1000 m at nadir, m. The lander is scaled so that its
+# footprint contains the same number of returns of the cloud.
 SCAN_SPACING = 0.2 * 1000.0 / 256.0
 SLOPE_LIMIT_DEG = 30.0
-# The paper's field with the margin of Table 6, m.
+# Prior of the paper with the margin of Table 6, m.
 SHIPPED = {"sigma_f": 0.5, "length_scale": 30.0}
 EDGES_DEG = (0.0, 20.0, 25.0, 30.0, 40.0, 90.0)
 STRATA = ("under 20 deg", "20 to 25", "25 to 30", "30 to 40", "over 40")
 
 
 @dataclass(frozen=True)
-class Cloud:
+class AirborneCloud:
     """Returns of one flight over a mountain.
 
     Attributes
     ----------
     points
-        East, north, up (n, 3), m, about the middle of the cloud.
+        East, north, up relative to the center of the cloud (n, 3), m.
     area
-        Of the ground that they cover, m^2.
+        Covered area, m^2.
     """
 
     points: np.ndarray
     area: float
 
     def spacing(self, share: float) -> float:
-        """Return the mean distance of a share of the returns, m."""
+        """Return the mean spacing of a fraction of the returns, m."""
         return float(np.sqrt(self.area / (share * len(self.points))))
 
     def grid(self, posting: float) -> Grid:
@@ -61,14 +61,14 @@ class Cloud:
         return Grid.centred(0.5 * (low + high), width, posting, height)
 
     def split(self, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return a share of the returns, drawn at random, and the others."""
+        """Return a random fraction of the returns, and the others."""
         chosen = np.zeros(len(self.points), np.bool_)
         chosen[rng.permutation(len(chosen))[: round(share * len(chosen))]] = True
         return self.points[chosen], self.points[~chosen]
 
 
-def load(ground_only: bool = True, limit: float | None = None) -> Cloud:
-    """Return the cloud, or what of it lies within `limit` (m) of its middle, east and north."""
+def load(ground_only: bool = True, limit: float | None = None) -> AirborneCloud:
+    """Return the cloud, or its part within `limit` (m) of the center, east and north."""
     with np.load(CLOUD) as file:
         points = file["xyz"].astype(np.float64)
         if ground_only:
@@ -76,37 +76,37 @@ def load(ground_only: bool = True, limit: float | None = None) -> Cloud:
     points -= np.median(points, axis=0)
     if limit is not None:
         points = points[np.abs(points[:, :2]).max(axis=1) < limit]
-    # Squares of 5 m that hold returns.
+    # Squares of 5 m that contain returns.
     squares = np.unique(np.floor(points[:, :2] / 5.0).astype(int), axis=0)
-    return Cloud(points, 25.0 * len(squares))
+    return AirborneCloud(points, 25.0 * len(squares))
 
 
-def slope_of(cloud: Cloud, grid: Grid) -> np.ndarray:
-    """Return the slope of the ground smoothed over 3 m (rows, cols), deg; NaN off the cloud."""
+def slope_of(cloud: AirborneCloud, grid: Grid) -> np.ndarray:
+    """Return the slope of terrain smoothed over 3 m (rows, cols), deg; NaN unknown."""
     dem = gaussian_dem(cloud.points, grid, sigma_eps=SIGMA, **SHIPPED)
     known = dem.observed
     z = np.where(known, dem.mean, 0.0).astype(np.float64)
     width = 3.0 / grid.posting
-    # Dividing by the smoothed share of known ground keeps edges from looking like cliffs.
+    # Division by the smoothed fraction of known cells avoids false steps at the edges.
     share = np.maximum(ndimage.gaussian_filter(known.astype(np.float64), width), 1e-6)
     north, east = np.gradient(ndimage.gaussian_filter(z, width) / share, grid.posting)
     return np.where(known, np.rad2deg(np.arctan(np.hypot(north, east))), np.nan)
 
 
 def stratum(slope: np.ndarray) -> np.ndarray:
-    """Return the stratum of slopes (deg), an index into `STRATA`; -1 where unknown."""
+    """Return the stratum of slopes (deg) as an index into `STRATA`; -1 where unknown."""
     index = np.digitize(slope, EDGES_DEG) - 1
     return np.where(np.isfinite(slope), index, -1)
 
 
-def fitted(points: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
-    """Return the hyper-parameters that the returns themselves show."""
+def fit_prior(points: np.ndarray, rng: np.random.Generator) -> dict[str, float]:
+    """Return hyper-parameters fitted to the returns."""
     fit = fit_hyperparameters(points, SIGMA, rng)
     return {"sigma_f": fit.sigma_f, "length_scale": fit.length_scale}
 
 
 def without_trend(points: np.ndarray, neighbours: int = 25) -> np.ndarray:
-    """Return the points (n, 3) with their heights above the planes of their nearest neighbours."""
+    """Return points (n, 3) with heights above the planes of their nearest neighbours."""
     _, near = cKDTree(points[:, :2]).query(points[:, :2], k=neighbours)
     around = points[near] - points[:, None]
     rows = np.concatenate((around[..., :2], np.ones_like(around[..., :1])), axis=-1)
@@ -122,9 +122,9 @@ def one_map(points: np.ndarray, grid: Grid, setting: dict[str, float]) -> Gaussi
 
 
 def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> GaussianDem:
-    """Return the map of the returns, taken in as many parts one after the other.
+    """Return the map of the returns, inserted in several parts.
 
-    As flights draw it: with the spread that the ground about each triangle shows.
+    This is the method used in flight, with the scatter of the terrain around each triangle.
     """
     pool = SamplePool(grid)
     for n in range(parts):
@@ -132,8 +132,8 @@ def pooled_map(points: np.ndarray, grid: Grid, spacing: float, parts: int) -> Ga
     return pooled_dem(pool)
 
 
-def scaled(lander: Lander, factor: float) -> Lander:
-    """Return the lander so many times as large, for the slopes of this mountain."""
+def scaled_lander(lander: Lander, factor: float) -> Lander:
+    """Return a scaled lander with the slope limit for this mountain."""
     return replace(
         lander,
         leg_radius=factor * lander.leg_radius,
@@ -144,9 +144,9 @@ def scaled(lander: Lander, factor: float) -> Lander:
 
 
 def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) -> QuadtreeMapper:
-    """Return the quadtree of the returns and its sites, all sizes scaled by powers of two.
+    """Return the quadtree of the returns with sizes scaled by powers of two.
 
-    Half the density that there is (1/m^2) is asked for.
+    The required density is half the given one (1/m^2).
     """
     times = 2.0 ** round(np.log2(factor))
     paper = SiteSettings()
@@ -164,7 +164,7 @@ def quadtree_map(points: np.ndarray, grid: Grid, factor: float, density: float) 
         settings,
         elevation=float(np.median(points[:, 2])),
         least=0.1 * times,
-        lander=scaled(Lander(), factor),
+        lander=scaled_lander(Lander(), factor),
     )
     mapper.map.insert(points)
     mapper.select()

@@ -1,12 +1,12 @@
-"""The cells of the shadow map's matrix: one factor at a time, and all of them at once.
+"""Define the cells of the shadow map matrix.
 
-One line of cells goes through each factor from the home cell (5 % cubes told as such, the Sun 20
-deg high behind the camera, level ground). Some cells are of rocks that no level of these factors
-has, low, tall, long or small, seen along the Sun and aside, by a blurred camera too, and one of
-ground with craters, at posts half as far apart. Beside the lines stands an orthogonal array of 25
-runs with six factors of five levels: in every two factors each pair of levels comes up once, so
-that a cell may be off home in everything. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b
-modulo 5 (Bose 1938).
+One line of cells varies each factor from the home cell (5 % cubes with correct prior, Sun at 20 deg
+behind the camera, horizontal terrain). Further cells have rocks outside these factor levels (low,
+tall, long or small, seen along the Sun and from the side, also with a blurred camera), or cratered
+terrain with half the posting. In addition there is an orthogonal array of 25 runs with six factors
+of five levels: for every two factors, each pair of levels occurs once, so that a cell can differ
+from home in all factors. Its columns are a, b, a + b, a + 2 b, a + 3 b, a + 4 b modulo 5
+(Bose 1938).
 """
 
 from __future__ import annotations
@@ -24,41 +24,40 @@ HIRISE = "hirise"
 
 _COVERS = (0.02, 0.03, 0.05, 0.08, 0.15)
 _ELEVATIONS = (5.0, 10.0, 20.0, 45.0, 60.0)
-# Off the camera's azimuth: the Sun behind it, and round to before it.
+# Sun azimuth relative to the camera: from behind the camera round to in front of it.
 _TURNS = (0.0, 45.0, 90.0, 135.0, 180.0)
 _RELIEFS = (0.0, 1.0, 2.0, 4.0, 8.0)
-# By how many places along the list of shapes the told one is off the true one.
+# Offset of the expected shape from the true one in the list of shapes.
 _SHIFTS = (0, 1, 2, 3, 4)
 
 
 @dataclass(frozen=True)
-class Cell:
+class ShadowCell:
     """One setting of the experiment.
 
     Attributes
     ----------
     name
-        Of the cell.
+        Name of the cell.
     cover, told_cover
-        True share k of the ground under rocks, and what the mission is told.
+        True and expected rock cover k (fraction).
     shape, told_shape
-        Likewise.
+        True and expected rock shape.
     elevation, turn
-        Of the Sun, deg; 0: it stands behind the camera, 180: before it.
+        Sun elevation, and azimuth from behind the camera (0) to in front of it (180), deg.
     relief
-        Slope of the ground at 1 m, deg RMS, or "hirise" for the measured crop.
+        RMS slope at 1 m, deg, or "hirise" for the measured crop.
     height, slenderness
-        True height of the rocks over their width, mean before it is cut off at 1, and length of
-        their shorter axis over the longer, mean; None: as rocks have them by default. The mission
-        is not told.
+        True mean height / width of the rocks (before the cut-off at 1), and mean ratio of their
+        shorter to their longer axis; None: default of the rocks. Unknown to the mission.
     least_diameter
-        Of the rocks, m.
+        Minimum rock diameter, m.
     craters
-        Of 1 m and more, a square metre in equilibrium; 0: none.
+        Equilibrium density of craters of 1 m and more, 1/m^2; 0: none.
     blur
-        Point spread of the camera, 1 sigma, pixels. The mission is told.
+        Point spread of the camera, 1 sigma, pixels; known to the mission.
     pixels
-        Of the camera along each side, over those of the paper's experiment.
+        Factor on the camera pixels per side relative to the experiment of the paper.
     """
 
     name: str
@@ -77,9 +76,11 @@ class Cell:
     pixels: int = 1
 
     def within_goal(self) -> bool:
-        """Tell whether the goal asks the cell for recall.
+        """Return whether the recall goal applies to the cell.
 
-        Up to 8 % cover, Sun 10 to 45 deg, relief to 4 deg, whatever the rocks are.
+        It applies to a cover up to 8 %, Sun elevations of 10 to 45 deg and relief up to 4 deg,
+        for all
+        rocks.
         """
         return (
             self.cover <= 0.08
@@ -89,10 +90,11 @@ class Cell:
         )
 
     def scenario(self, path: str = "modified") -> Scenario:
-        """Return the descent of the paper's experiment over this cell's ground, made small.
+        """Return a reduced descent of the paper over the terrain of this cell.
 
-        A map of 80 m about the site and two pictures a second: a fifteenth of the time of the whole
-        experiment.
+        The map is 80 m wide and the camera takes two images per second,
+        which needs a fifteenth of the
+        time of the complete experiment.
         """
         whole = Scenario.load(SCENARIOS / f"shadow_{path}.toml")
         terrain: dict[str, Any] = {"posting_m": 1.0, "rms_slope_deg": self.relief}
@@ -126,13 +128,14 @@ class Cell:
         )
 
 
-HOME = Cell("home")
-# Mixed rocks told to be cubes, under a higher Sun, from the side that shows least of shadows.
-ASIDE = Cell("aside", shape="mixed", elevation=30.0, turn=120.0)
+HOME = ShadowCell("home")
+# Mixed rocks with cubes expected, under a higher Sun, seen from the side that shows the least
+# shadow.
+ASIDE = ShadowCell("aside", shape="mixed", elevation=30.0, turn=120.0)
 
 
-def _lines() -> list[Cell]:
-    """Return the cells that are off home in one factor."""
+def _lines() -> list[ShadowCell]:
+    """Return the cells that differ from home in one factor."""
     cells = [
         replace(HOME, name=f"cover {c:g}", cover=c, told_cover=c)
         for c in (0.02, 0.03, 0.08, 0.10, 0.15)
@@ -155,7 +158,7 @@ def _lines() -> list[Cell]:
     ]
     return [
         *cells,
-        # As measured: see `lunarsim.rocks.field.RockModel`.
+        # As measured, see `lunarsim.rocks.field.RockModel`.
         replace(HOME, name="fragments told cube", shape="irregular", height=0.54, slenderness=0.7),
         replace(HOME, name="long told cube", shape="ellipsoid", slenderness=0.5),
         replace(HOME, name="rocks from 0.15 m", least_diameter=0.15),
@@ -167,7 +170,7 @@ def _lines() -> list[Cell]:
     ]
 
 
-def _array() -> list[Cell]:
+def _array() -> list[ShadowCell]:
     """Return the 25 runs of the orthogonal array."""
     cells = []
     for a, b in product(range(5), repeat=2):
@@ -175,7 +178,7 @@ def _array() -> list[Cell]:
             a, b, (a + b) % 5, (a + 2 * b) % 5, (a + 3 * b) % 5, (a + 4 * b) % 5,
         )  # fmt: skip
         cells.append(
-            Cell(
+            ShadowCell(
                 f"array {a}{b}",
                 cover=_COVERS[cover],
                 told_cover=_COVERS[cover],
@@ -189,13 +192,13 @@ def _array() -> list[Cell]:
     return cells
 
 
-# What a camera of 640 x 480 pixels cannot tell at 50 m.
-SHORT_OF = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30")
+# Cells that a camera of 640 x 480 pixels cannot resolve at 50 m.
+UNRESOLVED = ("rocks from 0.15 m", "array 03", "array 04", "array 11", "array 30")
 
 
-def _sharper(cells: list[Cell]) -> list[Cell]:
-    """Return those of the cells of which a camera tells too little with half as large pixels."""
-    return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in SHORT_OF]
+def _sharper(cells: list[ShadowCell]) -> list[ShadowCell]:
+    """Return the insufficiently resolved cells with half the pixel size."""
+    return [replace(c, name=f"{c.name}, sharp", pixels=2) for c in cells if c.name in UNRESOLVED]
 
 
 CELLS = (HOME, *_lines(), *_array(), *_sharper([*_lines(), *_array()]))

@@ -1,4 +1,4 @@
-"""Figures of the nominal and the modified descent."""
+"""Plot the figures of the nominal and the modified descent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CLEAR, UNKNOWN, OCCUPIED = "#4daf4a", "#ffd92f", "#c1272d"
 
 
 def draw_all(results: list[dict[str, Any]], out: Path) -> None:
-    """Draw every figure of the experiment into a folder."""
+    """Plot all figures of the experiment into a folder."""
     first = {p: next(r for r in results if r["path"] == p) for p in PATHS}
     draw_paths(first, out / "paths.png")
     draw_classes(first, out / "classes.png")
@@ -30,7 +30,7 @@ def draw_all(results: list[dict[str, Any]], out: Path) -> None:
 
 
 def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw the two descents, side view and from above (paper, Figure 4)."""
+    """Plot the two descents from the side and from above (Figure 4 of the paper)."""
     figure = new_figure(9.0, 3.8)
     side, top = figure.subplots(1, 2)
     for name, colour in zip(PATHS, COLOURS, strict=False):
@@ -38,8 +38,8 @@ def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
         along = track[:, :2] @ np.array([1.0, 1.0]) / np.sqrt(2.0)
         side.plot(along, track[:, 2], color=colour, label=name)
         top.plot(track[:, 0], track[:, 1], color=colour, label=name)
-    side.set_xlabel("distance along the approach, from the site (m)")
-    side.set_ylabel("height above the site (m)")
+    side.set_xlabel("Distance along the approach from the site (m)")
+    side.set_ylabel("Height above the site (m)")
     side.legend()
     side.grid(alpha=0.3)
     top.plot(0.0, 0.0, "k+", markersize=10, label="site")
@@ -51,10 +51,10 @@ def draw_paths(first: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw the maps in three classes by altitude (paper, Figure 7)."""
+    """Plot the maps in three classes by altitude (Figure 7 of the paper)."""
     altitudes = list(first["nominal"]["levels"])
     figure = new_figure(3.0 * len(altitudes), 7.0)
-    figure.suptitle("Three classes by altitude, first field")
+    figure.suptitle("Three map classes by altitude, first field")
     axes = figure.subplots(2, len(altitudes), sharex=True, sharey=True)
     colours = ListedColormap([CLEAR, UNKNOWN, OCCUPIED])
     norm = BoundaryNorm([0.0, 0.0025, 0.8, 1.0], 3)
@@ -66,9 +66,9 @@ def draw_classes(first: dict[str, dict[str, Any]], path: Path) -> None:
                       interpolation="nearest")  # fmt: skip
             ax.set_title(f"{name}, {altitude:.0f} m")
             if row == 1:
-                ax.set_xlabel("east of the site (m)")
+                ax.set_xlabel("East of the site (m)")
             if column == 0:
-                ax.set_ylabel("north of the site (m)")
+                ax.set_ylabel("North of the site (m)")
     figure.legend(
         handles=[
             Patch(color=CLEAR, label="clear (below 0.25 %)"),
@@ -87,9 +87,9 @@ def _about(level: dict[str, Any]) -> tuple[float, float, float, float]:
 
 
 def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20.0) -> None:
-    """Draw the last maps' probabilities about the site with the true rocks (paper, Figure 6)."""
+    """Plot the last maps around the site with the true rocks (Figure 6 of the paper)."""
     figure = new_figure(9.6, 4.9)
-    figure.suptitle("Probability of hazard about the site, first field")
+    figure.suptitle("Hazard probability around the site, first field")
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     levels = [0.0025, 0.01, 0.05, 0.2, 0.4, 0.6, 0.8, 1.0]
     for ax, name in zip(axes, PATHS, strict=True):
@@ -109,17 +109,17 @@ def draw_contours(first: dict[str, dict[str, Any]], path: Path, half: float = 20
     bar = figure.colorbar(shown, ax=axes, shrink=0.9)
     bar.set_ticks([0.0, *levels])
     bar.ax.set_yticklabels(["0", *(f"{v:g}" for v in levels)])
-    bar.set_label("probability of hazard")
+    bar.set_label("Hazard probability")
     figure.legend(handles=[Patch(facecolor="none", edgecolor="#0072B2", label="true hazards")],
                   loc="outside lower center")  # fmt: skip
     save(figure, path)
 
 
 def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw how the probability along one line sharpens with altitude (paper, Figure 5)."""
+    """Plot the probability along one line by altitude (Figure 5 of the paper)."""
     figure = new_figure(9.6, 4.4)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
-    # The line with most hazards near the site.
+    # The line with the most hazards near the site.
     occupied = first["modified"]["levels"][50.0]["occupied"]
     rows, cols = occupied.shape
     near = slice(cols // 2 - 60, cols // 2 + 60)
@@ -139,14 +139,14 @@ def draw_slice(first: dict[str, dict[str, Any]], path: Path) -> None:
         ax.set_yscale("log")
         ax.set_ylim(1e-5, 1.2)
         ax.set_title(name)
-        ax.set_xlabel("east of the site (m)")
-    axes[0].set_ylabel("probability of hazard")
+        ax.set_xlabel("East of the site (m)")
+    axes[0].set_ylabel("Hazard probability")
     figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     save(figure, path)
 
 
 def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
-    """Draw stated against found probability at 50 m, all fields together."""
+    """Plot predicted against observed probability at 50 m, all fields pooled."""
     figure = new_figure(5.4, 4.6)
     ax = figure.subplots()
     for name, colour in zip(PATHS, COLOURS, strict=False):
@@ -159,8 +159,8 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
     ax.axvline(0.0025, color="#888888", linewidth=0.8, linestyle=":")
     ax.set_xscale("log")
     ax.set_yscale("log")
-    ax.set_xlabel("stated probability of hazard (mean of the bin)")
-    ax.set_ylabel("share of the cells under a hazard")
+    ax.set_xlabel("Predicted hazard probability (mean of the bin)")
+    ax.set_ylabel("Observed fraction of hazard cells")
     ax.set_title(f"Maps at 50 m, {len(RELIABILITY_EDGES) - 1} bins")
     ax.legend()
     ax.grid(alpha=0.3)
@@ -168,7 +168,7 @@ def draw_reliability(results: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
-    """Draw measured rates of the detector and the fitted lines."""
+    """Plot the measured rates of the detector and the fitted lines."""
     figure = new_figure(8.4, 3.6)
     missed, false = figure.subplots(1, 2)
     edges = np.array(data["edges"])
@@ -179,21 +179,21 @@ def draw_rates(data: dict[str, Any], shape: str, path: Path) -> None:
         start, slope, floor = data["lines"][name]
         ax.plot(middle[many], np.array(data[name])[many], "o", color=COLOURS[0], label="measured")
         ax.plot(q, np.clip(start + slope * q, floor, 1.0), color=COLOURS[1], label="line")
-        ax.set_xlabel("q, root of the number of dark pixels")
+        ax.set_xlabel("q, square root of the number of dark pixels")
         ax.grid(alpha=0.3)
         ax.legend()
     missed.plot(middle, np.array(data["missed"]) + np.array(data["merged"]), "x", color="#888888",
                 label="missed or merged")  # fmt: skip
     missed.legend()
-    missed.set_ylabel("share of rocks missed, FN(q)")
-    false.set_ylabel("share of detections false, FP(q)")
+    missed.set_ylabel("False-negative rate FN(q)")
+    false.set_ylabel("False-detection rate FP(q)")
     false.set_ylim(0.0, 0.1)
     figure.suptitle(f"Shadow detector on rendered rocks ({shape})")
     save(figure, path)
 
 
 def draw_forms(path: Path) -> None:
-    """Draw the exact probability that a rock covers a point, and the paper's fit to it."""
+    """Plot the exact coverage probability of a rock and the paper's approximation."""
     figure = new_figure(8.4, 3.4)
     axes = figure.subplots(1, 2, sharey=True)
     d = np.linspace(0.0, 2.0, 401)
@@ -205,9 +205,9 @@ def draw_forms(path: Path) -> None:
         ):  # fmt: skip
             p = cover_probability(d[None], [sigma], [radius], [spread], form)[0]
             ax.plot(d, p, color=colour, label=label)
-        ax.set_title(f"centre ± {sigma:g} m an axis, radius {radius:g} ± {spread:g} m")
-        ax.set_xlabel("distance from the estimated centre (m)")
+        ax.set_title(f"center ± {sigma:g} m per axis, radius {radius:g} ± {spread:g} m")
+        ax.set_xlabel("Distance from the estimated center (m)")
         ax.grid(alpha=0.3)
-    axes[0].set_ylabel("probability that the rock covers it")
+    axes[0].set_ylabel("Probability of coverage by the rock")
     axes[0].legend()
     save(figure, path)

@@ -1,8 +1,8 @@
-"""How often good pictures are refused, and how often bad ones count.
+"""Measure how often the image check rejects good images and accepts faulty ones.
 
-Fields of rocks by Golombek's law on relief are seen from random places, one picture each, and every
-picture is spoilt in all the ways below. Each stands alone; good ones are also judged as in a flight
-on which the Sun has once been seen to be where it is taken to be, and need not show again.
+Fields of rocks by Golombek's law on relief are seen from random positions, with one image each. All
+faults below are applied to every image. Each image is evaluated independently; good ones are also
+evaluated as in a flight in which the Sun direction has already been confirmed.
 
 python scenarios/shadows/health.py --fields 2 --seed 7 --json out/health.json
 """
@@ -46,13 +46,13 @@ SUNS = (5.0, 10.0, 20.0, 45.0, 60.0)
 ALTITUDES = (10.0, 30.0, 100.0)
 SHAPES = ("cube", "mixed", "hemisphere", "irregular", "ellipsoid")
 FIELD = 130.0
-# Good pictures after one that showed where the Sun is, as most of a flight.
+# Good images after one that confirmed the Sun direction, as in most of a flight.
 SEEN = "none, the Sun seen before"
 Counts = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Task:
+class ImageCheckTask:
     """One field, seen under all Suns from all altitudes."""
 
     number: int
@@ -62,8 +62,8 @@ class Task:
     faults: bool
 
 
-def make_terrain(task: Task, rng: np.random.Generator) -> Terrain:
-    """Return relief a kilometre wide with rocks about its middle."""
+def make_terrain(task: ImageCheckTask, rng: np.random.Generator) -> Terrain:
+    """Return relief 1 km wide with rocks around its center."""
     grid = Grid.centred((0.0, 0.0), 1000.0, 4.0)
     relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(task.slope))
     low, high = (int(k) for k in np.searchsorted(grid.x, [-0.5 * FIELD, 0.5 * FIELD]))
@@ -74,8 +74,8 @@ def make_terrain(task: Task, rng: np.random.Generator) -> Terrain:
     return Terrain(relief, place_rocks(middle, diameters, rng, model=shape))
 
 
-def look(task: Task) -> list[dict[str, Any]]:
-    """Return what was made of every picture of a field, good and spoilt."""
+def check_images(task: ImageCheckTask) -> list[dict[str, Any]]:
+    """Return the check result of every image of a field, good and faulty."""
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number,)))
     terrain = make_terrain(task, rng)
     rows = []
@@ -92,7 +92,7 @@ def look(task: Task) -> list[dict[str, Any]]:
         counts = camera.expose(World(terrain, 1.622, light), state, 0.0, rng).counts
         cell = {"cover": task.cover, "slope": task.slope, "sun": elevation, "altitude": altitude}
         cases = [("none", counts, 0.0), (SEEN, counts, 0.0)]
-        for name, image, turn in cases + (spoilt(counts, rng) if task.faults else []):
+        for name, image, turn in cases + (faulty_images(counts, rng) if task.faults else []):
             sun = direction_from_angles(light.azimuth + turn, light.elevation)
             health = PictureHealth()
             health.sun.seen = name == SEEN
@@ -104,10 +104,10 @@ def look(task: Task) -> list[dict[str, Any]]:
 def judge(
     image: Counts, camera: Camera, state: State, sun: Any, ground: float, health: PictureHealth
 ) -> str:
-    """Return why a picture does not count; "counts" if it does."""
+    """Return why an image is rejected; "counts" if it is accepted."""
     verdict = health.before_detection(image, camera, state)
     if verdict.good:
-        # Which rocks there are is not told.
+        # The rock population is unknown to the check.
         model = ShadowModel(float(np.arcsin(sun[2])))
         seen = detect_rocks(image, camera, state, sun, ground=ground, model=model)
         points = np.column_stack((seen.ground, np.full(len(seen), ground)))
@@ -119,8 +119,8 @@ def judge(
     return f"{'' if verdict.alarm else '('}{verdict.fault.name}{'' if verdict.alarm else ')'}"
 
 
-def spoilt(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:
-    """Return name, picture and turn of the Sun (rad) of all faults."""
+def faulty_images(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, float]]:
+    """Return name, image and Sun rotation (rad) of all faults."""
     grey, shape = counts.astype(np.float32), counts.shape
     out: list[tuple[str, Any, float]] = [
         ("black", np.zeros_like(counts), 0.0), ("white", np.full_like(counts, 255), 0.0),
@@ -133,7 +133,7 @@ def spoilt(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, flo
     for sigma in (1.0, 1.5, 2.0, 3.0):
         out.append((f"defocus {sigma} px", read(cv2.GaussianBlur(grey, (0, 0), sigma), rng), 0.0))
     for length in (4, 6, 8, 12):
-        out.append((f"smear {length} px", read(smeared(grey, length, rng), rng), 0.0))
+        out.append((f"smear {length} px", read(smear(grey, length, rng), rng), 0.0))
     half = counts.copy()
     rows, cols = shape
     half[(np.s_[rows // 2 :], np.s_[: rows // 2], np.s_[:, cols // 2 :], np.s_[:, : cols // 2])[
@@ -145,13 +145,13 @@ def spoilt(counts: Counts, rng: np.random.Generator) -> list[tuple[str, Any, flo
 
 
 def read(grey: Any, rng: np.random.Generator) -> Counts:
-    """Return counts with the detector's own noise."""
+    """Return counts with read noise."""
     noisy = grey + 0.6 * rng.standard_normal(grey.shape)
     return np.asarray(np.rint(noisy).clip(0, 255), np.uint8)
 
 
-def smeared(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
-    """Return a picture whose image moved by so many pixels in a random direction."""
+def smear(grey: NDArray[np.float32], length: int, rng: np.random.Generator) -> Any:
+    """Return an image smeared by a number of pixels in a random direction."""
     angle = rng.uniform(0.0, np.pi)
     kernel = np.zeros((2 * length + 1,) * 2, np.float32)
     for t in np.linspace(-0.5, 0.5, 100) * length:
@@ -163,8 +163,14 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
     """Print the tables."""
     good = [r for r in rows if r["fault"] == SEEN]
     for key in ("sun", "altitude", "cover", "slope"):
-        table = Table(title=f"Good pictures, the Sun seen before, by {key}")
-        for heading in (key, "pictures", "count", "prove too little", "refused"):
+        table = Table(title=f"Good images with confirmed Sun direction, by {key}")
+        for heading in (
+            key,
+            "images",
+            "accepted (fraction)",
+            "insufficient (fraction)",
+            "rejected (fraction)",
+        ):
             table.add_column(heading, justify="right")
         for value in sorted({r[key] for r in good}):
             of = [r["verdict"] for r in good if r[key] == value]
@@ -173,8 +179,8 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
             shares = (n / len(of) for n in (counts, little, len(of) - counts - little))
             table.add_row(str(value), str(len(of)), *(f"{share:.3f}" for share in shares))
         console.print(table)
-    table = Table(title="What was made of pictures")
-    for heading in ("fault", "pictures", "count", "why the others do not"):
+    table = Table(title="Results of the image check")
+    for heading in ("fault", "images", "accepted", "reasons of rejection"):
         table.add_column(heading, justify="left" if heading in {"fault"} else "right")
     for name in dict.fromkeys(r["fault"] for r in rows):
         of = Counter(r["verdict"] for r in rows if r["fault"] == name)
@@ -185,19 +191,25 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Fields of each cover and slope.")  # fmt: skip
-@click.option("--faults/--good-only", default=True, show_default=True, help="Spoil pictures too.")
-@click.option("--seed", type=int, default=7, show_default=True, help="Root seed.")
+              help="Number of fields per cover and slope.")  # fmt: skip
+@click.option(
+    "--faults/--good-only", default=True, show_default=True, help="Also check faulty images."
+)
+@click.option("--seed", type=int, default=7, show_default=True, help="Root random seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write every verdict to this file.")  # fmt: skip
+              help="Output file of all results.")  # fmt: skip
 def main(fields: int, faults: bool, seed: int, jobs: int, json_file: Path | None) -> None:
-    """Judge good and spoilt pictures."""
+    """Check good and faulty images."""
     console = plain_console(140)
     cells = list(product(range(fields), COVERS, SLOPES))
-    tasks = [Task(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)]
-    rows = [row for found in gathered(look, tasks, jobs, console, "fields") for row in found]
+    tasks = [
+        ImageCheckTask(k, cover, slope, seed, faults) for k, (_, cover, slope) in enumerate(cells)
+    ]
+    rows = [
+        row for found in gathered(check_images, tasks, jobs, console, "fields") for row in found
+    ]
     if not rows:
         raise click.Abort
     show(rows, console)

@@ -1,13 +1,14 @@
-"""How centres of rocks, as their shadows show them, differ from look to look and as the view turns.
+"""Measure how rock centers from shadows vary between images and views.
 
-A camera comes down to a rendered field along a straight path, its pose known. Where each picture
-shows the rocks is set against where they are. What differs between two pictures a tenth of a second
-apart is noise of each look: beside it stands what the detector says (`look_covariance`). What
-differs more after the view has turned is a rock's own, or alike for all, and wanders
-(`RockFilter.turn`); both are in radii after a radian, as `TrackerSettings.view_wander` has them.
-What is left when the looks of a rock are averaged is its shape: `ShadowModel` holds such figures.
-And the first look that is good enough to begin a rock, against those that follow: it was chosen,
-they were not, so that a tracker begins anew with the second.
+A camera with known pose descends to a rendered field along a straight path, and the detected rock
+positions are compared with the true ones. The difference between two images 0.1 s apart is
+measurement noise; the table compares it with the covariance of the detector (`look_covariance`).
+The additional difference after a rotation of the view is specific to a rock or common to all rocks
+(`RockFilter.turn`); both are random walks, in radii per square root of a radian, as in
+`TrackerSettings.view_wander`. The remaining error after averaging the measurements of a rock comes
+from its shape; `ShadowModel` contains such values. The first measurement good enough to start a
+track is compared with the later ones: it is selected and they are not, so a tracker restarts with
+the second one.
 
 python scenarios/shadows/looks.py
 python scenarios/shadows/looks.py --shape irregular --sun-elevation 10
@@ -39,41 +40,41 @@ from lunarsim.world import World
 
 Array = NDArray[np.float64]
 
-# Pixels a radius, by which looks are told apart.
+# Bins of the rock radius, pixels.
 EDGES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0)
-# From the field, m, and pictures a second; along the path the lander comes down so fast, m/s.
+# First and last distance from the field, m; image rate, Hz; descent speed along the path, m/s.
 FAR, NEAR, RATE, SPEED = 160.0, 25.0, 10.0, 12.0
-# Pictures between two whose differences tell of the wander, and the least turn, rad.
-LAG, LEAST_TURN = 20, 0.05
-# What is found is a rock's that is no farther off, pixels or its radius, and no less alike in size.
-MOST_OFF, ALIKE = 2.5, 1.6
-# Looks at a rock whose mean has its shape left, more than their noise.
-MANY = 10
-# Pictures after the first good one from which on looks count as settled.
+# Number of images between two that measure the random walk; minimum rotation, rad.
+LAG, MIN_TURN = 20, 0.05
+# Maximum distance of a detection from a rock, pixels (or the rock radius), and maximum size ratio.
+MAX_DISTANCE_PX, MAX_SIZE_RATIO = 2.5, 1.6
+# Minimum number of measurements of a rock whose mean error is attributed to its shape.
+MIN_MEASUREMENTS = 10
+# Number of images after the first good one from which measurements count as settled.
 SETTLED = 6
-# Rocks that must show in both pictures for what they share.
-FEWEST = 8
+# Minimum number of rocks visible in both images for the common error.
+MIN_COMMON_ROCKS = 8
 
 
 @dataclass(frozen=True)
-class Looks:
-    """What pictures showed of rocks.
+class RockMeasurements:
+    """Measurements of rocks in a sequence of images.
 
     Attributes
     ----------
     off, said
-        How far off each was seen along the Sun and across, m, and the deviation that the detector
-        says of a look, (pictures, rocks, 2); NaN for one not seen.
+        Error along and across the Sun direction, m, and standard deviation of the detector
+        (images, rocks, 2); NaN without a measurement.
     pixel
-        What a pixel spans along and across there, m (pictures, rocks, 2).
+        Ground size of a pixel along and across, m (images, rocks, 2).
     sight
-        Directions to the rocks (pictures, rocks, 3).
+        Directions to the rocks (images, rocks, 3).
     ratio
-        Radius that a patch was read as over the true one (pictures, rocks).
+        Measured over true radius (images, rocks).
     radius
-        m (rocks,).
+        True radius, m (rocks,).
     good
-        Which looks could begin a rock (pictures, rocks).
+        Measurements that can start a track (images, rocks).
     """
 
     off: Array
@@ -85,15 +86,15 @@ class Looks:
     good: NDArray[np.bool_]
 
 
-def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks:
-    """Come down towards the middle of a field, and look."""
+def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> RockMeasurements:
+    """Descend towards the center of a field and measure the rocks."""
     rocks, sun = world.terrain.rocks, world.light.direction
     true = np.column_stack((rocks.x, rocks.y, np.zeros(len(rocks))))
     tree = cKDTree(true[:, :2])
     level = sun[:2] / np.hypot(*sun[:2])
     axes = np.array([level, [-level[1], level[0]]]).T
     back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(30.0, 60.0)))
-    # A little beside the line of sight: the view turns.
+    # Slightly off the line of sight, so that the view rotates.
     aside = np.append(rng.uniform(-0.3, 0.3, 2), 0.0)
     rows = []
     for way in np.arange(0.0, FAR - NEAR, SPEED / RATE):
@@ -105,11 +106,11 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
         row = np.full((len(rocks), 11), np.nan)
         if len(seen):
             away, nearest = tree.query(seen.ground)
-            like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(ALIKE)
+            like = np.abs(np.log(seen.radius / rocks.a[nearest])) < np.log(MAX_SIZE_RATIO)
             view = camera.view(state)
             pixel = np.linalg.norm(true[nearest] - position, axis=1) / view.pinhole.fx
-            # A limit of a radius would cut off what small rocks err by.
-            at = (away < np.maximum(rocks.a[nearest], MOST_OFF * pixel)) & like
+            # A limit of one radius would cut off the errors of small rocks.
+            at = (away < np.maximum(rocks.a[nearest], MAX_DISTANCE_PX * pixel)) & like
             of = nearest[at]
             by_place = view.pinhole.jacobian((true[of] - position) @ view.axes, view.axes[:2].T)
             on_ground = np.linalg.inv(by_place @ axes)
@@ -129,13 +130,14 @@ def descend(world: World, model: ShadowModel, rng: np.random.Generator) -> Looks
     begins, read = TrackerSettings(), ratio * rocks.a
     sharp = said.max(axis=-1) < np.maximum(begins.birth_sigma, read / 3.0)
     good = (q >= begins.birth_q) & (read >= begins.least_radius) & sharp
-    return Looks(off, said, pixel, sight, ratio, rocks.a, good)
+    return RockMeasurements(off, said, pixel, sight, ratio, rocks.a, good)
 
 
-def look_to_look(looks: list[Looks]) -> Array:
-    """Return of pairs of looks (n, 5): pixels a radius, change along and across over what is said.
+def successive_changes(looks: list[RockMeasurements]) -> Array:
+    """Return rock radius, normalised and pixel changes of measurement pairs (n, 5).
 
-    And the change along and across in pixels; both for one look, not for a difference of two.
+    Columns: radius in pixels; change along and across over its standard deviation; change along and
+    across in pixels, scaled to a single measurement.
     """
     out = []
     for one in looks:
@@ -149,11 +151,12 @@ def look_to_look(looks: list[Looks]) -> Array:
     return rows[np.isfinite(rows).all(1)]
 
 
-def after_the_first(looks: list[Looks]) -> Array:
-    """Return by how much the first good look and those after differ from what comes later (n, 4).
+def after_the_first(looks: list[RockMeasurements]) -> Array:
+    """Return the bias of the first good measurement and of the following ones (n, 4).
 
-    Of rocks that were seen and not good enough before: along the Sun and across, pixels, and their
-    deviations. Later are looks `SETTLED` to twice as many pictures after the first.
+    The reference is the mean of the measurements `SETTLED` to twice as many images after the first.
+    Only rocks that were first seen below the quality limit are used. Columns: along and across the
+    Sun direction, pixels, and their standard errors.
     """
     out = []
     for one in looks:
@@ -172,15 +175,15 @@ def after_the_first(looks: list[Looks]) -> Array:
     return np.concatenate((np.nanmean(rows, axis=0), error), axis=1)
 
 
-def wanders(looks: list[Looks]) -> tuple[Array, Array]:
-    """Return what centres wander by, in radii after a radian.
+def random_walks(looks: list[RockMeasurements]) -> tuple[Array, Array]:
+    """Return the random walk of the centers, in radii per square root of a radian.
 
     Returns
     -------
     own
-        Of rocks, along the Sun and across (2,), what differs from look to look taken off.
+        Random walk of each rock, along and across the Sun direction (2,), without noise.
     shared
-        Of all rocks together, along and across (2,).
+        Random walk common to all rocks, along and across (2,).
     """
     own, shared = [], []
     for one in looks:
@@ -190,7 +193,7 @@ def wanders(looks: list[Looks]) -> tuple[Array, Array]:
         noise = (one.said[LAG:] ** 2 + one.said[:-LAG] ** 2) / one.radius[:, None] ** 2
         for move, said, angle in zip(change, noise, turn, strict=True):
             both = np.isfinite(move).all(1) & (np.abs(move) < 1.2).all(1)
-            if both.sum() < FEWEST or angle[both].mean() < LEAST_TURN:
+            if both.sum() < MIN_COMMON_ROCKS or angle[both].mean() < MIN_TURN:
                 continue
             mean, angle_mean = move[both].mean(axis=0), angle[both].mean()
             spread = move[both].var(axis=0, ddof=1)
@@ -202,17 +205,18 @@ def wanders(looks: list[Looks]) -> tuple[Array, Array]:
     return roots[0], roots[1]
 
 
-def shapes(looks: list[Looks]) -> tuple[float, float, int]:
-    """Return what many looks do not average out, and of how many rocks it was found.
+def shapes(looks: list[RockMeasurements]) -> tuple[float, float, int]:
+    """Return the errors that averaging does not remove, and the number of rocks.
 
-    Scatter between rocks of the mean radius, over the radius, and root mean square of how far the
-    mean place is off on an axis, in radii; of rocks with `MANY` looks or more, what looks differ by
-    taken off.
+    These are the scatter of mean radius / true radius between rocks, and the RMS error of the mean
+    position per axis, in radii. Only rocks with `MIN_MEASUREMENTS` measurements or more are used,
+    and the noise is
+    subtracted.
     """
     sizes, places = [], []
     for one in looks:
         count = np.isfinite(one.ratio).sum(axis=0)
-        some = count >= MANY
+        some = count >= MIN_MEASUREMENTS
         ratio = one.ratio[:, some]
         place = one.off[:, some] / one.radius[some, None]
         noise = np.nanvar(ratio, axis=0, ddof=1) / count[some]
@@ -228,12 +232,12 @@ def shapes(looks: list[Looks]) -> tuple[float, float, int]:
     return float(np.sqrt(max(left, 0.0))), float(np.sqrt(max(place.mean(), 0.0))), len(size)
 
 
-def show(looks: list[Looks], console: Console) -> None:
+def show(looks: list[RockMeasurements], console: Console) -> None:
     """Print the tables."""
-    rows = look_to_look(looks)
-    table = Table(title="From look to look")
-    for heading in ("pixels a radius", "looks", "along the Sun (pixels)", "across (pixels)",
-                    "along, over what is said", "across, over what is said"):  # fmt: skip
+    rows = successive_changes(looks)
+    table = Table(title="Change between successive measurements")
+    for heading in ("radius (pixels)", "measurements", "along the Sun (pixels)", "across (pixels)",
+                    "along / predicted", "across / predicted"):  # fmt: skip
         table.add_column(heading, justify="right")
     for low, high in pairwise(EDGES):
         at = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
@@ -243,34 +247,40 @@ def show(looks: list[Looks], console: Console) -> None:
         table.add_row(f"{low:g} - {high:g}", f"{len(at)}", f"{along_px:.2f}", f"{across_px:.2f}",
                       f"{along:.2f}", f"{across:.2f}")  # fmt: skip
     console.print(table)
-    table = Table(title="After the first look that could begin a rock, against settled ones")
-    for heading in ("look", "along the Sun (pixels)", "across (pixels)"):
+    table = Table(
+        title="Bias after the first measurement that can start a track, relative to settled ones"
+    )
+    for heading in ("measurement", "along the Sun (pixels)", "across (pixels)"):
         table.add_column(heading, justify="right")
     for k, (along, across, e, f) in enumerate(after_the_first(looks)):
         table.add_row(f"{k + 1}", f"{along:+.2f} ± {e:.2f}", f"{across:+.2f} ± {f:.2f}")
     console.print(table)
-    own, shared = wanders(looks)
+    own, shared = random_walks(looks)
     console.print(
-        f"Wander as the view turns, radii after a radian: a rock's own {own[0]:.2f} along the Sun, "
-        f"{own[1]:.2f} across; of all {shared[0]:.2f} along, {shared[1]:.2f} across"
+        f"Random walk with the view rotation (radii per sqrt(rad)): per rock {own[0]:.2f} along "
+        f"the Sun, "
+        f"{own[1]:.2f} across; common {shared[0]:.2f} along, {shared[1]:.2f} across"
     )
     radius, centre, rocks = shapes(looks)
     console.print(
-        f"Left by {MANY} looks and more, of {rocks} rocks: radius {radius:.2f} of itself, centre "
-        f"{centre:.2f} radii an axis"
+        f"Remaining error after {MIN_MEASUREMENTS} measurements or more ({rocks} rocks): radius "
+        f"{radius:.2f} (relative), center "
+        f"{centre:.2f} radii per axis"
     )
 
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Each with a path of its own.")  # fmt: skip
+              help="Number of fields, each with its own path.")  # fmt: skip
 @click.option("--shape", type=click.Choice(SHAPES), default="cube", show_default=True,
-              help="Of the rocks, which the detector knows.")  # fmt: skip
+              help="Rock shape, known to the detector.")  # fmt: skip
 @click.option("--sun-elevation", type=click.FloatRange(2.0, 80.0), default=20.0, show_default=True,
-              help="deg")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root seed.")
+              help="Sun elevation (deg).")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Root random seed."
+)
 def main(fields: int, shape: str, sun_elevation: float, seed: int) -> None:
-    """Measure what centres of rocks differ by from look to look, and as the view turns."""
+    """Measure the errors of rock centers between images and views."""
     elevation = np.radians(sun_elevation)
     model = ShadowModel(elevation, model_of(shape))
     looks = []

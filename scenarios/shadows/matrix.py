@@ -1,10 +1,9 @@
-"""The shadow map off its home: some seventy cells of cover, shapes, Sun and ground.
+"""Evaluate the shadow map over rock cover, shape, Sun and terrain.
 
-Every cell is flown over a few fields of rocks on the modified path, and the map is judged at 50 m:
-cell by cell, and by whether a hazard lies under a lander that sets down where the map says that it
-is safest. The flights themselves land where the path ends: it arrives with an acceleration, 5 to 20
-m beside whatever site it is given. Results are kept flight by flight: an interrupt leaves a file
-that the next run with the same file goes on from.
+Every cell is flown over a few rock fields on the modified path. The map at 50 m is evaluated per
+cell, and by whether a hazard lies under a vehicle that lands at the safest site of the map. The
+flights themselves land at the end of the path, which arrives with an acceleration, 5 to 20 m from
+any given site. Flights are saved one by one, so an interrupted study resumes from the file.
 
 python scenarios/shadows/matrix.py --jobs 2 --json out/matrix.json
 """
@@ -19,7 +18,7 @@ from typing import Any
 
 import click
 import numpy as np
-from cells import CELLS, Cell
+from cells import CELLS, ShadowCell
 from nominal_vs_modified import METHODS
 from numpy.typing import NDArray
 from rich.console import Console
@@ -37,15 +36,16 @@ from lunarsim.simulation.loop import make_policy
 
 ALTITUDE = 50.0
 CLEAR_BELOW = 0.0025
-# Goals of every cell; recall of those within the bounds of `Cell.within_goal`.
-MOST_FALSE, MOST_OBJECTS, LEAST_RECALL = 0.0025, 0.02, 0.6
+# Goals of every cell: false clear area, completely missed hazards; recall within
+# `ShadowCell.within_goal`.
+MAX_FALSE_CLEAR, MAX_MISSED_HAZARDS, MIN_RECALL = 0.0025, 0.02, 0.6
 
 
 @dataclass(frozen=True)
-class Task:
+class ShadowMatrixTask:
     """One flight."""
 
-    cell: Cell
+    cell: ShadowCell
     field: int
     seed: int
     path: str = "modified"
@@ -53,12 +53,12 @@ class Task:
 
     @property
     def key(self) -> str:
-        """Name of the flight in the file."""
+        """Key of the flight in the result file."""
         return f"{self.cell.name} / {self.field}"
 
 
-def fly(task: Task) -> dict[str, Any]:
-    """Fly once; return what the map said at 50 m and what lay under the lander, as JSON has it."""
+def fly(task: ShadowMatrixTask) -> dict[str, Any]:
+    """Fly once; return the map quality at 50 m and the touchdown hazard for JSON."""
     scenario = task.cell.scenario(task.path).changed(mappers={"rocks": METHODS[task.method]})
     simulation = Simulation(scenario, flight_seed(task.seed, task.field))
     while not simulation.done and simulation.altitude > ALTITUDE:
@@ -76,10 +76,11 @@ def fly(task: Task) -> dict[str, Any]:
 
 
 def choice(simulation: Simulation) -> dict[str, Any]:
-    """Return what the policy that flies to the safest site in reach chooses, and what lies there.
+    """Return the site that the policy `safest` selects, and the hazard there.
 
-    Nothing is applied. Where it stays, the site that it has is its choice; unless the map shows no
-    site in reach.
+    The decision is not executed. If the policy does not divert, the current site is its choice,
+    unless
+    the map shows no reachable site.
     """
     shown = simulation.observe()
     decision = simulation.ask(make_policy(simulation.scenario, "safest"), shown)
@@ -93,15 +94,15 @@ def choice(simulation: Simulation) -> dict[str, Any]:
 
 
 def hazards_of(simulation: Simulation) -> NDArray[np.bool_]:
-    """Return which of the true rocks are hazards (n,): those as long as one or longer."""
+    """Return which true rocks reach the hazard diameter (n,)."""
     least = simulation.scenario.mappers["rocks"].hazard_diameter_m
     return np.asarray(2.0 * simulation.world.terrain.rocks.a >= least)
 
 
 def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell at which true places (n, 2) a hazard's outline reaches under the lander (n,).
+    """Return at which true positions (n, 2) a hazard reaches under the lander (n,).
 
-    The outline is taken as the disc that holds it.
+    Each hazard is represented by its circumscribed disc.
     """
     rocks = simulation.world.terrain.rocks
     large = hazards_of(simulation)
@@ -114,9 +115,9 @@ def reach_into(simulation: Simulation, xy: NDArray[np.float64]) -> NDArray[np.bo
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare the map as it stands with the truth, in the frame that the lander lands in.
+    """Compare the current map with the truth in the onboard frame.
 
-    A cell is called clear where the probability is under the threshold and the ground observed.
+    A cell is classified as clear if it is observed and its probability is below the threshold.
     """
     mapper = simulation.computer.mappers["rocks"]
     p = mapper.probability.probability(mapper.tracker)
@@ -125,7 +126,7 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     large = hazards_of(simulation)
     occupied = (rock >= 0) & large[np.maximum(rock, 0)]
     clear = (p < CLEAR_BELOW) & seen
-    # Of each hazard: how much of it is on the map, how much of that is called clear.
+    # Per hazard: its cells on the map, and those of them classified as clear.
     number = np.where(occupied, rock, -1).ravel() + 1
     cells = np.bincount(number, minlength=len(large) + 1)[1:]
     wrong = np.bincount(number, weights=clear.ravel(), minlength=len(large) + 1)[1:]
@@ -147,8 +148,8 @@ def judge(simulation: Simulation) -> dict[str, Any]:
 # --- the file --------------------------------------------------------------------------------
 
 
-def has(results: KeptFlights, task: Task) -> bool:
-    """Tell whether a flight was made, of this very cell."""
+def has_flight(results: KeptFlights, task: ShadowMatrixTask) -> bool:
+    """Return whether the file has the flight of this exact cell."""
     done = results.flights.get(task.key)
     return done is not None and done.get("cell") == asdict(task.cell)
 
@@ -156,8 +157,8 @@ def has(results: KeptFlights, task: Task) -> bool:
 # --- the table -------------------------------------------------------------------------------
 
 
-def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
-    """Return the figures of one cell over its fields."""
+def pool_flights(flights: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the metrics of one cell over its fields."""
     of = reduce(Classification.__add__, (Classification(**f["classes"]) for f in flights))
     table = np.sum([f["reliability"] for f in flights], axis=0)
     objects = sum(f["objects"] for f in flights)
@@ -178,39 +179,42 @@ def pooled(flights: list[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def meets(cell: Cell, figures: dict[str, float]) -> str:
-    """Say which of the goals a cell misses; empty if none."""
+def missed_goals(cell: ShadowCell, figures: dict[str, float]) -> str:
+    """Return the names of the goals that a cell misses; empty if none."""
     misses = []
-    if figures["clear_false"] > MOST_FALSE:
+    if figures["clear_false"] > MAX_FALSE_CLEAR:
         misses.append("area")
-    if figures["objects_clear"] > MOST_OBJECTS:
+    if figures["objects_clear"] > MAX_MISSED_HAZARDS:
         misses.append("objects")
-    if cell.within_goal() and not figures["clear_recall"] >= LEAST_RECALL:
+    if cell.within_goal() and not figures["clear_recall"] >= MIN_RECALL:
         misses.append("recall")
     return ", ".join(misses)
 
 
-def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
-    """Print a row a cell, and what they make together."""
+def show(tasks: list[ShadowMatrixTask], results: KeptFlights, console: Console) -> None:
+    """Print one row per cell and the totals."""
     first = tasks[0]
     table = Table(
         title=f"Shadow maps at {ALTITUDE:.0f} m: {first.path} path, {first.method} method, seed"
         f" {first.seed}"
     )
-    headings = ("cell", "recall", "false, area", "blind", "hazards", "clear", "occupied right",
-                "unknown", "calibration", "safest on one", "misses")  # fmt: skip
+    headings = ("cell", "recall", "false clear area", "no-map rate", "hazards", "missed hazards",
+    "occupied correct",
+                "unknown", "calibration error", "hazard at safest", "goals missed")  # fmt: skip
     for heading in headings:
-        table.add_column(heading, justify="left" if heading in {"cell", "misses"} else "right")
+        table.add_column(
+            heading, justify="left" if heading in {"cell", "goals missed"} else "right"
+        )
     total = dict.fromkeys(("landed", "on_hazard", "chosen", "site_on_hazard"), 0.0)
     missing = shown = 0
     blind = []
     for cell in dict.fromkeys(t.cell for t in tasks):
         mine = [t for t in tasks if t.cell == cell]
-        flights = [results.flights[t.key] for t in mine if has(results, t)]
+        flights = [results.flights[t.key] for t in mine if has_flight(results, t)]
         if not flights:
             continue
-        f = pooled(flights)
-        lacks = meets(cell, f)
+        f = pool_flights(flights)
+        lacks = missed_goals(cell, f)
         shown, missing = shown + 1, missing + bool(lacks)
         total = {key: value + f[key] for key, value in total.items()}
         blind += [f["blind_landing"]] * len(flights)
@@ -222,34 +226,36 @@ def show(tasks: list[Task], results: KeptFlights, console: Console) -> None:
         )  # fmt: skip
     console.print(table)
     console.print(
-        "false, area: share of the ground called clear that is under a hazard; blind: the same if"
-        " all is called clear; clear: share of hazards wholly called clear; calibration: mean"
-        " distance of stated and found probability."
+        "False clear area: fraction of the area classified as clear that is under a hazard; no-map "
+        "rate: the same if"
+        " all cells are classified as clear; missed hazards: fraction of hazards completely "
+        "classified as clear; calibration error: mean"
+        " difference between predicted and observed probability."
     )
     if blind:
         console.print(
-            f"{total['site_on_hazard']:.0f} of {total['chosen']:.0f} places that the map calls"
-            " safest, where it shows one in reach, have a hazard under a lander that sets down"
-            f" there; blind ones would in {100.0 * float(np.mean(blind)):.1f} %. Beside them, where"
-            f" the path ends, {total['on_hazard']:.0f} of {total['landed']:.0f} touchdowns do."
+            f"{total['site_on_hazard']:.0f} of {total['chosen']:.0f} safest reachable sites of"
+            " the maps have a hazard under the lander"
+            f"; random sites have one in {100.0 * float(np.mean(blind)):.1f} %. At the end of"
+            f" the path, {total['on_hazard']:.0f} of {total['landed']:.0f} touchdowns have one."
         )
     console.print(f"{missing} of {shown} cells miss a goal.")
 
 
 @click.command()
 @click.option("--cells", "patterns", default="*", show_default=True,
-              help="Which cells, as names with * and ?, comma between them.")  # fmt: skip
+              help="Cell names with * and ?, separated by commas.")  # fmt: skip
 @click.option("--fields", type=click.IntRange(min=1), default=4, show_default=True,
-              help="Fields of rocks a cell.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+              help="Number of rock fields per cell.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--path", "way", type=click.Choice(("nominal", "modified")), default="modified",
               show_default=True, help="Path flown.")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Shapes inferred, as told, or the paper's half spheres and form.")  # fmt: skip
+              help="Shapes inferred, as expected, or the paper's method.")  # fmt: skip
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="File that keeps all flights, and that a later run goes on from.")  # fmt: skip
+              help="File of flights; a later run resumes from it.")  # fmt: skip
 def main(
     patterns: str,
     fields: int,
@@ -259,13 +265,14 @@ def main(
     jobs: int,
     json_file: Path | None,
 ) -> None:
-    """Fly the cells and print how good their maps are."""
+    """Fly the cells and print the quality of their maps."""
     console = plain_console(150)
     wanted = [p.strip() for p in patterns.split(",")]
     cells = [c for c in CELLS if any(fnmatch(c.name, p) for p in wanted)]
     if not cells:
         raise click.BadParameter(
-            f"{patterns!r} names none of: {', '.join(c.name for c in CELLS)}", param_hint="--cells"
+            f"must match one of {', '.join(c.name for c in CELLS)}, got {patterns!r}",
+            param_hint="--cells",
         )
     try:
         results = KeptFlights(
@@ -274,10 +281,14 @@ def main(
     except InputError as error:
         raise click.BadParameter(str(error), param_hint="--json") from None
     if results.of_other_code:
-        console.print(f"{results.of_other_code} flights of {json_file} were made by other code")
-    # Field by field: an interrupt leaves something of every cell.
-    everything = [Task(cell, k, seed, way, method) for k in range(fields) for cell in cells]
-    tasks = [t for t in everything if not has(results, t)]
+        console.print(
+            f"{results.of_other_code} flights of {json_file} were computed with different code"
+        )
+    # Field by field: after an interruption every cell has some flights.
+    everything = [
+        ShadowMatrixTask(cell, k, seed, way, method) for k in range(fields) for cell in cells
+    ]
+    tasks = [t for t in everything if not has_flight(results, t)]
     with plain_progress(console) as progress:
         bar = progress.add_task("flights", total=len(tasks))
         try:
@@ -285,7 +296,7 @@ def main(
                 results.keep(tasks[index].key, result)
                 progress.advance(bar)
         except KeyboardInterrupt:
-            console.print("interrupted; what is done is kept")
+            console.print("Interrupted. The finished flights are saved.")
     show(everything, results, console)
 
 

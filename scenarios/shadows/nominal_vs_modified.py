@@ -1,8 +1,8 @@
-"""Two descents over the same rocks: the direct one, and one that lofts and looks back.
+"""Compare the nominal and the modified descent of the shadow EKF paper.
 
-The experiment of the shadow EKF paper (IV.B and V): a lander sees rocks by their shadows while it
-flies to a site, the Sun behind its camera. The modified path overflies the site by 60 m and sees
-the shadows that the rocks hide from the nominal one.
+In the experiment (IV.B and V), a vehicle detects rocks by their shadows while it flies to a site
+with the Sun behind its camera. The modified path overflies the site by 60 m and sees the shadows
+that the rocks hide from the nominal path.
 
 python scenarios/shadows/nominal_vs_modified.py --fields 20 --jobs 2 --out out/shadows
 """
@@ -33,14 +33,14 @@ from lunarsim.simulation import Simulation
 SCENARIOS = Path(__file__).parents[1]
 PATHS = ("nominal", "modified")
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
-# How pictures become maps: what a mapper of kind "shadow" is set to.
+# Settings of the shadow mapper.
 METHODS: dict[str, dict[str, str]] = {
     "own": {},
     "told": {"shapes": "told"},
     "paper": {"shapes": "hemisphere", "form": "gaussian"},
 }
 ALTITUDES = (300.0, 200.0, 100.0, 50.0)
-# Paper, Tables 1 and 2 and section V; rates at 50 m.
+# Tables 1 and 2 and section V of the paper; rates at 50 m.
 PAPER = {
     "clear_recall": (0.11, 0.29),
     "occupied_called_clear": (0.0, 0.0),
@@ -48,16 +48,16 @@ PAPER = {
     "occupied_correct": (0.85, 0.85),
 }
 LABELS = {
-    "clear_recall": "clear ground called clear",
-    "occupied_called_clear": "hazards called clear",
-    "clear_false": "of the ground called clear, hazard",
-    "occupied_correct": "of the ground called occupied, hazard",
-    "unknown": "ground called neither",
+    "clear_recall": "clear area classified as clear",
+    "occupied_called_clear": "hazard area classified as clear",
+    "clear_false": "hazard fraction of the area classified as clear",
+    "occupied_correct": "hazard fraction of the area classified as occupied",
+    "unknown": "unclassified area",
 }
 
 
 @dataclass(frozen=True)
-class Task:
+class ShadowPathTask:
     """One flight."""
 
     path: str
@@ -67,8 +67,8 @@ class Task:
     method: str = "own"
 
 
-def fly(task: Task) -> dict[str, Any]:
-    """Fly once; return rates, reliability and maps by altitude, propellant and duration."""
+def fly(task: ShadowPathTask) -> dict[str, Any]:
+    """Fly once; return map results by altitude, propellant and duration."""
     scenario = Scenario.load(SCENARIOS / f"shadow_{task.path}.toml")
     if task.shapes is not None:
         scenario = scenario.changed(expected_rocks={"shape": task.shapes})
@@ -83,7 +83,7 @@ def fly(task: Task) -> dict[str, Any]:
         if pending and simulation.altitude <= pending[0]:
             levels[pending.pop(0)] = judge(simulation)
             if not pending:
-                # The maps are done: the rest of the flight tells propellant and time.
+                # The maps are complete: the rest of the flight only gives propellant and duration.
                 simulation.computer.stop_sensors()
     return {
         "path": task.path,
@@ -97,7 +97,7 @@ def fly(task: Task) -> dict[str, Any]:
 
 
 def judge(simulation: Simulation) -> dict[str, Any]:
-    """Compare the map as it stands with the truth, in the frame that the lander lands in."""
+    """Compare the current map with the truth in the onboard frame."""
     mapper = simulation.computer.mappers["rocks"]
     probability = mapper.probability.probability(mapper.tracker)
     terrain = simulation.world.terrain
@@ -115,8 +115,8 @@ def judge(simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def compared(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
-    """Return means over fields of both paths and of what one has more than the other."""
+def compare_means(nominal: list[float], modified: list[float]) -> dict[str, MeanInterval]:
+    """Return the means over fields of both paths and of their difference."""
     return {
         "nominal": mean_interval(nominal),
         "modified": mean_interval(modified),
@@ -125,39 +125,41 @@ def compared(nominal: list[float], modified: list[float]) -> dict[str, MeanInter
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return means and intervals by altitude, path and rate, and the paired differences."""
+    """Return means by altitude, path and rate, and paired differences."""
     by = [[r for r in results if r["path"] == p] for p in PATHS]
     out: dict[str, Any] = {"altitudes": {}, "fields": len(by[0])}
     for altitude in ALTITUDES:
         classes = [[r["levels"][altitude]["classes"] for r in of] for of in by]
         level: dict[str, Any] = {
-            rate: compared(*([c.rates[rate] for c in of] for of in classes)) for rate in LABELS
+            rate: compare_means(*([c.rates[rate] for c in of] for of in classes)) for rate in LABELS
         }
-        # Over all fields together: false clears are few.
+        # All fields pooled, because false clear cells are rare.
         for path, of in zip(PATHS, classes, strict=True):
             pooled = reduce(operator.add, of)
             level[f"pooled_clear_false_{path}"] = pooled.rates["clear_false"]
         out["altitudes"][altitude] = level
     for name in ("propellant", "duration"):
-        out[name] = compared(*([r[name] for r in of] for of in by))
+        out[name] = compare_means(*([r[name] for r in of] for of in by))
     return out
 
 
 def show(summary: dict[str, Any], console: Console) -> None:
     """Print the tables."""
     for altitude, level in summary["altitudes"].items():
-        table = Table(title=f"Map at {altitude:.0f} m, {summary['fields']} fields (95 % intervals)")
-        for heading in ("", "nominal", "modified", "modified - nominal", "paper, at 50 m"):
+        table = Table(
+            title=f"Map at {altitude:.0f} m, {summary['fields']} fields (mean, 95 % interval)"
+        )
+        for heading in ("", "nominal", "modified", "modified minus nominal", "paper, at 50 m"):
             table.add_column(heading, justify="left" if not heading else "right")
         for rate, label in LABELS.items():
             paper = ""
             if altitude == 50.0:
                 figures = PAPER.get(rate)
-                paper = "{} / {}".format(*figures) if figures else "modified 0.09 less"
+                paper = "{} / {}".format(*figures) if figures else "modified: 0.09 lower"
             table.add_row(label, *(v.text() for v in level[rate].values()), paper)
         console.print(table)
         console.print(
-            "  all fields together, hazard in the ground called clear: "
+            "  All fields pooled, hazard fraction of the area classified as clear: "
             f"nominal {level['pooled_clear_false_nominal']:.5f}, "
             f"modified {level['pooled_clear_false_modified']:.5f} (threshold 0.00250)"
         )
@@ -171,19 +173,19 @@ def show(summary: dict[str, Any], console: Console) -> None:
 
 @click.command()
 @click.option("--fields", type=click.IntRange(min=1), default=2, show_default=True,
-              help="Rock fields; each is flown on both paths.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+              help="Number of rock fields, each flown on both paths.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Processes; results do not depend on it.")  # fmt: skip
+              help="Number of processes; does not change the results.")  # fmt: skip
 @click.option("--shapes", type=click.Choice(SHAPES), default=None,
-              help="Shape that the mission expects; left out: the scenario's.")  # fmt: skip
+              help="Expected rock shape (default: of the scenario).")  # fmt: skip
 @click.option("--method", type=click.Choice(tuple(METHODS)), default="own", show_default=True,
-              help="Shapes inferred, taken as told, or the paper's half spheres and its form of "
-              "Eq. 21.")  # fmt: skip
+              help="Shapes inferred, as expected, or the "
+              "paper's method.")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write all figures to this file.")  # fmt: skip
+              help="Output file of all values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for pictures; left out, none are drawn.")  # fmt: skip
+              help="Output folder of figures (default: none).")  # fmt: skip
 def main(
     fields: int,
     seed: int,
@@ -195,9 +197,13 @@ def main(
 ) -> None:
     """Fly both paths over random fields and compare their maps."""
     console = plain_console(140)
-    tasks = [Task(path, field, seed, shapes, method) for field in range(fields) for path in PATHS]
+    tasks = [
+        ShadowPathTask(path, field, seed, shapes, method)
+        for field in range(fields)
+        for path in PATHS
+    ]
     results = gathered(fly, tasks, jobs, console, "flights")
-    # A field counts once both paths have flown it.
+    # A field counts only if both paths have flown it.
     results = results[: len(results) // len(PATHS) * len(PATHS)]
     if not results:
         raise click.Abort
@@ -206,7 +212,7 @@ def main(
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(
-            json.dumps(plain(summary, results), indent=1, default=asdict), encoding="utf-8"
+            json.dumps(to_json(summary, results), indent=1, default=asdict), encoding="utf-8"
         )
     if out is not None:
         from figures import draw_all
@@ -214,8 +220,8 @@ def main(
         draw_all(results, out)
 
 
-def plain(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return everything but the maps, as JSON takes it."""
+def to_json(summary: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return everything except the maps for JSON."""
     flights = [
         {
             **{k: r[k] for k in ("path", "field", "propellant", "duration", "landed")},

@@ -1,13 +1,13 @@
-"""How often shadows are missed or made up: FN(q) and FP(q) of the shadow detector, measured.
+"""Measure the false-negative and false-detection rates of the shadow detector.
 
-Rendered fields of rocks of all shapes, or of one, are seen from random places. A rock whose patch
-should have q pixels (root of the area) is found if a detection lies on it with a radius within a
-factor of two; it is merged if its patch runs into another's, and missed otherwise. A detection with
-no rock under it is false. The place of a hazard is cleared if the rock is not found and the picture
-says that no such rock stands there (`ClearEvidence`). Lines are fitted to the rates (shadow EKF
-paper, III.C).
+Rendered fields of rocks of all shapes, or of one, are seen from random positions. A rock whose
+shadow patch should have q^2 pixels counts as found if a detection lies on it with a radius within a
+factor of two; as merged if its patch runs into another one; and as missed otherwise. A detection
+without a rock is false. The position of a hazard is cleared if the rock is not found and the image
+gives evidence that no such rock is there (`ClearEvidence`). Lines are fitted to the rates (shadow
+EKF paper, III.C).
 
-The defaults of `DetectionRates` are the lines of
+The defaults of `DetectionRates` are the lines printed by
 
 python scenarios/shadows/rates.py
 """
@@ -50,11 +50,11 @@ EDGES = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 10
 FIELD = 160.0
 SHAPES = ("hemisphere", "ellipsoid", "cube", "irregular", "mixed")
 ALL = "all"
-# Diameter of the rocks whose places must not be cleared, m.
-LEAST_HAZARD = 0.5
-# Pictures taken of one field.
-LOOKS = 8
-# What the light has beside the Sun's place: nothing, or all that docs/rendering.md has.
+# Minimum diameter of the rocks that must not be cleared, m.
+MIN_HAZARD_DIAMETER = 0.5
+# Number of images of one field.
+IMAGES_PER_FIELD = 8
+# Light settings: only the Sun direction, or all effects of docs/rendering.md.
 LIGHTS: dict[str, dict[str, Any]] = {
     "plain": {},
     "full": {
@@ -67,7 +67,7 @@ LIGHTS: dict[str, dict[str, Any]] = {
 def make_world(
     shape: str, elevation: float, rng: np.random.Generator, light: str = "plain"
 ) -> World:
-    """Return a level field of rocks by Golombek's law, 5 % cover."""
+    """Return a horizontal field of rocks by Golombek's law with 5 % cover."""
     grid = Grid.centred((0.0, 0.0), FIELD, 2.0)
     relief = Heightfield(grid, np.zeros(grid.shape, np.float32))
     diameters = sample_diameters(FIELD**2, 0.05, 0.3, 3.0, rng)
@@ -76,12 +76,12 @@ def make_world(
 
 
 def model_of(shape: str) -> RockModel:
-    """Return the population of rocks."""
+    """Return the rock population of a shape."""
     return RockModel(shape, burial=(0.0, 0.0))  # type: ignore[arg-type]
 
 
-def look(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
-    """Take one picture from a random place; return q and fate of rocks and detections."""
+def take_image(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[str, Any]:
+    """Take one image; return q and outcome of rocks and detections."""
     altitude = np.exp(rng.uniform(np.log(25.0), np.log(250.0)))
     depression = rng.uniform(np.radians(22.0), np.pi / 2)
     back = direction_from_angles(rng.uniform(0.0, 2.0 * np.pi), depression)
@@ -114,7 +114,7 @@ def look(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[st
         )
         reach = np.maximum(1.5 * seen.radius, 2.0 * np.median(pixel))
         false = np.array([not hits for hits in cKDTree(xy).query_ball_point(seen.ground, reach)])
-    # A rock whose patch runs into another's, so that no rock is told there: dark, but not missed.
+    # A rock whose patch runs into another one is not detected separately: dark, but not missed.
     unit = model.patch(azimuth, np.arctan2(altitude, level))
     sun = np.array([np.sin(world.light.azimuth), np.cos(world.light.azimuth)])
     offset = np.stack((unit.along, unit.side), -1) @ np.array([sun, [-sun[1], sun[0]]])
@@ -123,25 +123,28 @@ def look(world: World, model: ShapeMixture, rng: np.random.Generator) -> dict[st
     u, v = np.rint(view.pinhole.project(s)).T
     u, v = np.clip(u, 0, 639).astype(int), np.clip(v, 0, 479).astype(int)
     patch = seen.labels[v, u]
-    # Too small patches are dark too, but no detections: those are missed.
+    # Patches below the minimum size are dark but no detections: those rocks are missed.
     size = np.bincount(seen.labels.ravel())
     merged = ~found & (patch > 0) & (size[patch] > 1.7 * q**2) & (size[patch] >= 4)
-    hazard = inside & (2.0 * rocks.a >= LEAST_HAZARD) & (len(seen) > 0)
+    hazard = inside & (2.0 * rocks.a >= MIN_HAZARD_DIAMETER) & (len(seen) > 0)
     return {
-        "hazard_q": q[hazard], "cleared": (cleared(world, view, seen, model) & ~found)[hazard],
+        "hazard_q": q[hazard], "cleared": (cleared_rocks(world, view, seen,
+        model) & ~found)[hazard],
         "q": q[inside], "missed": (~found & ~merged)[inside], "merged": merged[inside],
         "seen_q": seen.q, "false": false,
     }  # fmt: skip
 
 
-def cleared(world: World, view: View, seen: Detections, model: ShapeMixture) -> NDArray[np.bool_]:
-    """Return which rocks' places (n,) one picture gives as ground where no such rock stands.
+def cleared_rocks(
+    world: World, view: View, seen: Detections, model: ShapeMixture
+) -> NDArray[np.bool_]:
+    """Return which rock positions (n,) one image classifies as free of such a rock.
 
-    A rock's place: what lies within half its radius of the centre.
+    The position of a rock is the area within half its radius of the center.
     """
     rocks = world.terrain.rocks
     grid = Grid.centred((0.0, 0.0), FIELD, 0.25)
-    sizes = LEAST_HAZARD * 1.4 ** np.arange(4)
+    sizes = MIN_HAZARD_DIAMETER * 1.4 ** np.arange(4)
     evidence = ClearEvidence(grid, model, sizes, np.ones(4), DetectionRates())
     evidence.see(view, world.light.direction, seen, lambda xy: np.zeros(len(xy)))
     of = np.clip(np.searchsorted(0.5 * sizes, rocks.a, side="right") - 1, 0, 3)
@@ -163,7 +166,7 @@ def rate(q: NDArray[Any], hit: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]
 
 
 def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
-    """Return start, slope and floor of the cut line that fits a rate best."""
+    """Return start, slope and floor of the least-squares clipped line."""
     weight = np.sqrt(np.minimum(number, 500.0))
 
     def off(x: NDArray[Any]) -> NDArray[Any]:
@@ -180,12 +183,13 @@ def fit(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> lis
     return [float(v) for v in best.x]
 
 
-def likeliest(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
-    """Return start, slope and floor of the cut line under which counts are the likeliest.
+def fit_likelihood(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) -> list[float]:
+    """Return start, slope and floor of the maximum-likelihood clipped line.
 
-    A hazard whose place is given as free is what a map must not have: that one in a hundred is or
-    three matters, which squares of differences do not see beside nine in ten. A place that shows in
-    no pixel is free for all that is seen: the line starts at 1 or more.
+    A map must not clear a hazard,
+    so the difference between rates of 1 % and 3 % matters; least squares
+    would be dominated by the large rates. A rock that covers no pixel is always cleared: the line
+    starts at 1 or more.
     """
     hits = values * number
 
@@ -207,7 +211,7 @@ def likeliest(middle: NDArray[Any], values: NDArray[Any], number: NDArray[Any]) 
 def show(data: dict[str, Any], title: str, console: Console) -> None:
     """Print rates and lines."""
     table = Table(title=title)
-    for heading in ("q, pixels", "rocks", "merged", "missed", "line", "detections", "false",
+    for heading in ("q (pixels)", "rocks", "merged", "missed", "line", "detections", "false",
                     "line", "hazards", "cleared", "line"):  # fmt: skip
         table.add_column(heading, justify="right")
     for k, (low, high) in enumerate(pairwise(data["edges"])):
@@ -233,14 +237,14 @@ def show(data: dict[str, Any], title: str, console: Console) -> None:
     type=click.Choice((ALL, *SHAPES)),
     default=ALL,
     show_default=True,
-    help="Of the rocks; all: field by field another.",
+    help="Rock shape; all: shapes alternate between fields.",
 )
-@click.option("--sun-elevation", default=20.0, show_default=True, help="deg")
+@click.option("--sun-elevation", default=20.0, show_default=True, help="Sun elevation (deg).")
 @click.option("--light", type=click.Choice(tuple(LIGHTS)), default="plain", show_default=True,
-              help="A Sun that is a point, or all of docs/rendering.md.")  # fmt: skip
-@click.option("--seed", type=int, default=1, show_default=True, help="Root seed.")
+              help="Light: point Sun, or all effects of docs/rendering.md.")  # fmt: skip
+@click.option("--seed", type=int, default=1, show_default=True, help="Root random seed.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for figure and data; left out, only the table is printed.")  # fmt: skip
+              help="Output folder of figure and data (default: none).")  # fmt: skip
 def main(
     images: int, shape: str, sun_elevation: float, light: str, seed: int, out: Path | None
 ) -> None:
@@ -250,10 +254,10 @@ def main(
     looks = []
     for k in track(range(images), description="images"):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(k,)))
-        if k % LOOKS == 0:
-            own = SHAPES[k // LOOKS % len(SHAPES)] if shape == ALL else shape
+        if k % IMAGES_PER_FIELD == 0:
+            own = SHAPES[k // IMAGES_PER_FIELD % len(SHAPES)] if shape == ALL else shape
             world, model = make_world(own, elevation, rng, light), ShapeMixture(elevation)
-        looks.append(look(world, model, rng))
+        looks.append(take_image(world, model, rng))
     q, lost, run, seen_q, false, hazard_q, gone = (
         np.concatenate([one[name] for one in looks])
         for name in ("q", "missed", "merged", "seen_q", "false", "hazard_q", "cleared")
@@ -267,7 +271,7 @@ def main(
     lines = {
         "missed": fit(middle[many], missed[many], rocks[many]),
         "false": fit(middle[some], made_up[some], detections[some]),
-        "cleared": likeliest(middle[few], clear[few], hazards[few]),
+        "cleared": fit_likelihood(middle[few], clear[few], hazards[few]),
     }
     data = {
         "edges": EDGES.tolist(), "rocks": rocks.tolist(), "missed": missed.tolist(),

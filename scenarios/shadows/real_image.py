@@ -1,8 +1,8 @@
-"""The shadow detector on a real image: boulders seen by LROC's narrow-angle camera.
+"""Test the shadow detector on a real LROC narrow-angle camera image with boulders.
 
-The detector runs with the settings that rendered images use. Its finds are drawn over the image,
-the direction of the shadows is measured and set beside the stated one, and finds in a window of
-100 x 100 pixels are compared with boulders told by eye.
+The detector uses the settings for rendered images. Its detections are drawn over the image, the
+measured shadow direction is compared with the published one, and the detections in a window of
+100 x 100 pixels are compared with manually labelled boulders.
 
 python scenarios/shadows/real_image.py --out out/nac
 """
@@ -33,15 +33,15 @@ NAME = "moon_nac_M143947267L"
 ALTITUDE = 54_470.0
 SAMPLE, LINE = 0.545, 0.58
 SUN_ELEVATION = np.radians(90.0 - 53.44)
-# Stated: shadows point along (+0.82, -0.57) in samples and lines.
+# Published: shadows point along (+0.82, -0.57) in samples and lines.
 STATED = np.array([0.82, -0.57])
-# Farthest that a find may lie from a label, pixels.
-NEAR = 2.5
+# Maximum distance of a detection from a label, pixels.
+MAX_DISTANCE_PX = 2.5
 SIZES = ((1, 1), (2, 2), (3, 3), (4, 9))
 
 
 def load() -> np.ndarray:
-    """Return the radiance factor (400, 400)."""
+    """Return the radiance factor I/F (400, 400)."""
     with np.load(DATA / f"{NAME}_iof_400.npz") as data:
         return data["iof"]
 
@@ -49,8 +49,8 @@ def load() -> np.ndarray:
 def detect(image: np.ndarray) -> Detections:
     """Run the detector with its default settings.
 
-    The image is mirrored and its north is not needed: "east" is along samples here, "north"
-    against lines.
+    The image is mirrored and its north is not needed: "east" is along samples here, "north" against
+    lines.
     """
     height, width = image.shape
     down = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
@@ -69,45 +69,45 @@ def detect(image: np.ndarray) -> Detections:
 
 
 def middles(seen: Detections) -> np.ndarray:
-    """Return the middles of the rocks' shadows (n, 2), column and row."""
+    """Return the centers of the rock shadows (n, 2), column and row."""
     return np.array(
         [np.argwhere(seen.labels == label).mean(0)[::-1] for label in seen.label]
     ).reshape(-1, 2)
 
 
 def compare(seen: Detections, labels: dict[str, Any]) -> dict[str, Any]:
-    """Match finds in the window with labels, each at most once."""
+    """Match detections in the window with labels one to one."""
     window = labels["window"]
     low = np.array([window["column"], window["row"]])
     high = low + np.array([window["columns"], window["rows"]])
     found = middles(seen)
     inside = ((found >= low) & (found < high)).all(1)
     found, size = found[inside], seen.q[inside]
-    told = np.array(labels["shadows"])
-    distance = cdist(found, told[:, :2])
-    # A large shadow may be found a little off.
-    gate = np.maximum(NEAR, 0.6 * np.maximum(size[:, None], told[None, :, 2]))
+    labelled = np.array(labels["shadows"])
+    distance = cdist(found, labelled[:, :2])
+    # The detected center of a large shadow can differ more.
+    gate = np.maximum(MAX_DISTANCE_PX, 0.6 * np.maximum(size[:, None], labelled[None, :, 2]))
     i, j = linear_sum_assignment(np.where(distance <= gate, distance, 1e3))
     good = distance[i, j] <= gate[i, j]
-    hit = np.zeros(len(told), bool)
+    hit = np.zeros(len(labelled), bool)
     hit[j[good]] = True
     return {
-        "finds": len(found), "true": int(good.sum()), "labels": len(told),
-        "width": told[:, 2].astype(int), "hit": hit, "told": told, "found": found,
+        "finds": len(found), "true": int(good.sum()), "labels": len(labelled),
+        "width": labelled[:, 2].astype(int), "hit": hit, "told": labelled, "found": found,
         "matched": np.isin(np.arange(len(found)), i[good]),
     }  # fmt: skip
 
 
 def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: dict[str, int],
          path: Path) -> None:  # fmt: skip
-    """Draw the finds over the image, and the window with the labels."""
+    """Plot the detections over the image, and the window with the labels."""
     figure = new_figure(11.0, 5.6)
     whole, part = figure.subplots(1, 2)
     low, high = np.percentile(image, [0.5, 99.5])
     for ax in (whole, part):
         ax.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
-        ax.set_xlabel("sample (0.545 m)")
-        ax.set_ylabel("line (0.58 m)")
+        ax.set_xlabel("Sample (0.545 m)")
+        ax.set_ylabel("Line (0.58 m)")
         for (u, v), r in zip(seen.pixel, seen.radius, strict=True):
             ax.add_patch(Circle((u, v), r / SAMPLE, fill=False, color=COLOURS[4], linewidth=1.0))
     ends = (window["columns"], window["rows"])
@@ -115,39 +115,41 @@ def draw(image: np.ndarray, seen: Detections, result: dict[str, Any], window: di
     whole.add_patch(Rectangle(corner, *ends, fill=False, color=COLOURS[5]))
     whole.annotate("", xy=(80, 345), xytext=(80 - 45 * 0.82, 345 + 45 * 0.57),
                    arrowprops={"arrowstyle": "->", "color": COLOURS[4]})  # fmt: skip
-    whole.text(86, 352, "shadows, stated", color=COLOURS[4])
-    whole.set_title(f"{len(seen)} rocks found in {NAME}")
+    whole.text(86, 352, "published shadow direction", color=COLOURS[4])
+    whole.set_title(f"{len(seen)} rocks detected in {NAME}")
     top, left = window["row"], window["column"]
     dark, bright = np.percentile(image[top : top + ends[1], left : left + ends[0]], [0.5, 97])
     part.images[0].set_clim(dark, bright)
-    told, hit = result["told"], result["hit"]
-    part.plot(told[hit, 0], told[hit, 1], "+", color=COLOURS[2], label="told by eye, found")
-    part.plot(told[~hit, 0], told[~hit, 1], "x", color=COLOURS[1], label="told by eye, missed")
+    labelled, hit = result["told"], result["hit"]
+    part.plot(labelled[hit, 0], labelled[hit, 1], "+", color=COLOURS[2], label="labelled, detected")
+    part.plot(labelled[~hit, 0], labelled[~hit, 1], "x", color=COLOURS[1], label="labelled, missed")
     false = result["found"][~result["matched"]]
-    part.plot(false[:, 0], false[:, 1], "s", fillstyle="none", color=COLOURS[3], label="false")
+    part.plot(
+        false[:, 0], false[:, 1], "s", fillstyle="none", color=COLOURS[3], label="false detection"
+    )
     part.set_xlim(corner[0], corner[0] + ends[0])
     part.set_ylim(corner[1] + ends[1], corner[1])
-    part.set_title("window; circles: rocks as estimated")
+    part.set_title("window; circles: estimated rocks")
     part.legend(loc="lower left")
     save(figure, path)
 
 
 @click.command()
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write the figures to this file.")  # fmt: skip
+              help="Output file of the metrics.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the picture; left out, none is drawn.")  # fmt: skip
+              help="Output folder of the figure (default: none).")  # fmt: skip
 def main(json_file: Path | None, out: Path | None) -> None:
-    """Detect, measure the shadows' direction, compare with the labels."""
+    """Detect rocks, measure the shadow direction, compare with labels."""
     console = plain_console(100)
     image = load()
     seen = detect(image)
     angle, half, number = mean_direction(shadow_directions(image, seen))
     stated = np.arctan2(STATED[1], STATED[0])
     console.print(
-        f"{len(seen)} rocks, {len(seen.extended)} extended shadows; shadows point along "
+        f"{len(seen)} rocks, {len(seen.extended)} extended shadows; shadow direction "
         f"({np.cos(angle):+.2f} sample, {np.sin(angle):+.2f} line), {np.degrees(angle):.1f} "
-        f"± {np.degrees(half):.1f} deg from {number} rocks; stated (+0.82, -0.57), "
+        f"± {np.degrees(half):.1f} deg from {number} rocks; published (+0.82, -0.57), "
         f"{np.degrees(stated):.1f} deg"
     )
     labels = json.loads((DATA / f"{NAME}_labels.json").read_text(encoding="utf-8"))
@@ -155,11 +157,11 @@ def main(json_file: Path | None, out: Path | None) -> None:
     precision = Proportion(result["true"], result["finds"])
     recall = Proportion(result["true"], result["labels"])
     console.print(
-        f"window: {precision.total} found, {precision.count} of them boulders: precision "
-        f"{precision.value:.2f}; {recall.total} told by eye, recall {recall.value:.2f}"
+        f"Window: {precision.total} detections, {precision.count} of them boulders: precision "
+        f"{precision.value:.2f}; {recall.total} labelled, recall {recall.value:.2f}"
     )
-    table = Table(title="by width of the shadow, pixels")
-    for heading in ("width", "told by eye", "found", "recall"):
+    table = Table(title="Recall by shadow width")
+    for heading in ("width (pixels)", "labelled", "detected", "recall"):
         table.add_column(heading, justify="right")
     sizes = []
     for low, high in SIZES:

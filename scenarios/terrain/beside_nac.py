@@ -1,11 +1,11 @@
-"""Renders beside a real picture: boulders seen by LROC's narrow-angle camera, at its geometry.
+"""Compare rendered images with a real LROC narrow-angle camera image of boulders.
 
     python scenarios/terrain/beside_nac.py --out out/nac --json out/nac.json
 
-Grounds of the repository's scenarios are seen from above with the real picture's pixels, point
-spread and Sun, once under the plain light (a point Sun, lunar-Lambert) and once under all that
-`[sun]` offers. Nothing of them is fitted to the picture but the mean albedo, by which both are
-divided. Histogram, power spectrum, autocorrelation and lengths of shadows are set side by side.
+Terrains of the shipped scenarios are rendered with the pixels, point spread and Sun of the real
+image: once with the plain light (point Sun, lunar-Lambert) and once with all effects of `[sun]`. No
+parameter is fitted to the image except the mean albedo, by which both images are divided. The
+comparison covers histogram, power spectrum, autocorrelation and shadow lengths.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ ROOT = Path(__file__).parents[1]
 REAL = ROOT / "data" / "moon_nac_M143947267L_iof_400.npz"
 SAMPLE, LINE, SIDE = 0.545, 0.58, 400
 ALTITUDE = 3000.0
-# The Sun: 36.56 deg high; shadows point along (0.82, -0.57) in samples and lines: east and north.
+# Sun elevation 36.56 deg; shadows point along (0.82, -0.57) in samples and lines: east and north.
 SHADOWS = np.array([0.82 * SAMPLE, 0.57 * LINE])
 ELEVATION = np.radians(36.56)
 AZIMUTH = float(np.arctan2(-SHADOWS[0], -SHADOWS[1]))
 GROUNDS = ("highland", "mare")
-# What is larger than this is the region's, not the ground's: it is divided out of the real picture
-# and of the renders alike. Pixels, 1 sigma.
+# High-pass scale, pixels, 1 sigma: larger structures belong to the region, not the terrain, and are
+# divided out of the real and the rendered images.
 REGION = 40.0
-# Darker than this, over the local mean, is shadow.
+# Pixels below this value, relative to the local mean, count as shadow.
 DARK = 0.55
 
 
 def light(full: bool, seed: int) -> Light:
-    """Return the Sun of the real picture, plain or with all that there is."""
+    """Return the Sun of the real image, plain or with all effects."""
     plain = Light(AZIMUTH, ELEVATION)
     if not full:
         return plain
@@ -64,7 +64,7 @@ def light(full: bool, seed: int) -> Light:
 
 
 def camera() -> Camera:
-    """Return a camera with the real picture's pixels; 12 bits over I/F of 0.3."""
+    """Return a camera with the pixels of the real one; 12 bits over an I/F of 0.3."""
     return Camera(
         SIDE, SIDE, ALTITUDE / SAMPLE, ALTITUDE / LINE, exposure=1e-3,
         mount=np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
@@ -73,7 +73,7 @@ def camera() -> Camera:
 
 
 def render(name: str, full: bool, seed: int) -> Array:
-    """Return I/F (400, 400) of a scenario's ground as the real camera would see it."""
+    """Return I/F (400, 400) of the terrain of a scenario as seen by the real camera."""
     scenario = Scenario.load(ROOT / f"{name}.toml")
     if hasattr(scenario.terrain, "size_m"):
         scenario = scenario.changed(terrain={"size_m": 260.0})
@@ -84,18 +84,18 @@ def render(name: str, full: bool, seed: int) -> Array:
     state = State(
         np.array([x, y, height]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 1.0
     )
-    eye = camera()
-    counts = eye.expose(world, state, 0.0, np.random.default_rng(seed)).counts
-    return counts / (2**eye.bits - 1) * eye.full_well / (eye.sensitivity * eye.exposure)
+    nac = camera()
+    counts = nac.expose(world, state, 0.0, np.random.default_rng(seed)).counts
+    return counts / (2**nac.bits - 1) * nac.full_well / (nac.sensitivity * nac.exposure)
 
 
-def levelled(image: Array) -> Array:
-    """Return a picture over its local mean."""
+def divide_by_local_mean(image: Array) -> Array:
+    """Return an image divided by its local mean."""
     return np.asarray(image / ndimage.gaussian_filter(image, REGION, mode="reflect"))
 
 
 def spectrum(flat: Array) -> tuple[Array, Array]:
-    """Return wave numbers (cycles a metre) and the power at them, m^2: rings of equal ratio."""
+    """Return wave numbers (cycles/m) and power (m^2) in rings of equal ratio."""
     window = np.outer(np.hanning(SIDE), np.hanning(SIDE))
     window /= np.sqrt(np.mean(window**2))
     power = np.abs(np.fft.fft2((flat - flat.mean()) * window)) ** 2 * SAMPLE * LINE / SIDE**2
@@ -107,7 +107,7 @@ def spectrum(flat: Array) -> tuple[Array, Array]:
 
 
 def correlation(flat: Array) -> tuple[Array, Array]:
-    """Return the autocorrelation at distances (m) along the Sun's azimuth and across it."""
+    """Return the autocorrelation at distances (m) along and across the Sun azimuth."""
     f = np.fft.fft2(flat - flat.mean())
     auto = np.fft.ifft2(np.abs(f) ** 2).real
     auto = np.fft.fftshift(auto / auto[0, 0])
@@ -122,7 +122,7 @@ def correlation(flat: Array) -> tuple[Array, Array]:
 
 
 def shadow_lengths(flat: Array) -> Array:
-    """Return how far each dark patch of two pixels or more reaches along the shadows, m."""
+    """Return the length of each dark patch of two pixels or more along the shadows, m."""
     patches, count = ndimage.label(flat < DARK, np.ones((3, 3)))
     along = SHADOWS / np.hypot(*SHADOWS)
     lengths = []
@@ -135,8 +135,8 @@ def shadow_lengths(flat: Array) -> Array:
 
 
 def figures(image: Array) -> dict[str, Any]:
-    """Return what a picture is compared by."""
-    flat = levelled(image)
+    """Return the metrics of an image."""
+    flat = divide_by_local_mean(image)
     k, power = spectrum(flat)
     distance, auto = correlation(flat)
     lengths = shadow_lengths(flat)
@@ -158,16 +158,23 @@ def figures(image: Array) -> dict[str, Any]:
 
 
 def histogram_distance(one: Array, other: Array) -> float:
-    """Return the mean difference of the sorted values of two levelled pictures."""
-    return float(np.mean(np.abs(np.sort(levelled(one).ravel()) - np.sort(levelled(other).ravel()))))
+    """Return the mean difference of the sorted values of two normalised images."""
+    return float(
+        np.mean(
+            np.abs(
+                np.sort(divide_by_local_mean(one).ravel())
+                - np.sort(divide_by_local_mean(other).ravel())
+            )
+        )
+    )
 
 
 def smooth_part(image: Array) -> tuple[float, float]:
-    """Return spread and correlation length (m, to 1/e) of the real picture's smooth ground.
+    """Return spread and correlation length (m, to 1/e) of the smooth terrain.
 
-    What mottles there are can be no stronger: relief too small to be seen apart is in it.
+    This is an upper limit of the albedo variation, because it includes unresolved relief.
     """
-    part = levelled(image)[60:380, 260:390]
+    part = divide_by_local_mean(image)[60:380, 260:390]
     part = part - part.mean()
     rows = [np.mean(part[: part.shape[0] - k] * part[k:]) for k in range(24)]
     columns = [np.mean(part[:, : part.shape[1] - k] * part[:, k:]) for k in range(24)]
@@ -179,19 +186,20 @@ def smooth_part(image: Array) -> tuple[float, float]:
 
 
 ROWS = (
-    ("mean", "mean I/F", ".3f"), ("spread", "spread over local mean", ".3f"),
-    ("skewness", "skewness", "+.2f"), ("histogram_distance", "histogram off by", ".3f"),
-    ("slope", "slope of the spectrum", "+.2f"),
-    ("half_along_m", "correlation 1/2 along, m", ".1f"),
-    ("half_across_m", "correlation 1/2 across, m", ".1f"),
-    ("shadow_share", "share in shadow", ".4f"), ("shadows_ha", "shadows a hectare", ".0f"),
-    ("length_median_m", "median length, m", ".2f"), ("length_90_m", "90 % length, m", ".2f"),
+    ("mean", "mean I/F", ".3f"), ("spread", "spread / local mean", ".3f"),
+    ("skewness", "skewness", "+.2f"), ("histogram_distance", "histogram distance", ".3f"),
+    ("slope", "spectral slope", "+.2f"),
+    ("half_along_m", "correlation 0.5 along (m)", ".1f"),
+    ("half_across_m", "correlation 0.5 across (m)", ".1f"),
+    ("shadow_share", "shadow fraction", ".4f"), ("shadows_ha", "shadows per hectare", ".0f"),
+    ("length_median_m", "shadow length, median (m)", ".2f"), ("length_90_m",
+    "shadow length, 90th pct. (m)", ".2f"),
 )  # fmt: skip
 
 
 def show(found: dict[str, dict[str, Any]], console: Console) -> None:
-    """Print a table of all pictures."""
-    table = Table(title="renders beside M143947267L")
+    """Print a table of all images."""
+    table = Table(title="Rendered images compared with M143947267L")
     table.add_column("")
     for name in found:
         table.add_column(name, justify="right")
@@ -201,40 +209,43 @@ def show(found: dict[str, dict[str, Any]], console: Console) -> None:
 
 
 def draw(images: dict[str, Array], found: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw the pictures, their histograms, spectra and correlations."""
+    """Plot the images, their histograms, spectra and correlations."""
     count = len(images)
     figure = new_figure(3.1 * count, 6.6)
     axes = figure.subplots(2, max(count, 3), gridspec_kw={"height_ratios": [1.15, 1.0]})
     for ax in axes.ravel():
         ax.axis("off")
     for ax, (name, image) in zip(axes[0], images.items(), strict=False):
-        ax.imshow(levelled(image), cmap="gray", vmin=0.2, vmax=1.6, interpolation="nearest")
+        ax.imshow(
+            divide_by_local_mean(image), cmap="gray", vmin=0.2, vmax=1.6, interpolation="nearest"
+        )
         ax.set_title(name)
     histogram, power, auto = axes[1, :3]
     for ax in (histogram, power, auto):
         ax.axis("on")
     for n, (name, image) in enumerate(images.items()):
         colour, width = ("black", 2.0) if n == 0 else (COLOURS[n % len(COLOURS)], 1.0)
-        histogram.hist(levelled(image).ravel(), np.linspace(0.0, 2.0, 80), histtype="step",
+        histogram.hist(divide_by_local_mean(image).ravel(), np.linspace(0.0, 2.0, 80),
+        histtype="step",
                        color=colour, linewidth=width, density=True, label=name)  # fmt: skip
         power.loglog(found[name]["wave_numbers"], found[name]["power"], color=colour,
                      linewidth=width)  # fmt: skip
-        distance, both = correlation(levelled(image))
+        distance, both = correlation(divide_by_local_mean(image))
         auto.plot(distance, both[0], color=colour, linewidth=width)
         auto.plot(distance, both[1], "--", color=colour, linewidth=width)
     histogram.set_yscale("log")
-    histogram.set_xlabel("I/F over the local mean")
+    histogram.set_xlabel("I/F / local mean")
     histogram.legend(fontsize=7)
-    power.set_xlabel("cycles a metre")
-    power.set_title("power, m²")
+    power.set_xlabel("Wave number (cycles/m)")
+    power.set_title("power (m²)")
     power.xaxis.set_minor_formatter(NullFormatter())
-    auto.set_xlabel("m along the Sun (dashed: across)")
+    auto.set_xlabel("Distance along the Sun (m); dashed: across")
     auto.set_title("autocorrelation")
     save(figure, path)
 
 
 def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Return the pictures and their figures, the real one first."""
+    """Return the images and their metrics, the real one first."""
     with np.load(REAL) as data:
         images = {"real": data["iof"].astype(np.float64)}
     for name in grounds:
@@ -248,20 +259,22 @@ def compare(grounds: tuple[str, ...], seed: int) -> tuple[dict[str, Array], dict
 
 @click.command()
 @click.option("--ground", "grounds", multiple=True, default=GROUNDS, show_default=True,
-              help="Scenario whose ground is seen; may be given again.")  # fmt: skip
-@click.option("--seed", default=1, show_default=True, help="Of rocks, mottles and noise.")
+              help="Scenario of the terrain; repeatable.")  # fmt: skip
+@click.option(
+    "--seed", default=1, show_default=True, help="Random seed of rocks, albedo and noise."
+)
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write the figures to this file.")  # fmt: skip
+              help="Output file of the metrics.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the picture; left out, none is drawn.")  # fmt: skip
+              help="Output folder of the figure (default: none).")  # fmt: skip
 def main(grounds: tuple[str, ...], seed: int, json_file: Path | None, out: Path | None) -> None:
-    """Compare renders with the real picture."""
+    """Compare rendered images with the real image."""
     images, found = compare(grounds, seed)
     console = plain_console(150)
     show(found, console)
     spread, length = smooth_part(images["real"])
     console.print(
-        f"smooth ground of the real picture: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
+        f"Smooth terrain of the real image: spread {spread:.3f}, correlation 1/e at {length:.1f} m"
     )
     if json_file is not None:
         json_file.parent.mkdir(parents=True, exist_ok=True)

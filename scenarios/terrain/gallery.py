@@ -1,4 +1,4 @@
-"""Pictures of the grounds that ship with the project, and the size law of measured rocks.
+"""Render images of the shipped terrains, and plot the size law of measured rocks.
 
 python scenarios/terrain/gallery.py                     # writes docs/images/gallery/
 python scenarios/terrain/gallery.py --out out/gallery --only mare
@@ -19,9 +19,9 @@ from lunarsim.simulation.picture import render
 
 SCENARIOS = Path(__file__).parents[1]
 DATA = SCENARIOS / "data"
-PICTURES = SCENARIOS.parent / "docs" / "images" / "gallery"
+GALLERY = SCENARIOS.parent / "docs" / "images" / "gallery"
 _ROCKS: dict[str, Any] = {"cover": 0.03, "min_diameter_m": 0.2, "shape": "mixed"}
-# The Sun stands in the west unless a scene says otherwise.
+# The default Sun azimuth is west.
 SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "mare": (
         {"terrain": {"preset": "mare", "size_m": 300.0}, "rocks": _ROCKS | {"cover": 0.01}},
@@ -86,10 +86,10 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 def draw_rock_law(out: Path) -> str:
-    """Draw measured rocks beside Golombek's law, fit its cover, and say what came out.
+    """Plot measured rocks with Golombek's law, fit its cover, and return a summary.
 
-    12,627 rocks that a shadow detector found in a HiRISE image of 3289 x 6824 m. Small rocks cast
-    too few pixels of shadow and are missed, so the fit uses 1.5 to 4 m alone.
+    The data are 12,627 rocks that a shadow detector found in a HiRISE image of 3289 x 6824 m. Small
+    rocks cast shadows of too few pixels and are missed, so the fit uses only 1.5 to 4 m.
     """
     from scipy.optimize import minimize_scalar
 
@@ -119,7 +119,7 @@ def draw_rock_law(out: Path) -> str:
         ax.loglog(d, golombek_number(d, other), style, color="0.6", label=f"Golombek, k = {other}")
     ax.axvspan(low, high, color="0.93", zorder=0)
     ax.set(
-        xlabel="diameter, m", ylabel="rocks of this diameter or more, per m$^2$",
+        xlabel="Diameter (m)", ylabel="Rocks of this diameter or more (1/m$^2$)",
         xlim=(0.4, 8.0), ylim=(0.5 / area, 3.0),
     )  # fmt: skip
     ticks = [0.5, 1.0, 2.0, 4.0, 8.0]
@@ -132,9 +132,10 @@ def draw_rock_law(out: Path) -> str:
 
 
 def draw_shadow_crops(out: Path) -> str:
-    """Draw shadows pixel by pixel with the places where their tips should be.
+    """Plot rendered shadows pixel by pixel with the computed positions of their tips.
 
-    A cube, a half sphere and a half ellipsoid, each 2 m wide, on a level plane, Sun in the west.
+    A cube, a hemisphere and a half ellipsoid, each 2 m wide, on a horizontal plane,
+    Sun in the west.
     """
     from lunarsim.frames import sensor_axes
     from lunarsim.grid import Grid
@@ -184,17 +185,19 @@ def draw_shadow_crops(out: Path) -> str:
                 if k == 0:
                     ax.set_ylabel(f"{name}\n{title}", fontsize=7, rotation=0, ha="right",
                                   va="center")  # fmt: skip
-    figure.suptitle("Shadows as rendered; orange: the tip by the closed form")
+    figure.suptitle("Rendered shadows; orange: position of the tip in closed form")
     save(figure, out / "shadows.png")
     return "shadows.png: 48 crops"
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=PICTURES,
-    show_default="docs/images/gallery", help="Folder for the pictures.",
+    "--out", type=click.Path(path_type=Path), default=GALLERY,
+    show_default="docs/images/gallery", help="Output folder of the images.",
 )  # fmt: skip
-@click.option("--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="One picture alone.")
+@click.option(
+    "--only", type=click.Choice([*SCENES, "rocks", "shadows"]), help="Generate only this image."
+)
 def main(out: Path, only: str | None) -> None:
     """Render the gallery."""
     out.mkdir(parents=True, exist_ok=True)

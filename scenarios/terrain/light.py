@@ -1,4 +1,4 @@
-"""One place under the plain light and under all that `[sun]` offers, side by side.
+"""Render one scene with the plain light and with all effects of `[sun]`.
 
 python scenarios/terrain/light.py --out docs/images
 """
@@ -22,7 +22,7 @@ from lunarsim.viz.style import new_figure, save
 from lunarsim.world.light import FULL_EARTH, SUN_DIAMETER, Light
 
 SCENARIOS = Path(__file__).parents[1]
-# What is added, in order; each row of pictures has its own Sun and height.
+# Effects in the order in which they are added.
 STEPS = {
     "plain": {},
     "the Sun's disc": {"diameter": SUN_DIAMETER},
@@ -34,8 +34,8 @@ STEPS = {
 ROWS = ((3.0, 25.0, 2.5), (20.0, 60.0, 2.5))
 
 
-def picture(world, light: Light, altitude: float) -> NDArray[np.float32]:
-    """Return I/F (240, 320), four rays a pixel, 30 deg off nadir."""
+def render_image(world, light: Light, altitude: float) -> NDArray[np.float32]:
+    """Return I/F (240, 320), four rays per pixel, 30 deg off nadir."""
     camera = Camera.with_field_of_view(640, 480, 50.0)
     state = camera_state(camera, world, (10.0, -15.0), altitude, np.radians(30.0), 0.0)
     drawn = renderer_of(world.terrain).render(camera.view(state), light).radiance
@@ -43,12 +43,12 @@ def picture(world, light: Light, altitude: float) -> NDArray[np.float32]:
 
 
 @click.command()
-@click.option("--scenario", default="highland", show_default=True, help="Whose ground is seen.")
-@click.option("--seed", default=1, show_default=True, help="Of rocks and mottles.")
+@click.option("--scenario", default="highland", show_default=True, help="Scenario of the terrain.")
+@click.option("--seed", default=1, show_default=True, help="Random seed of rocks and albedo.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True,
-              help="Folder for the picture.")  # fmt: skip
+              help="Output folder of the image.")  # fmt: skip
 def main(scenario: str, seed: int, out: Path) -> None:
-    """Draw the pictures."""
+    """Render the images."""
     world = build_world(
         Scenario.load(SCENARIOS / f"{scenario}.toml"), Streams(flight_seed(seed, 0))
     )
@@ -58,8 +58,8 @@ def main(scenario: str, seed: int, out: Path) -> None:
         light = Light(np.radians(250.0), np.radians(elevation), mottle_seed=seed)
         for ax, (name, more) in zip(row, STEPS.items(), strict=True):
             light = replace(light, **more)
-            image = picture(world, light, altitude)
-            # Shadows are stretched so that what is in them shows.
+            image = render_image(world, light, altitude)
+            # The shadows are stretched to make their content visible.
             bright = np.percentile(image, 99.0)
             ax.imshow(np.clip(image / bright, 0.0, 1.0) ** (1.0 / power), cmap="gray", vmin=0.0,
                       vmax=1.0)  # fmt: skip

@@ -1,11 +1,11 @@
-"""Whether the detail below a measured relief's posts carries on what the relief shows above them.
+"""Compare generated detail with the measured relief by structure functions.
 
     python scenarios/terrain/structure.py --scenario scenarios/apollo15.toml --out out/terrain
 
-First differences over a lag (the structure function) are ruled by the large slopes; second
-differences, z(x - lag) - 2 z(x) + z(x + lag), know nothing of a slope that is the same on both
-sides, so they show how rough the ground is at that scale. Divided by the lag they are level where
-the ground looks alike at every scale, as ground covered by craters in equilibrium does.
+First differences over a lag (the structure function) are dominated by large slopes. Second
+differences, z(x - lag) - 2 z(x) + z(x + lag), do not depend on a constant slope; they measure the
+roughness at that scale. Divided by the lag they are constant if the terrain is self-similar, as
+terrain covered by craters in equilibrium is.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ LAGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 
 
 def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tuple[float, float]:
-    """Return the root mean square first and second difference over a lag, m; NaN off the posting.
+    """Return the RMS first and second difference over a lag, m; NaN off the posting.
 
     Parameters
     ----------
     relief
-        The ground.
+        Terrain.
     lag
-        m.
+        Horizontal distance, m.
     box
-        West, east, south and north limit of what is used, m.
+        West, east, south and north limit of the used area, m.
     """
     grid = relief.grid
     step = round(lag / grid.posting)
@@ -60,7 +60,7 @@ def differences(relief: Heightfield, lag: float, box: tuple[float, ...]) -> tupl
 
 
 def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
-    """Return the relief as filed, smoothed within its steps and refined, and with the detail."""
+    """Return the relief as filed, refined, and with generated detail."""
     filed = load_dtm(ground.path, posting=ground.dtm_posting, window=ground.dtm_window)
     return {
         "as filed": filed.scaled(ground.relief_scale),
@@ -70,7 +70,7 @@ def reliefs(ground: MeasuredGround) -> dict[str, Heightfield]:
 
 
 def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
-    """Draw second differences over the lag, and first ones."""
+    """Plot first and second differences divided by the lag."""
     figure = new_figure(9.6, 4.2)
     panels = figure.subplots(1, 2)
     titles = ("first differences / lag", "second differences / lag")
@@ -82,8 +82,8 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
         panel.axvline(posting, color="#999999", lw=1)
         panel.set_xscale("log")
         panel.set_ylim(bottom=0.0)
-        panel.set_xlabel("lag (m); line: measured posting")
-        panel.set_ylabel("root mean square / lag")
+        panel.set_xlabel("Lag (m); line: measured posting")
+        panel.set_ylabel("RMS / lag")
         panel.set_title(title)
         panel.grid(alpha=0.3)
     panels[0].legend()
@@ -93,27 +93,27 @@ def draw(rows: dict[str, np.ndarray], posting: float, path: Path) -> None:
 @click.command()
 @click.option("--scenario", type=click.Path(path_type=Path, exists=True, dir_okay=False),
               default=Path(__file__).parents[1] / "apollo15.toml", show_default="apollo15.toml",
-              help="A scenario on measured ground.")  # fmt: skip
+              help="Scenario with measured terrain.")  # fmt: skip
 @click.option("--box", nargs=4, type=float, default=(-256.0, 24.0, -256.0, 256.0),
               show_default=True,
-              help="West, east, south, north limit of what is used, m: the plain.")  # fmt: skip
+              help="West, east, south, north limit of the area (m).")  # fmt: skip
 @click.option("--json", "json_file", type=click.Path(path_type=Path, dir_okay=False), default=None,
-              help="Write the figures to this file.")  # fmt: skip
+              help="Output file of the values.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the figure.")  # fmt: skip
+              help="Output folder of the figure.")  # fmt: skip
 def main(scenario: Path, box: tuple[float, ...], json_file: Path | None, out: Path | None) -> None:
-    """Print the roughness of a measured ground by scale, with and without detail."""
+    """Print the roughness of measured terrain with and without detail."""
     ground = Scenario.load(scenario).terrain.make()
     if not isinstance(ground, MeasuredGround):
-        raise click.BadParameter(f"{scenario}: its ground is not measured", param_hint="--scenario")
+        raise click.BadParameter(f"{scenario}: must have measured terrain", param_hint="--scenario")
     found = reliefs(ground)
     rows = {n: np.array([differences(r, lag, box) for lag in LAGS]) for n, r in found.items()}
-    # Rounding to steps adds the variance of as many values as go into a difference.
+    # Rounding to height steps adds the variance of each value in a difference.
     step = (ground.height_step or 0.0) * ground.relief_scale
     noise = step**2 / 12.0 * np.array([2.0, 6.0])
     rows["as filed, less rounding"] = np.sqrt(np.maximum(rows["as filed"] ** 2 - noise, 0.0))
-    table = Table(title=f"{scenario.stem}: root mean square difference over the lag, by lag")
-    table.add_column("lag m", justify="right")
+    table = Table(title=f"{scenario.stem}: RMS difference / lag")
+    table.add_column("lag (m)", justify="right")
     for order in ("first", "second"):
         for name in rows:
             table.add_column(f"{order}, {name}", justify="right")

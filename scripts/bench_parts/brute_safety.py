@@ -1,4 +1,4 @@
-"""The exact map without any bound: every cell of every polygon above every plane."""
+"""Compute the exact safety map by brute force, without bounds, as a reference."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def brute(z, grid, lander):
     return out[:, : z.size].reshape(2, *grid.shape)
 
 
-def grounds(grid):
-    """Return ground by name: rocks, relief and whatever the exact map was found to be slow on."""
+def terrains(grid):
+    """Return terrains by name, including cases in which the exact map was slow."""
     from lunarsim.world.terrain import fractal_relief
 
     rng = np.random.default_rng(0)
@@ -107,7 +107,7 @@ def grounds(grid):
 
 
 def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
-    """Print the exact map's time a cell and thread, and its ratio to that of brute force."""
+    """Print the exact map's time per cell and its ratio to brute force."""
     import numba
 
     from lunarsim.grid import Grid
@@ -119,11 +119,14 @@ def compare(lander, width: float = 25.0, posting: float = 0.1) -> None:
     threads = numba.get_num_threads()
     numba.set_num_threads(1)
     plain = 1e3 * median_ms(lambda: brute(np.zeros(grid.shape), grid, lander), 3) / sites
-    print(f"  exact map at {posting} m, one thread: us a site; ratio to brute force's {plain:.2f}")
-    for name, z in grounds(grid).items():
+    print(
+        f"  exact map at {posting} m, one thread: us per site; ratio to brute force ({plain:.2f} "
+        f"us)"
+    )
+    for name, z in terrains(grid).items():
         ours = 1e3 * median_ms(lambda z=z: exact_safety(z, grid, lander), 3) / sites
         print(f"    {name:16s} {ours:5.2f}  {ours / plain:.2f}")
         rough = exact_safety(z, grid, lander).roughness - brute(z, grid, lander)[1]
         if np.abs(rough[inner, inner]).max() > 1e-4:
-            raise AssertionError(f"the exact map of {name} is not that of brute force")
+            raise AssertionError(f"terrain {name}: the exact map and brute force must agree")
     numba.set_num_threads(threads)

@@ -1,4 +1,4 @@
-"""What flights of a campaign cost, and from that a million of them on a cluster."""
+"""Measure the cost of campaign flights and extrapolate it to a million flights."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 
 from bench_parts.common import ROOT
 
-# Scenario, what maps its hazards, flights that are timed.
-_FLOWN = (
+# Scenario, hazard mapper, number of timed flights.
+_TIMED_FLIGHTS = (
     ("hirise", "Gaussian DEM", 5),
     ("hard", "Gaussian DEM, one scan", 5),
     ("morpheus", "quadtree", 1),
     ("shadow_nominal", "shadows", 1),
 )
-_MANY, _CORES, _PRICE = 1_000_000, 640, 0.04
-# Rows that the writer is timed over.
-_WRITTEN = 2000
+_FLIGHT_COUNT, _CORES, _USD_PER_CORE_HOUR = 1_000_000, 640, 0.04
+# Number of rows for the timing of the writer.
+_ROW_COUNT = 2000
 
 
 def worlds(folder: Path) -> None:
-    """Print what a world and the truth about it cost, and a flight without and with them kept."""
+    """Print the cost of a world, and of a flight with and without the cache."""
     from lunarsim.campaign.cache import opened
     from lunarsim.campaign.grounds import Grounds
     from lunarsim.rng import flight_seed
@@ -44,12 +44,12 @@ def worlds(folder: Path) -> None:
             took[name].append(float(cost))
         del world
     cache = opened(folder / "worlds")
-    told = ", ".join(f"{name} {np.median(costs[1:]):.2f} s" for name, costs in took.items())
+    costs_text = ", ".join(f"{name} {np.median(costs[1:]):.2f} s" for name, costs in took.items())
     cold, filled, warm = (_seconds("hard", 4, kept) for kept in (None, cache, cache))
     size = np.mean([p.stat().st_size for p in (folder / "worlds").glob("??/*.npz")])
     print(
-        f"  hard, processor time: {told}; a flight {cold:.2f} s without a cache, {filled:.2f} s "
-        f"filling one, {warm:.2f} s from it; {2.0 * size / 1e6:.1f} MB kept of a world"
+        f"  hard, processor time: {costs_text}; flight {cold:.2f} s without cache, {filled:.2f} s "
+        f"with filling it, {warm:.2f} s from it; {2.0 * size / 1e6:.1f} MB per cached world"
     )
 
 
@@ -61,40 +61,44 @@ def _world(grounds: Any, scenario: Any) -> Any:
 
 
 def million(folder: Path, row_bytes: float) -> None:
-    """Print what a million flights cost, by what maps hazards."""
-    write = _writing(folder)
+    """Print the cost of a million flights by hazard mapper."""
+    write = _writer_time(folder)
     print(
-        f"  the writer takes {1e3 * write:.2f} ms of a core a row, {1.0 / write:.0f} a second; "
-        f"a row is {row_bytes:.0f} bytes of Parquet, {_MANY:,} are {_MANY * row_bytes / 1e9:.2f} GB"
+        f"  writer: {1e3 * write:.2f} ms per row on one core, {1.0 / write:.0f} rows per second; "
+        f"{row_bytes:.0f} bytes of Parquet per row, {_FLIGHT_COUNT * row_bytes / 1e9:.2f} GB for "
+        f"{_FLIGHT_COUNT:,} rows"
     )
-    print(f"  {_MANY:,} flights, {_CORES} cores, {_PRICE} USD a core-hour:")
-    print("  | mapper | s of a core | core-hours | hours | USD | cores the writer keeps up with |")
-    for name, mapper, flights in _FLOWN:
+    print(f"  {_FLIGHT_COUNT:,} flights, {_CORES} cores, {_USD_PER_CORE_HOUR} USD a core-hour:")
+    print(
+        "  | mapper | core time per flight (s) | core-hours | hours | USD | max cores for one "
+        "writer |"
+    )
+    for name, mapper, flights in _TIMED_FLIGHTS:
         each = _seconds(name, flights, None)
-        hours = _MANY * each / 3600.0
+        hours = _FLIGHT_COUNT * each / 3600.0
         print(
             f"  | {mapper} (`{name}.toml`) | {each:.2f} | {hours:,.0f} | {hours / _CORES:.1f} | "
-            f"{_PRICE * hours:,.0f} | {each / write:,.0f} |"
+            f"{_USD_PER_CORE_HOUR * hours:,.0f} | {each / write:,.0f} |"
         )
 
 
-def _writing(folder: Path) -> float:
-    """Return the processor time of the writer for a row of a real campaign's columns, s."""
+def _writer_time(folder: Path) -> float:
+    """Return the processor time of the campaign writer per row, s."""
     from dataclasses import replace
 
     from lunarsim.campaign.flying import plan_of
     from lunarsim.campaign.outcomes import FLOWN, Finished
     from lunarsim.campaign.store import Store
 
-    plan = replace(plan_of(_spec("hirise", _WRITTEN)), identity={})
+    plan = replace(plan_of(_spec("hirise", _ROW_COUNT)), identity={})
     kinds = {"bool": True, "int": 3, "float": 1.25, "text": "rate"}
     row = {name: kinds[kind] for name, kind in plan.columns.items()}
     store = Store.open(folder / "written", plan)
     began = time.process_time()
-    for index in range(_WRITTEN):
+    for index in range(_ROW_COUNT):
         store.add(Finished(index, 0, FLOWN, row))
     store.close("complete")
-    return (time.process_time() - began) / _WRITTEN
+    return (time.process_time() - began) / _ROW_COUNT
 
 
 def _spec(name: str, flights: int) -> Any:
@@ -105,7 +109,7 @@ def _spec(name: str, flights: int) -> Any:
 
 
 def _seconds(name: str, flights: int, cache: Any) -> float:
-    """Return the processor time of a flight, median; the first, which compiles, is left out."""
+    """Return the median processor time of a flight without compilation, s."""
     from lunarsim.campaign.flying import fly, plan_of
     from lunarsim.campaign.plan import Group
 

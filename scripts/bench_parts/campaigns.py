@@ -1,4 +1,4 @@
-"""Campaigns: what the machinery costs beside the flights."""
+"""Measure the overhead of campaigns beyond the flights."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ import numpy as np
 from bench_parts.campaign_costs import million, worlds
 from bench_parts.common import ROOT
 
-# Flights that cost nothing, of nothing and of hirise for memory's test, rows of the report's.
-_EMPTY, _SHORTS, _REAL, _ROWS = 3000, (1000, 5000, 15_000), 16, 1_000_000
-# Tasks that two processes share, and turns of a loop in each: some tenths of a second.
+# Empty flights of the overhead test, of the memory test; hirise flights of the memory test; rows of
+# the report test.
+_OVERHEAD_FLIGHTS, _MEMORY_COUNTS, _MEMORY_FLIGHTS, _ROWS = (
+    3000, (1000, 5000, 15_000), 16, 1_000_000
+)  # fmt: skip
+# Number of tasks for two processes, and loop iterations of each: some tenths of a second.
 _TASKS, _TURNS = 24, 4_000_000
 
 
 def campaign() -> None:
-    """Overhead, two jobs against one, memory, the report of a million rows, and what they cost."""
+    """Overhead, two jobs against one, memory, report of a million rows, and cost."""
     with tempfile.TemporaryDirectory() as folder:
         _memory(Path(folder))
         _jobs(Path(folder))
@@ -34,12 +37,12 @@ def campaign() -> None:
 
 
 def nothing(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Fly nothing; tell this process's memory."""
+    """Return a result without a flight; report the memory of this process."""
     return {"safe": group.flight % 3 > 0, "mib": _mib(), **dict.fromkeys("abcdefgh", 1.5)}
 
 
 def measured(study: Any, group: Any, arm: int, memory: Any) -> dict[str, Any]:
-    """Fly; tell this process's memory."""
+    """Fly; report the memory of this process."""
     from lunarsim.campaign.flying import fly
 
     return {"safe": fly(study, group, arm, memory)["safe"], "mib": _mib()}
@@ -69,7 +72,7 @@ def _plan(flights: int, function: str, study: Any = None) -> Any:
 
 
 def _overhead(folder: Path) -> None:
-    """Print processor time of the machinery a flight, and what share of a bare flight it is."""
+    """Print the overhead per flight, and its fraction of a flight."""
     from lunarsim.campaign.cache import opened
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.flying import plan_of
@@ -79,12 +82,12 @@ def _overhead(folder: Path) -> None:
     from lunarsim.campaign.spec import CampaignSpec
 
     took = []
-    for flights in (100, 100, 100 + _EMPTY):  # the first loads what is loaded late
+    for flights in (100, 100, 100 + _OVERHEAD_FLIGHTS):  # the first run includes late imports
         began, wall = _processor(), time.perf_counter()
         run(_plan(flights, "nothing"), LocalEngine(1), folder / f"empty-{len(took)}")
         took.append((_processor() - began, time.perf_counter() - wall))
     _, (few, few_wall), (many, many_wall) = took
-    machinery, waited = (many - few) / _EMPTY, (many_wall - few_wall) / _EMPTY
+    machinery, waited = (many - few) / _OVERHEAD_FLIGHTS, (many_wall - few_wall) / _OVERHEAD_FLIGHTS
     name = ROOT / "scenarios" / "hirise.toml"
     spec = CampaignSpec.from_dict({"scenario": str(name), "flights": 8, "seed": 1})
     bare = {}
@@ -99,15 +102,16 @@ def _overhead(folder: Path) -> None:
             times.append(time.process_time() - began)
         bare[label] = float(np.median(times))
     print(
-        f"  machinery: {1e3 * machinery:.2f} ms of processors a flight ({1e3 * waited:.2f} ms of "
-        f"wall-clock time); a bare flight of hirise on one thread {1e3 * bare['cold']:.0f} ms, "
-        f"{1e3 * bare['warm']:.0f} ms with truth from the cache: overhead "
+        f"  overhead: {1e3 * machinery:.2f} ms of processor time per flight ({1e3 * waited:.2f} ms "
+        f"of "
+        f"wall-clock time); a flight of hirise alone on one thread {1e3 * bare['cold']:.0f} ms, "
+        f"{1e3 * bare['warm']:.0f} ms with truth from the cache: fraction "
         f"{100.0 * machinery / bare['cold']:.2f} and {100.0 * machinery / bare['warm']:.2f} %"
     )
 
 
 def _jobs(folder: Path) -> None:
-    """Print how much faster two jobs are than one, and two bare processes at the same time."""
+    """Print the speed-up of two jobs over one, and that of two bare processes."""
     from lunarsim.campaign.engines.local import LocalEngine
     from lunarsim.campaign.results import load_results
     from lunarsim.campaign.run import run
@@ -118,7 +122,7 @@ def _jobs(folder: Path) -> None:
         for jobs in (1, 2):
             at: list[float] = []
             plan = _plan(_TASKS, "turns", _TURNS)
-            # From the first flight's end on: workers take seconds to start, once.
+            # Timed from the end of the first flight, because workers take seconds to start.
             run(
                 plan, LocalEngine(jobs), folder / f"jobs-{turn}-{jobs}",
                 progress=lambda n, at=at: at.append(time.perf_counter()),
@@ -129,15 +133,15 @@ def _jobs(folder: Path) -> None:
         bare.append(_bare(1) / _bare(2))
     ours, theirs = float(np.median(engine)), float(np.median(bare))
     print(
-        f"  two jobs against one: {ours:.2f} times; two bare processes against one at the same "
+        f"  speed-up of two jobs: {ours:.2f}; of two bare processes at the same "
         f"time: {theirs:.2f} ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}): "
-        f"{100.0 * ours / theirs:.0f} % of what the machine gave; workers had a flight in the air "
+        f"{100.0 * ours / theirs:.0f} % of the possible; workers were flying "
         f"{100.0 * float(np.median(busy)):.1f} % of the time"
     )
 
 
 def _busy(timing: Any) -> float:
-    """Return the share of time, from a worker's first flight to its last, that it was flying."""
+    """Return the fraction of time that workers were flying."""
     shares = []
     for _, one in timing.groupby("worker"):
         ended = one["finished_unix_s"].to_numpy()
@@ -147,7 +151,7 @@ def _busy(timing: Any) -> float:
 
 
 def _bare(processes: int) -> float:
-    """Return the time that a task takes when so many processes share them, s."""
+    """Return the time per task when several processes share the tasks, s."""
     each = _TASKS // processes
     code = (
         "import time; from bench_parts.campaigns import spin; began = time.perf_counter()\n"
@@ -173,49 +177,50 @@ def _memory(folder: Path) -> None:
 
     ours: list[float] = []
     run(
-        _plan(_SHORTS[-1], "nothing"), LocalEngine(1), folder / "memory",
+        _plan(_MEMORY_COUNTS[-1], "nothing"), LocalEngine(1), folder / "memory",
         progress=lambda n: ours.append(_mib()),
     )  # fmt: skip
     theirs = load_results(folder / "memory", ["mib"]).table["mib"].to_numpy()
-    told = [
-        f"{label} {', '.join(f'{at[n - 1]:.0f}' for n in _SHORTS)} MiB"
+    memory_text = [
+        f"{label} {', '.join(f'{at[n - 1]:.0f}' for n in _MEMORY_COUNTS)} MiB"
         for label, at in (("driver", ours), ("worker", theirs))
     ]
-    counts = ", ".join(map(str, _SHORTS))
-    print(f"  memory after {counts} flights of nothing (a part is 5000): " + "; ".join(told))
+    counts = ", ".join(map(str, _MEMORY_COUNTS))
+    print(f"  memory after {counts} empty flights (part size 5000): " + "; ".join(memory_text))
     name = ROOT / "scenarios" / "hirise.toml"
-    spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _REAL, "seed": 1})
-    plan = _plan(_REAL, "measured", plan_of(spec).work.study)
+    spec = CampaignSpec.from_dict({"scenario": str(name), "flights": _MEMORY_FLIGHTS, "seed": 1})
+    plan = _plan(_MEMORY_FLIGHTS, "measured", plan_of(spec).work.study)
     run(plan, LocalEngine(1), folder / "real")
     real = load_results(folder / "real", ["mib"]).table["mib"].to_numpy()
     print(
-        f"  a worker's memory after 2, {_REAL // 2} and {_REAL} flights of hirise: "
-        f"{real[1]:.0f}, {real[_REAL // 2 - 1]:.0f} and {real[-1]:.0f} MiB"
+        f"  memory of a worker after 2, {_MEMORY_FLIGHTS // 2} and {_MEMORY_FLIGHTS} flights of "
+        f"hirise: "
+        f"{real[1]:.0f}, {real[_MEMORY_FLIGHTS // 2 - 1]:.0f} and {real[-1]:.0f} MiB"
     )
 
 
 def _report(folder: Path) -> float:
-    """Print how long the report of a million rows takes; return the bytes of a row."""
+    """Print the time of a report of a million rows; return the bytes per row."""
     from lunarsim.campaign.engines.inline import InlineEngine
     from lunarsim.campaign.report import write_report
     from lunarsim.campaign.run import run
 
     out = folder / "rows"
     run(_plan(1, "nothing"), InlineEngine(), out)
-    _filled(out, _ROWS)
+    _fill_with_rows(out, _ROWS)
     began, wall = time.process_time(), time.perf_counter()
     write_report(out, out / "report.html")
     print(
-        f"  report of {_ROWS:,} rows of four arms: {time.process_time() - began:.1f} s of a "
-        f"processor, {time.perf_counter() - wall:.1f} s of wall-clock time, "
+        f"  report of {_ROWS:,} rows of four arms: {time.process_time() - began:.1f} s of "
+        f"processor time, {time.perf_counter() - wall:.1f} s of wall-clock time, "
         f"{(out / 'report.html').stat().st_size / 1e6:.1f} MB"
     )
     parts = [p for kind in ("results", "timing") for p in (out / kind).glob("*.parquet")]
     return sum(p.stat().st_size for p in parts) / _ROWS
 
 
-def _filled(out: Path, rows: int) -> None:
-    """Put so many rows, drawn, with the columns of real flights, into a campaign's folder."""
+def _fill_with_rows(out: Path, rows: int) -> None:
+    """Fill the folder of a campaign with random rows that have the columns of flights."""
     import json
 
     import pyarrow as pa
@@ -274,6 +279,6 @@ def _processor() -> float:
 
 
 def _mib() -> float:
-    """Return the memory that this process holds now, MiB."""
+    """Return the current memory of this process, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 2**20

@@ -1,4 +1,4 @@
-"""The whole loop."""
+"""Measure the speed of the complete closed loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bench_parts.common import ROOT
 
 
 def frames() -> None:
-    """Pictures of an environment, one after each decision of a flight, beside the flight itself."""
+    """Frames of an environment, one per decision, compared with the flight itself."""
     import gymnasium
 
     env = gymnasium.make("lunarsim_envs:lunarsim/Retarget-v0", render_mode="rgb_array")
@@ -31,13 +31,13 @@ def frames() -> None:
     ordered = sorted(drawn)
     print(
         f"  {len(drawn)} frames of 800 x 360: median {1e3 * ordered[len(drawn) // 2]:.1f} ms, "
-        f"greatest {1e3 * ordered[-1]:.1f} ms; a step of the environment takes "
+        f"maximum {1e3 * ordered[-1]:.1f} ms; an environment step takes "
         f"{1e3 * sorted(stepped)[len(stepped) // 2]:.1f} ms"
     )
 
 
 def flight() -> None:
-    """One closed-loop flight on one thread, against real time."""
+    """One closed-loop flight on one thread, relative to real time."""
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
@@ -55,7 +55,7 @@ def flight() -> None:
             posting = next(iter(scenario.mappers.values())).posting_m
             print(
                 f"  {name:9s} flight {index}: {record.duration:5.1f} s flown in {took:5.2f} s, "
-                f"{record.duration / took:5.1f} times real time ({scans} scans, map at "
-                f"{posting} m, world built too)"
+                f"{record.duration / took:5.1f} times real time ({scans} scans, map posting "
+                f"{posting} m, including world generation)"
             )
     numba.set_num_threads(threads)

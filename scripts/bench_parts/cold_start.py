@@ -1,4 +1,4 @@
-"""What a first flight waits for."""
+"""Measure the time of a first flight without compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
-# Runs the command line, and prints the processor time of its process and of those it waited for.
+# Runs the command line and prints the processor time of its process and of its child processes.
 _RUN = """
 import atexit, resource, sys
 
@@ -25,23 +25,23 @@ main()
 
 
 def _run(*words: str, cores: int | None = None) -> tuple[float, float, float]:
-    """Return processor time (s) of a command, of its helper, and wall-clock time, kernels gone."""
+    """Return processor time of a command and its helper, and wall time, s."""
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         some = sorted(os.sched_getaffinity(0))[:cores]
-        begun = time.perf_counter()
+        start_s = time.perf_counter()
         done = subprocess.run(
             [sys.executable, "-c", _RUN, *words], env=environment, check=True, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=folder,
             preexec_fn=lambda: os.sched_setaffinity(0, some),
         )  # fmt: skip
-        wall = time.perf_counter() - begun
+        wall = time.perf_counter() - start_s
     own, beside = map(float, done.stdout.splitlines()[-1].split()[1:])
     return own, beside, wall
 
 
 def cold_start() -> None:
-    """`lunarsim` on a machine that has never run it: kernels are compiled first."""
+    """`lunarsim` on a machine without compiled kernels."""
     for label, words, cores in (
         ("lunarsim --help", ("--help",), None),
         ("fly hirise", ("fly", "hirise"), None),
@@ -50,6 +50,6 @@ def cold_start() -> None:
     ):
         own, beside, wall = _run(*words, cores=cores)
         print(
-            f"  {label}: {own:.2f} s of processor time, {beside:.2f} s in a process beside it, "
-            f"{wall:.1f} s on the clock"
+            f"  {label}: {own:.2f} s of processor time, {beside:.2f} s in a helper process, "
+            f"{wall:.1f} s wall-clock time"
         )

@@ -1,4 +1,4 @@
-"""What the parts share: timing and ground."""
+"""Timing functions and terrain for all parts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
-    """Return the median time of `call`, ms, after one call to warm up."""
+    """Return the median time of `call`, ms, after one call for compilation."""
     call()
     times = []
     for _ in range(repeats):
@@ -21,8 +21,8 @@ def median_ms(call: Callable[[], object], repeats: int = 9) -> float:
     return 1e3 * statistics.median(times)
 
 
-def yardstick_ms() -> float:
-    """Return the time of a fixed piece of other people's work, ms, by which to compare machines."""
+def reference_ms() -> float:
+    """Return the time of a fixed SciPy task, ms, as a reference between machines."""
     import numpy as np
     from scipy.spatial import Delaunay
 
@@ -32,8 +32,10 @@ def yardstick_ms() -> float:
     return median_ms(lambda: Delaunay(points), 3)
 
 
-def in_turns(calls: dict[str, Callable[[], object]], repeats: int = 11) -> dict[str, float]:
-    """Return the median time of each call, ms; they take turns, so that a slow minute hits all."""
+def alternating_medians(
+    calls: dict[str, Callable[[], object]], repeats: int = 11
+) -> dict[str, float]:
+    """Return the median time of each call, ms; the calls alternate."""
     for call in calls.values():
         call()
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -45,8 +47,8 @@ def in_turns(calls: dict[str, Callable[[], object]], repeats: int = 11) -> dict[
     return {name: 1e3 * statistics.median(one) for name, one in times.items()}
 
 
-class Timed:
-    """A function that counts its calls and their time."""
+class TimedFunction:
+    """A function wrapper that counts calls and their time."""
 
     def __init__(self, function):
         self.function = function
@@ -54,7 +56,7 @@ class Timed:
         self.calls = 0
 
     def __call__(self, *args, **more):
-        """Call it."""
+        """Call the function and add its time."""
         began = time.perf_counter()
         result = self.function(*args, **more)
         self.seconds += time.perf_counter() - began
@@ -62,7 +64,7 @@ class Timed:
         return result
 
 
-def square(slope_deg: float, count: int, posting: float, side: float, seed: int = 0):
+def make_terrain(slope_deg: float, count: int, posting: float, side: float, seed: int = 0):
     """Return a square of fractal relief with `count` rocks by the Golombek law."""
     import numpy as np
 
@@ -74,7 +76,7 @@ def square(slope_deg: float, count: int, posting: float, side: float, seed: int 
     rng = np.random.default_rng(seed)
     grid = Grid.centred((0.0, 0.0), side, posting)
     relief = fractal_relief(grid, rng, hurst=0.8, rms_slope=np.radians(slope_deg))
-    # The least diameter at which a cover of 5 % gives this many rocks.
+    # Minimum diameter at which a cover of 5 % gives this number of rocks.
     sizes = np.geomspace(0.05, 2.0, 400)
     least = float(np.interp(-count / side**2, -golombek_number(sizes, 0.05), sizes))
     diameters = sample_diameters(side**2, 0.05, least, 3.0, rng)

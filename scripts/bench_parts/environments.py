@@ -1,4 +1,4 @@
-"""Environments beside those that people learn in today."""
+"""Measure the speed of the environments and of other common environments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 import lunarsim_envs
 
-# Peers have an environment of their own: one of them wants an older NumPy.
+# The other packages have their own virtual environment, because one requires an older NumPy.
 _PEERS = Path(__file__).parents[2] / "out" / "bench" / "peers"
 _PACKAGES = ("gymnasium[box2d]", "PyFlyt", "setuptools<81")
 _SECONDS = 3.0
@@ -39,42 +39,42 @@ print("steps", steps / (time.perf_counter() - begun))
 
 
 def _peer(name: str) -> float:
-    """Return steps a second of a peer under random actions, resets included; NaN where it lacks."""
+    """Return steps per second of another environment; NaN if missing."""
     python = _PEERS / "bin" / "python"
     if not python.exists():
-        print(f"  making {_PEERS} for the peers: {', '.join(_PACKAGES)}", flush=True)
+        print(f"  creating {_PEERS} for {', '.join(_PACKAGES)}", flush=True)
         subprocess.run([sys.executable, "-m", "venv", str(_PEERS)], check=True)
         subprocess.run([str(python), "-m", "pip", "install", "--quiet", *_PACKAGES], check=False)
     done = subprocess.run(
         [str(python), "-c", _PEER, name, str(_SECONDS)], capture_output=True, text=True, check=False
     )
-    told = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("steps ")]
-    if not told:
-        print(f"  {name} is missing: {done.stderr.strip().splitlines()[-1:]}")
+    values = [line.split()[1] for line in done.stdout.splitlines() if line.startswith("steps ")]
+    if not values:
+        print(f"  {name} is not available: {done.stderr.strip().splitlines()[-1:]}")
         return float("nan")
-    return float(told[0])
+    return float(values[0])
 
 
 def _single(name: str, clock: Callable[[], float] = time.perf_counter, **settings: Any) -> float:
-    """Return steps a second of one environment under random actions, resets included."""
+    """Return steps per second of an environment with random actions and resets."""
     env = gymnasium.make(name, **settings)
     env.reset(seed=1)
     env.action_space.seed(1)
-    steps, begun = -500, clock()
-    while clock() - begun < _SECONDS or steps < 1:
+    steps, start_s = -500, clock()
+    while clock() - start_s < _SECONDS or steps < 1:
         if steps == 0:
-            begun = clock()
+            start_s = clock()
         *_, terminated, truncated, _ = env.step(env.action_space.sample())
         steps += 1
         if terminated or truncated:
             env.reset()
-    return steps / (clock() - begun)
+    return steps / (clock() - start_s)
 
 
 def _retarget() -> None:
-    """Decisions a second of a core in Retarget-v0 by perception, and what a map takes.
+    """Print decisions per second and core in Retarget-v0 by perception, and map times.
 
-    On one thread, by the time of the processor: other work beside it does not count.
+    One thread and processor time, so that other work on the machine has no effect.
     """
     name, threads = "lunarsim/Retarget-v0", numba.get_num_threads()
     numba.set_num_threads(1)
@@ -89,16 +89,16 @@ def _retarget() -> None:
         given: dict[str, Any] = settings | ({"worlds": 8} if settings else {})
         env = gymnasium.make(name, **given)
         rate = _single(name, time.process_time, **given)
-        asked = "" if wanted is None else f" (asked: {wanted})"
-        print(f"  {name}, {words}: {rate:,.1f} steps/s a core{asked}{_map_time(env)}")
+        asked = "" if wanted is None else f" (target: {wanted})"
+        print(f"  {name}, {words}: {rate:,.1f} steps/s per core{asked}{_map_time(env)}")
     numba.set_num_threads(threads)
     for count in (16, 64):
         many = _batch_of_choices(count)
-        print(f"  {name}, surrogate, {count} lanes on {threads} threads: {many:,.0f} steps/s")
+        print(f"  {name}, surrogate, batch of {count} on {threads} threads: {many:,.0f} steps/s")
 
 
 def _map_time(env: gymnasium.Env[Any, Any]) -> str:
-    """Return in words what a map takes that kernels or a mapper draw, ms; nothing for others."""
+    """Return the time of a map as text, ms; empty for perceptions without maps."""
     lanes = getattr(env.unwrapped.flight, "lanes", None)  # type: ignore[attr-defined]
     if lanes is None:
         return ""
@@ -106,9 +106,9 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
     scan = lanes.scan
 
     def timed(due: Any) -> None:
-        begun = time.process_time()
+        start_s = time.process_time()
         scan(due)
-        taken.append(time.process_time() - begun)
+        taken.append(time.process_time() - start_s)
 
     lanes.scan = timed
     for seed in range(4):
@@ -117,11 +117,11 @@ def _map_time(env: gymnasium.Env[Any, Any]) -> str:
         while not over:
             *_, ended, late, _ = env.step(0)
             over = ended or late
-    return f", {1e3 * float(np.median(taken[2:])):.1f} ms a map"
+    return f", {1e3 * float(np.median(taken[2:])):.1f} ms per map"
 
 
 def _batch_of_choices(count: int) -> float:
-    """Return decisions a second of all lanes of Retarget-v0 together, new flights included."""
+    """Return decisions per second of a batch of Retarget-v0, including resets."""
     vector = gymnasium.make_vec(
         "lunarsim/Retarget-v0", num_envs=count, vectorization_mode="vector_entry_point", worlds=8
     )
@@ -129,30 +129,30 @@ def _batch_of_choices(count: int) -> float:
     keep = np.zeros(count, int)
     for _ in range(4):
         vector.step(keep)
-    steps, begun = 0, time.perf_counter()
-    while time.perf_counter() - begun < _SECONDS:
+    steps, start_s = 0, time.perf_counter()
+    while time.perf_counter() - start_s < _SECONDS:
         vector.step(keep)
         steps += 1
-    return steps * count / (time.perf_counter() - begun)
+    return steps * count / (time.perf_counter() - start_s)
 
 
 def _batch(name: str, count: int) -> float:
-    """Return steps a second of all lanes of a batch together, new flights included."""
+    """Return steps per second of a batch, including resets."""
     vector = gymnasium.make_vec(name, num_envs=count, vectorization_mode="vector_entry_point")
     vector.reset(seed=1)
     rng = np.random.default_rng(1)
     some = [rng.uniform(-0.3, 0.5, vector.action_space.shape).astype(np.float32) for _ in range(16)]
     for action in some:
         vector.step(action)
-    steps, begun = 0, time.perf_counter()
-    while time.perf_counter() - begun < _SECONDS:
+    steps, start_s = 0, time.perf_counter()
+    while time.perf_counter() - start_s < _SECONDS:
         vector.step(some[steps % 16])
         steps += 1
-    return steps * count / (time.perf_counter() - begun)
+    return steps * count / (time.perf_counter() - start_s)
 
 
 def envs() -> None:
-    """Steps a second beside PyFlyt's and Gymnasium's, and simulated seconds a second."""
+    """Steps per second relative to PyFlyt and Gymnasium; simulated seconds per second."""
     assert lunarsim_envs.__name__
     lander, rocket = _peer("LunarLander-v3"), _peer("PyFlyt/Rocket-Landing-v4")
     print(f"  LunarLander-v3 {lander:,.0f} steps/s, PyFlyt/Rocket-Landing-v4 {rocket:,.0f} steps/s")
@@ -161,15 +161,15 @@ def envs() -> None:
         one = _single(name)
         print(
             f"  {name}, one: {one:,.0f} steps/s, {one / rocket:.1f} of Rocket-Landing"
-            f"{' (asked: 10)' if level == 'Guidance' else ''}"
+            f"{' (target: 10)' if level == 'Guidance' else ''}"
         )
         for count in (256, 4096):
             many = _batch(name, count)
             print(
-                f"  {name}, {count} lanes on {numba.get_num_threads()} threads: {many:,.0f} "
-                f"steps/s, {many / lander:.1f} of LunarLander (asked: {wanted}), "
+                f"  {name}, batch of {count} on {numba.get_num_threads()} threads: {many:,.0f} "
+                f"steps/s, {many / lander:.1f} times LunarLander (target: {wanted}), "
                 f"{many / rate:,.0f} simulated s/s"
             )
     _retarget()
     again = _peer("LunarLander-v3")
-    print(f"  LunarLander-v3 once more: {again:,.0f} steps/s")
+    print(f"  LunarLander-v3 repeated: {again:,.0f} steps/s")

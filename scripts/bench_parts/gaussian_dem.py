@@ -1,4 +1,4 @@
-"""The Gaussian DEM and safety maps."""
+"""Measure the speed of the Gaussian DEM and of the safety maps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bench_parts.common import median_ms
 
 
 def gaussian_dem() -> None:
-    """65,536 returns from 500 m straight above to a safety map, against Qhull and ALHAT."""
+    """65,536 returns from 500 m at nadir to a safety map, relative to Qhull and ALHAT."""
     import numpy as np
 
     from bench_parts.brute_safety import compare
@@ -34,7 +34,7 @@ def _plane_with_rocks():
 
 
 def _scan(terrain, lidar, here):
-    """Return the returns (n, 3) of a flash straight down, and the detector's shape."""
+    """Return the returns (n, 3) of a flash at nadir, and the detector's shape."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -49,13 +49,13 @@ def _scan(terrain, lidar, here):
 
 
 def _triangulations(points, shape) -> float:
-    """Time triangulations against Qhull's; return its time, ms."""
+    """Time the triangulations; return the time of Qhull, ms."""
     from scipy.spatial import Delaunay
 
     from lunarsim.triangulation import delaunay, delaunay_of_image
 
     qhull = median_ms(lambda: Delaunay(points[:, :2]), 5)
-    print(f"  Delaunay: Qhull {qhull:.1f} ms; as ratios to it:")
+    print(f"  Delaunay: Qhull {qhull:.1f} ms; ratios to it:")
     for name, call in (
         ("detector image", lambda: delaunay_of_image(points[:, :2], shape)),
         ("any points", lambda: delaunay(points[:, :2])),
@@ -65,12 +65,12 @@ def _triangulations(points, shape) -> float:
 
 
 def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
-    """Time points to safety map on ever finer grids."""
+    """Time the step from points to safety map on increasingly fine grids."""
     from lunarsim.grid import Grid
     from lunarsim.onboard.hazards.gaussian_dem import gaussian_dem as build
     from lunarsim.safety import alhat_safety, conservative_safety, stochastic_safety
 
-    print("  points to safety map, ratio to Qhull's triangulation alone; baseline / conservative:")
+    print("  points to safety map, ratio to the Qhull triangulation; baseline / conservative:")
     for posting in (0.5, 0.3, 0.2, 0.1):
         grid = Grid.centred((0.0, 0.0), 100.0, posting)
         dem = build(points, grid, sigma_eps=sigma, image_shape=shape)
@@ -88,7 +88,7 @@ def _safety_maps(points, shape, sigma: float, lander, qhull: float) -> None:
 
 
 def _safety_tests(terrain, lander) -> None:
-    """Time the exact map, the decision alone and the bounded test on a million cells."""
+    """Time the exact map, the decision only, and the bounded test on a million cells."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -97,7 +97,7 @@ def _safety_tests(terrain, lander) -> None:
 
     grid = Grid.centred((0.0, 0.0), 100.0, 0.1)
     relief = fractal_relief(grid, np.random.default_rng(1), hurst=0.85, rms_slope=np.deg2rad(8.0)).z
-    print("  1000 x 1000 cells at 0.1 m: exact map, decision alone, bounded test (ms)")
+    print("  1000 x 1000 cells at 0.1 m: exact map, decision only, bounded test (ms)")
     for name, z in (("rock field", terrain.raster(grid)), ("relief", relief)):
         times = [
             median_ms(lambda c=call, z=z: c(z, grid, lander), 3)

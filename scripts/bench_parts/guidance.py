@@ -1,4 +1,4 @@
-"""Guidance: a command of each law, where each can still land, and what each takes to land."""
+"""Measure the guidance laws: command time, reach time, landing errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STATES, _G = 200, 1.622
 
 
 def _states(lander: Any) -> list[Any]:
-    """Return starts over which laws are compared, told as estimates."""
+    """Return random start states for the comparison of laws, as estimates."""
     from lunarsim.onboard.navigation.estimate import Estimate
 
     rng = np.random.default_rng(11)
@@ -30,8 +30,10 @@ def _states(lander: Any) -> list[Any]:
     return out
 
 
-def _flown(law: Any, start: Any, end: Any, time_to_go: float, exhaust: float) -> tuple[float, ...]:
-    """Return propellant (kg), miss (m) and speed error (m/s) under held commands, no lag."""
+def _fly_law(
+    law: Any, start: Any, end: Any, time_to_go: float, exhaust: float
+) -> tuple[float, ...]:
+    """Return propellant (kg), miss (m), speed error (m/s) with held commands."""
     from dataclasses import replace
 
     cycle = 0.1
@@ -53,7 +55,7 @@ def _flown(law: Any, start: Any, end: Any, time_to_go: float, exhaust: float) ->
 
 
 def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
-    """Return the least propellant of each start under the limits that reach has, kg; NaN: none."""
+    """Return the minimum propellant of each start, kg; NaN if infeasible."""
     from lunarsim.onboard.guidance.divert import PathLimits
     from lunarsim.optimal.errors import InfeasibleError
     from lunarsim.optimal.final_time import least_propellant
@@ -76,8 +78,8 @@ def _optima(starts: list[Any], end: Any, lander: Any) -> Any:
     return least
 
 
-def _least_ms(work: Callable[[], object]) -> float:
-    """Return the least CPU time of nine runs on this thread, ms: others on the machine aside."""
+def _min_cpu_ms(work: Callable[[], object]) -> float:
+    """Return the minimum thread CPU time of nine runs, ms, to exclude other processes."""
     work()
     spent = []
     for _ in range(9):
@@ -88,14 +90,14 @@ def _least_ms(work: Callable[[], object]) -> float:
 
 
 def guidance() -> None:
-    """Each law: a command, 100 x 100 cells of reach, propellant and errors over 200 starts."""
+    """Each law: command, reach of 100 x 100 cells, propellant and errors."""
     from lunarsim.models.lander import Lander
     from lunarsim.onboard.guidance import PhaseEnd
     from lunarsim.parts.registry import kinds, resolve
 
     lander = Lander()
     end = PhaseEnd(np.array([0.0, 0.0, 12.0]), np.array([0.0, 0.0, -2.0]))
-    # The optimal law is no formula: `bench.py optimal` has its times.
+    # The optimal law is not a closed form: `bench.py optimal` measures it.
     laws = {k: resolve("guidance", k)() for k in kinds("guidance") if k != "optimal"}
     starts = _states(lander)
     line = np.linspace(-200.0, 200.0, 100)
@@ -103,11 +105,11 @@ def guidance() -> None:
     field = PhaseEnd(np.column_stack((cells, np.full(len(cells), 12.0))), end.velocity)
     threads = numba.get_num_threads()
     optima = _optima(starts, end, lander)
-    print(f"  starts from which the optimum lands: {np.isfinite(optima).sum()} of {len(starts)}")
+    print(f"  feasible starts of the optimum: {np.isfinite(optima).sum()} of {len(starts)}")
     print(
-        "  law                    a command (us)  reach ms: CPU, 1, all threads  in reach  "
-        "propellant kg (median, 95 %)  over the optimum % (median, 95 %)  miss m (95 %)  "
-        "speed m/s (95 %)"
+        "  law                    command (us)  reach (ms): CPU, 1, all threads  reachable  "
+        "propellant, kg (median, 95th pct.)  excess, % (median, 95th pct.)  miss, m (95th pct.)  "
+        "speed, m/s (95th pct.)"
     )
     for kind, law in laws.items():
         began = time.perf_counter()
@@ -116,7 +118,7 @@ def guidance() -> None:
             flight.command(starts[n % 20], end, 0.1 * n, 30.0)
         took = (time.perf_counter() - began) / 2000 * 1e6
         numba.set_num_threads(1)
-        times = [_least_ms(lambda law=law: law.cost(starts[3], field, lander, _G))]
+        times = [_min_cpu_ms(lambda law=law: law.cost(starts[3], field, lander, _G))]
         for count in (1, threads):
             numba.set_num_threads(count)
             times.append(median_ms(lambda law=law: law.cost(starts[3], field, lander, _G), 5))
@@ -124,7 +126,7 @@ def guidance() -> None:
         for start, optimum in zip(starts, optima, strict=True):
             to_go = float(law.cost(start, end, lander, _G).time_to_go[0])
             if np.isfinite(to_go):
-                rows.append(_flown(law, start, end, to_go, lander.exhaust_velocity))
+                rows.append(_fly_law(law, start, end, to_go, lander.exhaust_velocity))
                 least.append(optimum)
         figures = np.array(rows)
         spent = np.percentile(figures[:, 0], [50, 95])

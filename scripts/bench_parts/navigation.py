@@ -1,4 +1,4 @@
-"""What navigation costs of a flight, on one core."""
+"""Measure the computing time of navigation on one core."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 
 
 def navigation() -> None:
-    """Share of real time that navigation takes on one core, by what the lander carries."""
+    """Computing time of navigation / real time on one core, by sensor set."""
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
 
@@ -26,18 +26,18 @@ def navigation() -> None:
     }  # fmt: skip
     plain = Scenario.load(SCENARIOS / "instruments.toml")
     for name, changes in cases.items():
-        print(f"  {name}: {_share(Simulation, plain.changed(**changes)):.3f} of real time")
-    share = _share(Simulation, two_eyes())
+        print(f"  {name}: {_time_fraction(Simulation, plain.changed(**changes)):.3f} of real time")
+    share = _time_fraction(Simulation, camera_and_lidar())
     print(f"  camera and flashes at 10 Hz, rocks, prior map: {share:.3f} of real time, "
-          "without what finds rocks in pictures")  # fmt: skip
+          "without rock detection")  # fmt: skip
     near = {"position_m": [-100.0, -100.0, 180.0], "velocity_m_s": [7.8, 7.8, -9.0]}
     rocks = Scenario.load(SCENARIOS / "shadow_nominal.toml").changed(start=near)
-    print(f"  camera, rocks by their shadows: {_share(Simulation, rocks):.3f} of real time, "
-          "without what finds them in pictures")  # fmt: skip
+    print(f"  camera, rocks from shadows: {_time_fraction(Simulation, rocks):.3f} of real time, "
+          "without rock detection")  # fmt: skip
 
 
-def two_eyes():
-    """Return the flight with camera and flashes at 10 Hz and a prior map."""
+def camera_and_lidar():
+    """Return the scenario with camera and flashes at 10 Hz and a prior map."""
     from lunarsim.scenario import Scenario
 
     return Scenario.load(SCENARIOS / "two_eyes.toml").changed(
@@ -51,15 +51,15 @@ def two_eyes():
     )  # fmt: skip
 
 
-def _share(simulate, scenario, seconds: float = 15.0) -> float:
-    """Return the time that navigation takes over the time flown."""
+def _time_fraction(simulate, scenario, seconds: float = 15.0) -> float:
+    """Return the computing time of navigation / simulated time."""
     with _one_core():
-        return _share_here(simulate, scenario, seconds)
+        return _time_fraction_here(simulate, scenario, seconds)
 
 
 @contextmanager
 def _one_core():
-    """Keep to one thread: those that wait for others would be counted too."""
+    """Use one thread, because waiting threads would be counted too."""
     import numba
     from threadpoolctl import threadpool_limits
 
@@ -70,26 +70,26 @@ def _one_core():
     numba.set_num_threads(before)
 
 
-def _share_here(simulate, scenario, seconds: float) -> float:
+def _time_fraction_here(simulate, scenario, seconds: float) -> float:
     simulate(scenario, 1, "no-divert").step()
     simulation = simulate(scenario, 1, "no-divert")
     navigation = simulation.computer.navigation
-    clock = _Clock(navigation, getattr(navigation, "rocks", None))
+    clock = _MethodTimer(navigation, getattr(navigation, "rocks", None))
     most = 0
     while not simulation.done and simulation.time < seconds:
         simulation.step()
         most = max(most, getattr(getattr(navigation, "rocks", None), "count", 0))
     if most:
-        print(f"  {most} rocks at most")
+        print(f"  at most {most} rocks")
     return clock.seconds / simulation.time
 
 
-class _Clock:
-    """Counts the time that methods of navigation take, calls within each other once."""
+class _MethodTimer:
+    """Measures the time of navigation methods; nested calls count once."""
 
     def __init__(self, *parts) -> None:
         self.seconds, self._depth = 0.0, 0
-        # Asking for the time of the processor costs some itself.
+        # The overhead of the clock is subtracted.
         asked = [time.process_time() for _ in range(1001)]
         self._asking = (asked[-1] - asked[0]) / 1000
         for part in parts:

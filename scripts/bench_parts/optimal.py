@@ -1,4 +1,4 @@
-"""Optimal descents: a solve at a fixed and at a free final time, and the same by other ways."""
+"""Measure the solvers of optimal descents at fixed and free final time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _G = 1.622
 
 
 def _descent(rng: Any = None, **changes: Any) -> Any:
-    """Return the approach of the default lander, scattered where a generator is given."""
+    """Return the default approach, with random scatter if `rng` is given."""
     from lunarsim.models.lander import Lander
     from lunarsim.optimal.problem import Descent
 
@@ -34,7 +34,7 @@ def _descent(rng: Any = None, **changes: Any) -> Any:
 
 
 def _fixed() -> float:
-    """Print solves at a fixed final time; return Clarabel's from nothing, ms."""
+    """Print solve times at a fixed final time; return the cold time of Clarabel, ms."""
     from lunarsim.optimal.cone_program import Clarabel, Qoco
     from lunarsim.optimal.transcription import Structure, Transcription
 
@@ -58,16 +58,16 @@ def _fixed() -> float:
         f"{len(programs[0].h)} cone rows; iterations {np.median(counts[0]):.0f} and "
         f"{np.median(counts[1]):.0f}"
     )
-    print(f"    Clarabel from nothing           {clarabel:7.2f} ms")
-    print(f"    QOCO from nothing               {anew:7.2f} ms  {anew / clarabel:5.2f} of it")
-    print(f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} of it")
+    print(f"    Clarabel, cold start            {clarabel:7.2f} ms")
+    print(f"    QOCO, cold start                {anew:7.2f} ms  {anew / clarabel:5.2f} x")
+    print(f"    QOCO updated and solved         {updated:7.2f} ms  {updated / clarabel:5.2f} x")
     whole = updated + filled
-    print(f"    with filling in the matrices    {whole:7.2f} ms  {whole / clarabel:5.2f} of it")
+    print(f"    with setup of the matrices      {whole:7.2f} ms  {whole / clarabel:5.2f} x")
     return clarabel
 
 
 def _network(clarabel: float) -> None:
-    """Print what an answer of the network takes that was taught such descents."""
+    """Print the evaluation time of the network trained on such descents."""
     from lunarsim.onboard.guidance.optimal_network import OptimalNetwork, reduced
 
     network, here = OptimalNetwork.load(), _descent()
@@ -78,11 +78,11 @@ def _network(clarabel: float) -> None:
             network(reduced(here.gap, here.velocity, here.mass)[0])
 
     took = median_ms(answer, 7) / many
-    print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} of it")
+    print(f"    network of `neural-optimal`     {took:7.3f} ms  {took / clarabel:6.4f} x")
 
 
 def _free(clarabel: float) -> None:
-    """Print searches of the best final time: from a solution a second ago, and from nothing."""
+    """Print the search for the optimal final time, warm (1 s later) and cold."""
     from lunarsim.optimal.final_time import least_propellant
     from lunarsim.optimal.planner import Planner
 
@@ -101,16 +101,16 @@ def _free(clarabel: float) -> None:
             found = least_propellant(planner, here, last=last, elapsed=1.0)
             times.append(1e3 * (time.perf_counter() - began))
             counts.append(found.solves)
-    for name, times, counts in (("a second later", warm, solves), ("from nothing", cold, colds)):
+    for name, times, counts in (("1 s later", warm, solves), ("cold start", cold, colds)):
         took = float(np.median(times))
         print(
-            f"  free final time, {name:15s}{took:9.2f} ms  {took / clarabel:5.2f} of it; solves "
-            f"{np.median(counts):.0f}, at most {max(counts)}"
+            f"  free final time, {name:15s}{took:9.2f} ms  {took / clarabel:5.2f} x; solves "
+            f"{np.median(counts):.0f}, maximum {max(counts)}"
         )
 
 
 def _rigid() -> None:
-    """Print a rigid body's descent by quadratic programs, anew and a second later, and by IPOPT."""
+    """Print the times of a rigid-body descent by quadratic programs and by IPOPT."""
     from scipy.spatial.transform import Rotation
 
     from lunarsim.evaluation.open_loop import flown
@@ -140,14 +140,14 @@ def _rigid() -> None:
             by_ipopt.append(1e3 * other.seconds)
             more.append(first.propellant / other.propellant - 1.0)
     print(
-        f"  rigid body, 30 intervals: by programs {np.median(cold[1:]):.0f} ms from nothing, "
-        f"{np.median(warm):.0f} ms a second later ({np.median(counts):.0f} programs); IPOPT "
-        f"{np.median(by_ipopt):.0f} ms, {1e2 * np.max(np.abs(more)):.2f} % apart at most"
+        f"  rigid body, 30 intervals: quadratic programs {np.median(cold[1:]):.0f} ms cold, "
+        f"{np.median(warm):.0f} ms 1 s later ({np.median(counts):.0f} programs); IPOPT "
+        f"{np.median(by_ipopt):.0f} ms, {1e2 * np.max(np.abs(more)):.2f} % maximum difference"
     )
 
 
 def optimal() -> None:
-    """Optimal descents: fixed and free final time, one thread, against Clarabel from nothing."""
+    """Optimal descents at fixed and free final time, relative to Clarabel (cold)."""
     from lunarsim.optimal.collocation import collocate
     from lunarsim.optimal.final_time import least_propellant
     from lunarsim.optimal.planner import Planner

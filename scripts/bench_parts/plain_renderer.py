@@ -1,7 +1,7 @@
-"""A plain renderer, for comparison: what one writes first.
+"""A simple reference renderer.
 
-The relief is one mesh of all its triangles, every rock an instance of a cube, shadows come from one
-map of 2048 x 2048 texels with linear depth, and each fragment is shaded as it is drawn.
+The relief is one mesh of all its triangles and every rock an instance of a cube. Shadows come from
+one map of 2048 x 2048 texels with linear depth, and every drawn fragment is shaded.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _DEPTH = "#version 330\nvoid main() {}"
 
 
 class PlainRenderer:
-    """Draws one terrain about a fixed centre.
+    """Renders one terrain around a fixed center.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class PlainRenderer:
 
     @on_render_thread
     def render(self, view, sun):
-        """Return the picture of a view (480, 640)."""
+        """Return the image of a view (480, 640)."""
         a = view.axes.T
         near, far = 1.0, 4.0 * float(view.position[2])
         camera = np.zeros((4, 4))

@@ -1,15 +1,15 @@
-"""The quadtree map, its sites, and finding oneself on a prior map."""
+"""Measure the speed of the quadtree map, its sites, and localisation."""
 
 from __future__ import annotations
 
 import statistics
 import time
 
-from bench_parts.common import ROOT, Timed, median_ms
+from bench_parts.common import ROOT, TimedFunction, median_ms
 
 
 def quadtree() -> None:
-    """Points into the quadtree against SciPy's KD-tree and binned means; sites as the map grows."""
+    """Insertion relative to SciPy's KD-tree and binned means; sites as the map grows."""
     import numpy as np
 
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap
@@ -23,7 +23,7 @@ def quadtree() -> None:
 
 
 def _cloud(rng, count: int, width: float, centre=(0.0, 0.0)):
-    """Return points (n, 3) at random on gentle ground with bumps."""
+    """Return random points (n, 3) on smooth terrain with bumps."""
     import numpy as np
 
     xy = rng.uniform(-0.5 * width, 0.5 * width, (count, 2)) + centre
@@ -33,7 +33,7 @@ def _cloud(rng, count: int, width: float, centre=(0.0, 0.0)):
 
 
 def _flash(rng):
-    """Return the points of 128 x 128 pixels somewhere on a map of 100 m."""
+    """Return the points of 128 x 128 pixels at a random place of a map of 100 m."""
     return _cloud(rng, 16_384, 8.0, rng.uniform(-45.0, 45.0, 2))
 
 
@@ -57,7 +57,7 @@ def _points_at_once(rng) -> None:
 
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap
 
-    print("  points at once, 100 x 100 m, least cells of 0.1 m")
+    print("  all points at once, 100 x 100 m, minimum cell 0.1 m")
     for count in (100_000, 1_000_000, 10_000_000):
         points = _cloud(rng, count, 99.0)
         quadtree = QuadtreeMap((0.0, 0.0), 100.0)
@@ -68,31 +68,30 @@ def _points_at_once(rng) -> None:
         binned_statistic_2d(points[:, 0], points[:, 1], points[:, 2], "mean", bins=1000)
         binned = time.perf_counter() - began
         line = (
-            f"    {count:10,d}: {ours:6.2f} s ({1e9 * ours / count:4.0f} ns a point, "
-            f"{quadtree.nbytes / count:.0f} bytes a point), {ours / binned:.2f} of SciPy's binned "
-            "mean at the least size alone"
+            f"    {count:10,d}: {ours:6.2f} s ({1e9 * ours / count:4.0f} ns per point, "
+            f"{quadtree.nbytes / count:.0f} bytes per point), {ours / binned:.2f} times SciPy's "
+            f"binned "
+            "mean at the minimum size"
         )
         if count <= 1_000_000:
             began = time.perf_counter()
             cKDTree(points[:, :2])
-            line += f", {ours / (time.perf_counter() - began):.2f} of a KD-tree"
+            line += f", {ours / (time.perf_counter() - began):.2f} times a KD-tree"
         print(line)
     points = _cloud(rng, 10_000_000, 999.0)
     quadtree = QuadtreeMap((0.0, 0.0), 1000.0)
     began = time.perf_counter()
     quadtree.insert(points)
     took = time.perf_counter() - began
-    print(
-        f"    10,000,000 at random on a square kilometre: {took:.2f} s, {quadtree.cells:,d} cells"
-    )
+    print(f"    10,000,000 random points on 1 km^2: {took:.2f} s, {quadtree.cells:,d} cells")
 
 
 def _memory() -> None:
-    """What a process takes for a map and one selection of sites, whose memory is measured whole."""
+    """Print the memory of a process with a map and one site selection."""
     import subprocess
     import sys
 
-    print("  resident memory of a process of its own, after one selection of sites; and the most")
+    print("  resident memory of a separate process after one site selection, and its maximum")
     for way, count in (("flashes", 1_000_000), ("flashes", 4_000_000), ("at once", 4_000_000)):
         subprocess.run(
             [sys.executable, "-c", f"from bench_parts.quadtree import resident; "
@@ -101,7 +100,7 @@ def _memory() -> None:
 
 
 def resident(way: str, count: int) -> None:
-    """Print by how much this process grows with so many points, and at most while it takes them."""
+    """Print the memory growth of this process with `count` points."""
     import resource
     from pathlib import Path
 
@@ -117,7 +116,7 @@ def resident(way: str, count: int) -> None:
     warm = QuadtreeMap((0.0, 0.0), 100.0)
     warm.insert(_cloud(rng, 20_000, 20.0))
     SiteSelector(warm, thorough=True).update()
-    # The caller's own points are not counted.
+    # The points themselves are not counted.
     blocks = [_cloud(rng, count, 99.0)] if way == "at once" else []
     before = now()
     quadtree = QuadtreeMap((0.0, 0.0), 100.0)
@@ -132,16 +131,16 @@ def resident(way: str, count: int) -> None:
     status = Path("/proc/self/status").read_text(encoding="ascii")
     most = 1024 * int(status.partition("VmHWM:")[2].split()[0]) - before
     print(
-        f"    {quadtree.count:10,d} points, {way}: {after / quadtree.count:.0f} bytes a point "
-        f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} at most; "
-        f"{quadtree.nbytes / quadtree.count:.0f} in the map's own arrays)"
+        f"    {quadtree.count:10,d} points, {way}: {after / quadtree.count:.0f} bytes per point "
+        f"({held / quadtree.count:.0f} before the selection, {most / quadtree.count:.0f} maximum; "
+        f"{quadtree.nbytes / quadtree.count:.0f} in the arrays of the map)"
     )
 
 
 def _flash_after_flash(rng) -> None:
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 
-    print("  flashes of 128 x 128 points on 8 x 8 m, one after the other; then one update of sites")
+    print("  successive flashes of 128 x 128 points on 8 x 8 m; then one update of the sites")
     quadtree = QuadtreeMap((0.0, 0.0), 100.0)
     selector = SiteSelector(quadtree)
     shown = [10_000, 100_000, 1_000_000, 3_000_000, 10_000_000]
@@ -156,13 +155,13 @@ def _flash_after_flash(rng) -> None:
                 selector.update()
             continue
         selector.update()
-        _queries(rng, quadtree, selector)
+        _time_queries(rng, quadtree, selector)
         shown.pop(0)
-    print(f"    all flashes together {inserted:.2f} s")
+    print(f"    all flashes: {inserted:.2f} s")
 
 
-def _queries(rng, quadtree, selector) -> None:
-    """Time one more flash, and what is asked of the map, at the size that it has."""
+def _time_queries(rng, quadtree, selector) -> None:
+    """Time one more flash and queries of the map at its current size."""
     from lunarsim.onboard.hazards.quadtree import SiteSelector
 
     insert, update = _flash_ms(rng, quadtree, selector)
@@ -173,8 +172,8 @@ def _queries(rng, quadtree, selector) -> None:
     cell = median_ms(lambda: [quadtree.cell_at(xy) for xy in places])
     print(
         f"    {quadtree.count:10,d} points: insert {insert:.1f} + update {update:.1f} ms; from "
-        f"scratch {fresh:.1f} ms, {fresh / update:.0f} times as long; 4 m2 of points {box:.2f} "
-        f"ms, band of {len(quadtree.band(0.8, 1.6))} cells {band:.2f} ms, cell at a place "
+        f"scratch {fresh:.1f} ms, {fresh / update:.0f} times as long; points in 4 m^2 {box:.2f} "
+        f"ms, band of {len(quadtree.band(0.8, 1.6))} cells {band:.2f} ms, cell at a position "
         f"{cell:.1f} us"
     )
 
@@ -182,7 +181,7 @@ def _queries(rng, quadtree, selector) -> None:
 def _larger_maps(rng) -> None:
     from lunarsim.onboard.hazards.quadtree import QuadtreeMap, SiteSelector
 
-    print("  the same number of points to a square metre on larger maps, one flash more")
+    print("  equal point density on larger maps, one more flash")
     for side in (100.0, 200.0, 400.0):
         quadtree = QuadtreeMap((0.0, 0.0), side)
         quadtree.insert(_cloud(rng, round(100 * side**2), side - 1.0))
@@ -196,7 +195,7 @@ def _larger_maps(rng) -> None:
 
 
 def lidar_inertial() -> None:
-    """Scans fitted to a prior map, and the search for the place before the first fit."""
+    """Registration of scans on a prior map, and the initial position search."""
     from lunarsim.onboard.navigation import map_matcher as navigation
     from lunarsim.rng import flight_seed
     from lunarsim.scenario import Scenario
@@ -205,7 +204,7 @@ def lidar_inertial() -> None:
     kept = navigation.register, navigation.search
     scenario = Scenario.load(ROOT / "scenarios" / "morpheus.toml")
     for index in range(3):
-        fit, search = (Timed(function) for function in kept)
+        fit, search = (TimedFunction(function) for function in kept)
         navigation.register, navigation.search = fit, search
         simulation = Simulation(scenario, flight_seed(1, index))
         while not simulation.done and simulation.time < 20.0:

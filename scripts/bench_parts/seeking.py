@@ -1,4 +1,4 @@
-"""Information-seeking: scoring thousands of paths, and a whole plan."""
+"""Measure information-seeking guidance: scoring of thousands of paths, and a plan."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from bench_parts.common import ROOT, in_turns
+from bench_parts.common import ROOT, alternating_medians
 
 _PATHS = 3000
 
 
-def _asked(changes: dict[str, Any]) -> tuple[Any, Any, float]:
-    """Return planner and problem at the start of the shadow paper's descent, and time-to-go."""
+def _planning_problem(changes: dict[str, Any]) -> tuple[Any, Any, float]:
+    """Return planner, problem and time-to-go at the start of the descent."""
     from lunarsim.onboard.guidance.divert import divert_cost
     from lunarsim.scenario import Scenario
     from lunarsim.simulation import Simulation
@@ -30,7 +30,7 @@ def _asked(changes: dict[str, Any]) -> tuple[Any, Any, float]:
 
 
 def _reach(problem: Any) -> Any:
-    """Return a survey of 10,000 sites, the other thing that a planner asks for."""
+    """Return a survey of 10,000 sites as a reference."""
     from lunarsim.onboard.guidance.divert import divert_cost
 
     side = np.linspace(-300.0, 300.0, 100)
@@ -42,7 +42,7 @@ def _reach(problem: Any) -> Any:
 
 
 def seeking() -> None:
-    """Paths scored for what they let the lander see: camera alone, and camera and LiDAR."""
+    """Scoring of paths by their information: camera only, and camera and LiDAR."""
     small = {"terrain": {"size_m": 80.0}, "rocks": {"min_diameter_m": 0.6}}
     flash = {
         "sensors": {"flash": {"kind": "flash-lidar"}},
@@ -51,9 +51,9 @@ def seeking() -> None:
         "decisions": {"map": "rocks"},
     }
     for name, more in (("camera", {}), ("camera and LiDAR", flash)):
-        planner, problem, expected = _asked(small | more)
+        planner, problem, expected = _planning_problem(small | more)
         plans = planner.drawn(problem, expected, _PATHS)
-        took = in_turns({
+        took = alternating_medians({
             "score": lambda a=planner, b=problem, c=plans: a.score(b, c),
             "plan": lambda a=planner, b=problem, c=expected: a.best(b, c, 50.0, None),
             "reach": _reach(problem),
@@ -61,7 +61,7 @@ def seeking() -> None:
         share = np.isfinite(planner.score(problem, plans)[:, 1]).mean()
         print(
             f"  {name:18s}{_PATHS} paths over {len(problem.nodes)} squares scored in "
-            f"{took['score']:6.1f} ms ({share:.2f} of them keep the limits), "
-            f"{took['score'] / took['reach']:.2f} of a survey of 10,000 sites; a whole plan "
-            f"{took['plan']:6.1f} ms, goal 100"
+            f"{took['score']:6.1f} ms ({share:.2f} within the limits), "
+            f"{took['score'] / took['reach']:.2f} times a survey of 10,000 sites; a complete plan "
+            f"{took['plan']:6.1f} ms, target 100 ms"
         )

@@ -1,4 +1,4 @@
-"""Terrain, pictures and rays."""
+"""Measure the speed of terrain generation, images and rays."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numba
 
-from bench_parts.common import in_turns, median_ms, square
+from bench_parts.common import alternating_medians, make_terrain, median_ms
 from bench_parts.plain_renderer import PlainRenderer
 
 
 def terrain() -> None:
-    """Building: a square kilometre at 0.5 m with 50,000 rocks, and how placement grows."""
+    """Generation of 1 km^2 with 50,000 rocks, and the scaling of rock placement."""
     import numpy as np
 
     from lunarsim.grid import Grid
@@ -21,12 +21,12 @@ def terrain() -> None:
     from lunarsim.rocks.laws import sample_diameters
     from lunarsim.world.terrain import Heightfield, place_rocks
 
-    square(4.0, 1000, 1.0, 64.0)
+    make_terrain(4.0, 1000, 1.0, 64.0)
     began = time.perf_counter()
-    built = square(4.0, 50_000, 0.5, 1000.0)
+    built = make_terrain(4.0, 50_000, 0.5, 1000.0)
     print(
         f"  1 km^2 at 0.5 m with {len(built.rocks)} rocks: {time.perf_counter() - began:.2f} s, "
-        f"{built.nbytes / 1e6:.0f} MB kept"
+        f"{built.nbytes / 1e6:.0f} MB"
     )
     flat = Heightfield(Grid.centred((0.0, 0.0), 500.0, 2.0), np.zeros((250, 250), np.float32))
     for cover in (0.01, 0.05, 0.2):
@@ -37,12 +37,12 @@ def terrain() -> None:
         )
         print(
             f"  {diameters.size:7d} rocks placed at {100 * cover:.0f} % cover: {ms:6.1f} ms, "
-            f"{1e6 * ms / diameters.size:.0f} ns a rock"
+            f"{1e6 * ms / diameters.size:.0f} ns per rock"
         )
 
 
 def render() -> None:
-    """640 x 480 pictures, shadow pass and read-back included, Sun at 20 degrees."""
+    """Images of 640 x 480 with shadow pass and read-back, Sun at 20 degrees."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -56,7 +56,7 @@ def render() -> None:
     light = Light(1.5708, np.radians(20.0))
     took = {}
     for count in (10_000, 50_000):
-        terrain = square(4.0, count, 1.0, 512.0)
+        terrain = make_terrain(4.0, count, 1.0, 512.0)
         began = time.perf_counter()
         renderer = renderer_of(terrain)
         made = time.perf_counter() - began
@@ -73,14 +73,14 @@ def render() -> None:
             cast = median_ms(lambda t=terrain, p=position, d=rays: t.cast(p, d, normals=False), 5)
             print(
                 f"  {len(terrain.rocks):6d} rocks, {altitude:3.0f} m: {1e3 / ms:5.1f} frames/s "
-                f"({ms:.1f} ms); with range, normal and identity {truth:.1f} ms; "
-                f"casting a ray a pixel, without shadows: {cast / ms:.2f} of a frame; a plain "
-                f"renderer with instanced cubes: {peer / ms:.2f} of a frame"
+                f"({ms:.1f} ms); with range, normal and rock index {truth:.1f} ms; "
+                f"one ray per pixel, without shadows: {cast / ms:.2f} frames; simple "
+                f"renderer with instanced cubes: {peer / ms:.2f} frames"
             )
-        print(f"    buffers made in {1e3 * made:.0f} ms")
+        print(f"    buffers created in {1e3 * made:.0f} ms")
     for altitude in (100.0, 600.0):
         ratio = took[50_000, altitude] / took[10_000, altitude]
-        print(f"  five times the rocks at {altitude:.0f} m: {ratio:.2f} times as long")
+        print(f"  five times the rocks at {altitude:.0f} m: {ratio:.2f} times the time")
     _lights()
     terrain = _small_square_of_cubes(10_000)
     position = np.array([0.0, 0.0, float(terrain.elevation([0.0, 0.0])) + 100.0])
@@ -89,13 +89,13 @@ def render() -> None:
     plain = PlainRenderer(terrain)
     peer = median_ms(lambda: plain.render(view, light.direction), 9)
     print(
-        f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; the plain "
-        f"renderer {peer:.1f} ms, {peer / ours:.2f} times as long"
+        f"  256 x 256 posts and {len(terrain.rocks)} cubes, 100 m: {ours:.1f} ms; simple "
+        f"renderer {peer:.1f} ms, {peer / ours:.2f} times the time"
     )
 
 
 def _lights() -> None:
-    """Print what each part of the light costs, in turns with the plain light."""
+    """Print the time of each light effect relative to the plain light, alternating."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -112,10 +112,10 @@ def _lights() -> None:
     whole = {"earthshine": FULL_EARTH}
     for settings in parts.values():
         whole |= settings
-    terrain = square(4.0, 10_000, 1.0, 512.0)
+    terrain = make_terrain(4.0, 10_000, 1.0, 512.0)
     renderer = renderer_of(terrain)
     axes = sensor_axes([0.0, 0.0, -1.0])
-    print("  the light, over the plain one (a point Sun, lunar-Lambert) in turns:")
+    print("  light effects, time relative to the plain light (point Sun, lunar-Lambert):")
     for elevation in (20.0, 5.0):
         for altitude in (100.0, 600.0):
             height = float(terrain.elevation([0.0, 0.0])) + altitude
@@ -127,8 +127,8 @@ def _lights() -> None:
             drawn = {"plain": (views[0], plain)}
             for name, settings in (parts | {"all": whole}).items():
                 drawn[name] = (views[0], replace(plain, **settings))
-            drawn["all, four rays a pixel"] = (views[1], drawn["all"][1])
-            took = in_turns({
+            drawn["all, four rays per pixel"] = (views[1], drawn["all"][1])
+            took = alternating_medians({
                 name: lambda v=view, one=one: renderer.render(v, one)
                 for name, (view, one) in drawn.items()
             })  # fmt: skip
@@ -151,14 +151,16 @@ def _small_square_of_cubes(count: int):
 
 
 def lidar() -> None:
-    """65,536 rays from 500 m against Embree on the same triangles, one thread each."""
+    """65,536 rays from 500 m relative to Embree, one thread each."""
     import numpy as np
 
     from lunarsim.grid import Grid
     from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 
     if importlib.util.find_spec("embreex") is None:
-        raise SystemExit('error: this part compares with Embree: pip install "lunarsim[bench]"')
+        raise SystemExit(
+            'error: embreex is missing. Install it with: pip install "lunarsim[bench]"'
+        )
     rng = np.random.default_rng(0)
     side, posting = 2001, 0.1
     grid = Grid(-100.0, -100.0, posting, side, side)
@@ -174,11 +176,11 @@ def lidar() -> None:
         terrain = Terrain(relief, place_rocks(relief, diameters, rng))
         built = time.perf_counter() - began
         print(f"  {name}:")
-        _against_embree(terrain, grid, np.radians(tilt), built)
+        _compare_with_embree(terrain, grid, np.radians(tilt), built)
 
 
-def _against_embree(terrain, grid, tilt: float, built: float) -> None:
-    """Cast the same rays by both; `built` is how long the terrain took, s."""
+def _compare_with_embree(terrain, grid, tilt: float, built: float) -> None:
+    """Cast the same rays with both; `built` is the generation time of the terrain, s."""
     import numpy as np
 
     from lunarsim.frames import sensor_axes
@@ -191,7 +193,7 @@ def _against_embree(terrain, grid, tilt: float, built: float) -> None:
     began = time.perf_counter()
     surface = terrain.raster(grid)
     vertices, triangles = _triangles_of(grid, surface)
-    embree = _Embree(vertices, triangles)
+    embree = _EmbreeScene(vertices, triangles)
     starts = np.broadcast_to(origin, rays.shape).astype(np.float32).copy()
     directions = rays.astype(np.float32)
     theirs = embree.ranges(starts, directions)
@@ -203,30 +205,30 @@ def _against_embree(terrain, grid, tilt: float, built: float) -> None:
     two = median_ms(lambda: terrain.cast(origin, rays, normals=False))
     numba.set_num_threads(threads)
     peer = median_ms(lambda: embree.ranges(starts, directions), repeats=5)
-    # The very triangles that Embree has.
+    # The same triangles as in Embree.
     same = Terrain(Heightfield(grid, surface)).cast(origin, rays, normals=False).range
     print(
-        f"    {one:.1f} ms against Embree's {peer:.1f} ms: {peer / one:.2f} times its rays a "
+        f"    {one:.1f} ms, Embree {peer:.1f} ms: {peer / one:.2f} times its rays per "
         f"second; on two threads {two:.1f} ms"
     )
     print(
-        f"    built in {built:.2f} s against {embree_built:.2f} s; memory "
-        f"{terrain.nbytes / 1e6:.0f} MB against {(vertices.nbytes + triangles.nbytes) / 1e6:.0f} "
-        "MB of triangles alone"
+        f"    built in {built:.2f} s, Embree {embree_built:.2f} s; memory "
+        f"{terrain.nbytes / 1e6:.0f} MB, Embree {(vertices.nbytes + triangles.nbytes) / 1e6:.0f} "
+        "MB (triangles only)"
     )
     _print_gap(same, theirs)
 
 
 def _print_gap(same, theirs) -> None:
-    """Print by how much two sets of ranges over the same triangles differ."""
+    """Print the difference of two sets of ranges over the same triangles."""
     import numpy as np
 
     seen = np.isfinite(same) & (theirs < 1e6)
     gap = np.abs(same[seen] - theirs[seen])
     alone = np.mean(np.isfinite(same) != (theirs < 1e6))
     print(
-        f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, greatest "
-        f"{1e3 * gap.max():.2f} mm, seen by one only {alone:.1e}"
+        f"    same triangles: median difference {1e3 * np.median(gap):.3f} mm, maximum "
+        f"{1e3 * gap.max():.2f} mm, hit by only one {alone:.1e}"
     )
 
 
@@ -242,7 +244,7 @@ def _triangles_of(grid, surface):
     return vertices, np.stack(around, 1).reshape(-1, 3).astype(np.int32)
 
 
-class _Embree:
+class _EmbreeScene:
     """A scene of triangles in Embree."""
 
     def __init__(self, vertices, triangles):

@@ -1,14 +1,14 @@
-"""The shadow pipeline."""
+"""Measure the speed of the shadow pipeline."""
 
 from __future__ import annotations
 
 import time
 
-from bench_parts.common import ROOT, Timed, median_ms, square, yardstick_ms
+from bench_parts.common import ROOT, TimedFunction, make_terrain, median_ms, reference_ms
 
 
 def _rock_filter(count, seed=0):
-    """Return a filter of `count` rocks seen from 80 m, its camera and the true places."""
+    """Return a filter of `count` rocks, its camera and the true positions."""
     from dataclasses import replace
 
     import numpy as np
@@ -31,7 +31,7 @@ def _rock_filter(count, seed=0):
 
 
 def shadows() -> None:
-    """Detection, filter, map and a whole flight of the shadow pipeline."""
+    """Detection, filter, map and a complete flight of the shadow pipeline."""
     import numpy as np
 
     from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -41,8 +41,8 @@ def shadows() -> None:
     rng = np.random.default_rng(0)
     _detection(model, elevation, rng)
     _images(rng)
-    _update_alone()
-    _looks(elevation)
+    _update_only()
+    _evidence(elevation)
     _maps(model)
     _flights()
 
@@ -57,7 +57,7 @@ def _detection(model, elevation: float, rng) -> None:
     from lunarsim.world.light import Light
 
     for count in (300, 700, 1200):
-        terrain = square(0.0, count, 2.0, 120.0)
+        terrain = make_terrain(0.0, count, 2.0, 120.0)
         _, camera, _ = _rock_filter(1)
         state = State(
             np.array([-20.0, 10.0, 80.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]),
@@ -72,17 +72,17 @@ def _detection(model, elevation: float, rng) -> None:
         )
         peer = median_ms(lambda c=counts: _plain_detection(c), 5)
         print(
-            f"  detection: {seen.labels.max()} shadows in view, {len(seen)} rocks: {ms:.1f} ms; "
-            f"SciPy's filters, labels and moments of the same picture {peer:.1f} ms, "
+            f"  detection: {seen.labels.max()} visible shadows, {len(seen)} rocks: {ms:.1f} ms; "
+            f"filters, labels and moments by SciPy {peer:.1f} ms, "
             f"{peer / ms:.1f} times"
         )
         args = (counts, camera, state, sun, seen, model)
-        ms = median_ms(lambda a=args: _health(*a))
-        print(f"    its health: {ms:.1f} ms")
+        ms = median_ms(lambda a=args: _check_image(*a))
+        print(f"    image check: {ms:.1f} ms")
 
 
 def _plain_detection(counts):
-    """Threshold against the mean about, label, measure: what detection does, in plain calls."""
+    """Detect by threshold, labels and moments with plain SciPy calls as a reference."""
     import numpy as np
     from scipy import ndimage
 
@@ -96,8 +96,8 @@ def _plain_detection(counts):
     ]  # fmt: skip
 
 
-def _health(counts, camera, state, sun, seen, model):
-    """Judge one picture, detection left out."""
+def _check_image(counts, camera, state, sun, seen, model):
+    """Check the quality of one image, without the detection."""
     import numpy as np
 
     from lunarsim.onboard.perception.direction import turn_from_sun
@@ -112,16 +112,16 @@ def _health(counts, camera, state, sun, seen, model):
 
 
 def _images(rng) -> None:
-    """Time association and update for one image, as the number of rocks grows."""
+    """Time association and update for one image for several numbers of rocks."""
     for count in (100, 200, 500, 1000, 2000):
         rocks, camera, _ = _rock_filter(count)
         seen = min(150, count)
         ms = median_ms(lambda r=rocks, c=camera, s=seen: _one_image(r, c, s, rng), 9)
-        print(f"  filter: {count:4d} rocks tracked, {seen} seen: {ms:6.1f} ms an image")
+        print(f"  filter: {count:4d} tracked rocks, {seen} detected: {ms:6.1f} ms per image")
 
 
 def _one_image(rocks, camera, seen: int, rng) -> None:
-    """Associate and update as for one image in which the first `seen` rocks are found."""
+    """Associate and update for an image with the first `seen` rocks detected."""
     import numpy as np
 
     from lunarsim.onboard.hazards.shadows.association import associate
@@ -139,8 +139,8 @@ def _one_image(rocks, camera, seen: int, rng) -> None:
     rocks.update_rocks(index, sight, sight.pixel[index], noise[:n], radius[:n], variance[:n])
 
 
-def _update_alone() -> None:
-    """Time the update against filterpy's of the same states."""
+def _update_only() -> None:
+    """Time the update and that of filterpy with the same states."""
     import numpy as np
     from filterpy.kalman import ExtendedKalmanFilter
     from threadpoolctl import threadpool_limits
@@ -164,13 +164,13 @@ def _update_alone() -> None:
         )
         peer = median_ms(lambda: dense.update(z, lambda x: h, lambda x: h @ x, R=r), 3)
     print(
-        f"    500 rocks, 150 seen, the update alone, one thread: {ours:.1f} ms; filterpy's dense "
-        f"update of the same states {peer:.1f} ms, {peer / ours:.1f} times"
+        f"    500 rocks, 150 detected, update only, one thread: {ours:.1f} ms; dense "
+        f"filterpy update of the same states {peer:.1f} ms, {peer / ours:.1f} times"
     )
 
 
-def _looks(elevation: float) -> None:
-    """Time what a picture says of ground without rocks, seen first and seen again."""
+def _evidence(elevation: float) -> None:
+    """Time the evidence of rock-free terrain from one image, first and repeated."""
     import numpy as np
 
     from lunarsim.frames import direction_from_angles
@@ -187,7 +187,7 @@ def _looks(elevation: float) -> None:
     _, camera, _ = _rock_filter(1)
     place, level = np.array([-20.0, 10.0, 80.0]), np.array([0.0, 0.0, 0.0, 1.0])
     state = State(place, np.zeros(3), level, np.zeros(3), 1.0)
-    world = World(square(0.0, 700, 2.0, 120.0), 1.622, Light(0.0, elevation))
+    world = World(make_terrain(0.0, 700, 2.0, 120.0), 1.622, Light(0.0, elevation))
     counts = camera.expose(world, state, 0.0, np.random.default_rng(0)).counts
     seen, view = detect_rocks(counts, camera, state, sun, model=model), camera.view(state)
     sizes = 0.5 * 1.2 ** np.arange(10)
@@ -201,7 +201,7 @@ def _looks(elevation: float) -> None:
         evidence.see(view, sun, seen, lambda xy: np.zeros(len(xy)))
 
     first, again = median_ms(lambda: look(True), 7), median_ms(lambda: look(False), 7)
-    print(f"  look at {evidence.lit.shape} places: {first:.1f} ms, once more {again:.1f} ms")
+    print(f"  evidence at {evidence.lit.shape} cells: {first:.1f} ms, repeated {again:.1f} ms")
 
 
 def _maps(model) -> None:
@@ -218,7 +218,7 @@ def _maps(model) -> None:
         ms = median_ms(lambda m=mapping, t=tracker: m.probability(t), 5)
         disc = median_ms(lambda m=mapping, t=tracker: m.hazard_map(t, 1.1), 5)
         print(
-            f"  map: 640 x 640 cells, {count:4d} rocks: {ms:6.1f} ms; over a lander's footprint "
+            f"  map: 640 x 640 cells, {count:4d} rocks: {ms:6.1f} ms; over the lander footprint "
             f"{disc:6.1f} ms"
         )
 
@@ -228,24 +228,30 @@ def _flights() -> None:
 
     for name in ("nominal", "modified"):
         scenario = Scenario.load(ROOT / "scenarios" / f"shadow_{name}.toml")
-        # Kernels, and what of the Sun is worked out once: the first pictures show rocks by then.
-        _flown(scenario, 25.0)
-        before = yardstick_ms()
-        flown, took, mapped, shutter = _flown(scenario)
-        yardstick = 0.5 * (before + yardstick_ms())
+        # Compiles the kernels and computes the Sun tables; rocks are visible by then.
+        _time_flight(scenario, 25.0)
+        before = reference_ms()
+        flown, took, mapped, shutter = _time_flight(scenario)
+        reference = 0.5 * (before + reference_ms())
         drawn, pictures = shutter.seconds, shutter.calls
         print(
-            f"  flight, {name}: {flown:.0f} s flown in {took:.1f} s, {flown / took:.2f} times real "
-            f"time ({pictures} pictures: {drawn:.1f} s to draw and expose; maps {mapped:.1f} s; "
-            f"the rest detects, tracks and flies); without drawing {flown / (took - drawn):.2f} "
-            f"times\n    in yardsticks of {yardstick:.0f} ms, taken before and after: a second "
-            f"flown {1e3 * took / flown / yardstick:.1f}; twice real time on two cores on which "
-            f"one takes {0.5 * flown / took * yardstick:.0f} ms"
+            f"  flight, {name}: {flown:.0f} s simulated in {took:.1f} s, {flown / took:.2f} times "
+            f"real "
+            f"time ({pictures} images: {drawn:.1f} s for rendering and exposure; maps {mapped:.1f} "
+            f"s; "
+            f"rest: detection, tracking, flight); without rendering {flown / (took - drawn):.2f} "
+            f"times\n    in units of the reference task ({reference:.0f} ms, before and after): "
+            f"simulated second "
+            f"{1e3 * took / flown / reference:.1f}; limit of twice real time: reference task on "
+            f"two cores "
+            f"in {0.5 * flown / took * reference:.0f} ms"
         )
 
 
-def _flown(scenario, until: float = float("inf")) -> tuple[float, float, float, Timed]:
-    """Return the time flown, what it took, what its maps took, s, and how pictures were taken."""
+def _time_flight(
+    scenario, until: float = float("inf")
+) -> tuple[float, float, float, TimedFunction]:
+    """Return simulated time, computing time, map time, s, and the image timer."""
     from lunarsim.rng import flight_seed
     from lunarsim.sensors.camera import Camera
     from lunarsim.simulation import Simulation
@@ -254,7 +260,7 @@ def _flown(scenario, until: float = float("inf")) -> tuple[float, float, float, 
     began = time.perf_counter()
     mapped = refreshed = 0.0
     expose = Camera.expose
-    shutter = Timed(expose)
+    shutter = TimedFunction(expose)
     Camera.expose = lambda self, *a, s=shutter, **k: s(self, *a, **k)
     try:
         while not simulation.done and simulation.time < until:

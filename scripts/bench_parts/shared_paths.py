@@ -1,4 +1,4 @@
-"""What it saves that flights of one index which differ in policy alone share their path."""
+"""Measure the saving from shared paths of flights that differ only in policy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from bench_parts.common import ROOT
 
-# Scenario, policies, indices.
+# Scenario, policies, number of indices.
 _CASES = (
     ("hard", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
     ("hirise", ("no-divert", "nearest-safe", "fuel-aware", "safest"), 4),
@@ -15,7 +15,7 @@ _CASES = (
 
 
 def paths() -> None:
-    """Processor time of flights that differ in policy alone, on shared paths and apart."""
+    """Processor time of flights of several policies with and without shared paths."""
     from lunarsim.campaign.flying import plan_of
     from lunarsim.campaign.spec import CampaignSpec
 
@@ -28,18 +28,19 @@ def paths() -> None:
         study = plan_of(spec).work.study
         shared = apart = 0.0
         for index in range(flights + 1):
-            one, other = _took(study, index, len(policies))
-            if index:  # the first loads what is loaded late
+            one, other = _processor_times(study, index, len(policies))
+            if index:  # the first index includes late imports
                 shared, apart = shared + one, apart + other
         each = flights * len(policies)
         print(
-            f"  {name}, {len(policies)} policies, truth known: {shared / each:.2f} s of a core "
-            f"a flight on shared paths, {apart / each:.2f} s apart: {apart / shared:.1f} times"
+            f"  {name}, {len(policies)} policies, truth known: {shared / each:.2f} s of core time "
+            f"per flight with shared paths, {apart / each:.2f} s without: {apart / shared:.1f} "
+            f"times"
         )
 
 
-def _took(study: Any, index: int, arms: int) -> tuple[float, float]:
-    """Return the processor time of all arms of an index, on shared paths and apart."""
+def _processor_times(study: Any, index: int, arms: int) -> tuple[float, float]:
+    """Return processor times of all arms of an index with and without shared paths."""
     from dataclasses import replace
 
     from lunarsim.campaign.flying import fly
@@ -47,7 +48,7 @@ def _took(study: Any, index: int, arms: int) -> tuple[float, float]:
 
     memory: dict[Any, Any] = {}
     group, alone = Group(index, tuple(range(arms))), replace(study, paths=())
-    fly(alone, group, 0, memory)  # world and truth
+    fly(alone, group, 0, memory)  # computes world and truth
     took = []
     for known in (study, alone):
         began = time.process_time()

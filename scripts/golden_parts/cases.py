@@ -1,7 +1,7 @@
-"""Golden cases: each computes results on a fixed seed and returns their digests.
+"""Golden cases: each computes results with a fixed seed and returns their digests.
 
-A case uses the command line and registered environments only, so that the same case runs on an
-older revision of the code. Run as a program, with a case's name and a JSON file to write.
+The cases use only the command line and the registered environments, so that they also run with
+older revisions. As a program, the module takes the name of a case and a JSON file to write.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def _lunarsim(folder: Path, *arguments: str) -> None:
 
 
 def _source() -> Path:
-    """Return the folder of the source that is imported."""
+    """Return the folder of the imported source."""
     import lunarsim
 
     return Path(lunarsim.__file__).parent.parent
 
 
 def fly(scenario: str, *arguments: str) -> Digests:
-    """Fly a shipped scenario with the policy that moves to the safest site."""
+    """Fly a shipped scenario with the policy `safest`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         policy = () if "--policy" in arguments else ("--policy", "safest")
@@ -64,7 +64,7 @@ def true_maps(scenario: str) -> Digests:
 
 
 def campaign() -> Digests:
-    """Fly a small campaign; export its rows and write its report."""
+    """Run a small campaign, export its rows and write its report."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _lunarsim(folder, "scenario", "new", "golombek")
@@ -81,30 +81,30 @@ def steps(environment: str, count: int, lanes: int = 0) -> Digests:
     import gymnasium
     import numpy as np
 
-    made: Any
+    env: Any
     if lanes:
-        made = gymnasium.make_vec(
+        env = gymnasium.make_vec(
             f"lunarsim_envs:{environment}", lanes, vectorization_mode="vector_entry_point"
         )
     else:
-        made = gymnasium.make(f"lunarsim_envs:{environment}")
-    observation, _ = made.reset(seed=11)
-    made.action_space.seed(12)
+        env = gymnasium.make(f"lunarsim_envs:{environment}")
+    observation, _ = env.reset(seed=11)
+    env.action_space.seed(12)
     observations, rewards, ends = [_flat(observation)], [], []
     for _ in range(count):
-        observation, reward, terminated, truncated, _ = made.step(made.action_space.sample())
+        observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
         observations.append(_flat(observation))
         rewards.append(np.asarray(reward, np.float64))
         ends.append(np.asarray([terminated, truncated]))
         if not lanes and (terminated or truncated):
-            observation, _ = made.reset()
-    made.close()
+            observation, _ = env.reset()
+    env.close()
     series = {"observations": observations, "rewards": rewards, "ends": ends}
     return {name: digest(np.array(values)) for name, values in series.items()}
 
 
 def _flat(observation: Any) -> Any:
-    """Return an observation, which may be a dictionary or a tuple, as one array."""
+    """Flatten an observation (array, dict or tuple) into one array."""
     import numpy as np
 
     if isinstance(observation, dict):

@@ -1,4 +1,4 @@
-"""Digests of results: one for each quantity that a case writes."""
+"""Digests of results: one per quantity that a case writes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PROVENANCE = {"provenance", "version", "commit", "code", "created", "history", 
 
 
 def digest(value: Any) -> list[str]:
-    """Return the digest of an array or another value, and a summary of it in words."""
+    """Return the digest of an array or another value, and a summary as text."""
     if isinstance(value, np.ndarray) and value.dtype.kind in "biufc":
         plain = np.ascontiguousarray(value)
         summary = f"{plain.dtype} {plain.shape}"
@@ -33,9 +33,10 @@ def digest(value: Any) -> list[str]:
 
 
 def digests_of_folder(folder: Path, root: Path | None = None) -> dict[str, list[str]]:
-    """Return the digest of each quantity in a folder of results, figures and pages excluded.
+    """Return the digest of each quantity in a result folder.
 
-    Texts count without the folder `root` of the source, which they name in paths of terrain files.
+    In texts, the path of the source folder `root` is removed,
+    because terrain file names contain it.
     """
     found: dict[str, list[str]] = {}
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
@@ -46,7 +47,7 @@ def digests_of_folder(folder: Path, root: Path | None = None) -> dict[str, list[
 
 
 def _without(root: Path | None, value: Any) -> Any:
-    """Return a value without the folder `root` in its texts."""
+    """Return a value without the path `root` in its texts."""
     if root is None or isinstance(value, np.ndarray):
         return value
     return json.loads(json.dumps(value, default=str).replace(f"{root}/", ""))

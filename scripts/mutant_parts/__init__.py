@@ -1,1 +1,1 @@
-"""Parts of `scripts/mutants.py`: the faults, the trial of one fault, the known equivalents."""
+"""Parts of `scripts/mutants.py`: faults, trials, known equivalent faults."""

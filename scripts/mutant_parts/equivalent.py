@@ -1,4 +1,4 @@
-"""The list of faults that change no result, with the reason of each."""
+"""Known equivalent faults, which change no result, with their reasons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from .faults import Fault
+from .faults import Mutant
 
 
 class BrokenListError(ValueError):
@@ -14,25 +14,25 @@ class BrokenListError(ValueError):
 
 
 @dataclass(frozen=True)
-class Equivalent:
+class EquivalentMutant:
     """A fault that no test can catch.
 
     Attributes
     ----------
     fault
-        `file:line:column:operator`. The line only tells equal lines of code apart.
+        `file:line:column:operator`. The line only distinguishes equal lines of code.
     code
-        The line of code without the fault, stripped.
+        Line of code without the fault, stripped.
     reason
-        Why nothing changes.
+        Reason why no result changes.
     """
 
     fault: str
     code: str
     reason: str
 
-    def match(self, faults: list[Fault]) -> Fault | None:
-        """Return the fault that is meant: the nearest of those with this code and place in it."""
+    def match(self, faults: list[Mutant]) -> Mutant | None:
+        """Return the matching fault: the nearest one with this code, column and operator."""
         path, line, column, operator = self.fault.rsplit(":", 3)
         alike = [
             f
@@ -42,8 +42,8 @@ class Equivalent:
         return min(alike, key=lambda f: abs(f.line - int(line)), default=None)
 
 
-def load_equivalents(path: Path) -> list[Equivalent]:
-    """Read the list.
+def load_equivalents(path: Path) -> list[EquivalentMutant]:
+    """Read the list of equivalent faults.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def load_equivalents(path: Path) -> list[Equivalent]:
     Raises
     ------
     BrokenListError
-        Saying which entry is wrong, and how.
+        If an entry is invalid; the message names the entry.
     """
     try:
         entries = tomllib.loads(path.read_text(encoding="utf-8")).get("equivalent", [])
@@ -63,11 +63,11 @@ def load_equivalents(path: Path) -> list[Equivalent]:
     for n, entry in enumerate(entries, 1):
         known = isinstance(entry, dict) and set(entry) == {"fault", "code", "reason"}
         if not known or not all(isinstance(v, str) and v.strip() for v in entry.values()):
-            raise BrokenListError(f"{path}: entry {n} needs fault, code and reason, and no more")
+            raise BrokenListError(f"{path}: entry {n}: must have exactly fault, code and reason")
         place = entry["fault"].rsplit(":", 3)
         if len(place) != 4 or not (place[1].isdigit() and place[2].isdigit()):
             raise BrokenListError(
-                f"{path}: entry {n}: {entry['fault']!r} is not file:line:column:operator"
+                f"{path}: entry {n}: must be file:line:column:operator, got {entry['fault']!r}"
             )
-        found.append(Equivalent(**entry))
+        found.append(EquivalentMutant(**entry))
     return found

@@ -1,8 +1,8 @@
-"""Faults that can be put into the kernels of a file, one small change of its text each.
+"""Generate the faults (mutants) of a kernel file: one small change each.
 
-Only functions under the decorator `kernel` are changed, and numeric constants of their module. Left
-alone are decorators, docstrings, annotations and what stands inside `np.empty(...)`: room too large
-is no fault, and room too small only writes past its end.
+Only functions with the decorator `kernel` and numeric constants of their module are changed.
+Decorators, docstrings, annotations and the arguments of `np.empty(...)` stay unchanged: a larger
+array is no fault, and a smaller one only causes writes past its end.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ _SYMMETRIC = {"min", "max", "hypot", "minimum", "maximum", "smaller", "larger", 
 
 
 @dataclass(frozen=True)
-class Fault:
-    """One change of one place in a file.
+class Mutant:
+    """One change at one place in a file.
 
     Attributes
     ----------
     path
         File, relative to the root of the repository, with forward slashes.
     line, column
-        Where the change starts; lines from 1, columns (bytes) from 0.
+        Start of the change; lines from 1, columns (bytes) from 0.
     operator
         Kind of change.
     start, end, text
-        The bytes start to end of the file become `text`.
+        The bytes start to end of the file are replaced by `text`.
     code
-        The line of code as it stands, stripped.
+        Line of code without the fault, stripped.
     """
 
     path: str
@@ -69,21 +69,21 @@ class Fault:
 
     @property
     def name(self) -> str:
-        """`file:line:column:operator`."""
+        """Name of the fault, `file:line:column:operator`."""
         return f"{self.path}:{self.line}:{self.column}:{self.operator}"
 
-    def applied(self, source: str) -> str:
-        """Return the source with the fault in it."""
+    def apply(self, source: str) -> str:
+        """Return the source with the fault."""
         raw = source.encode()
         return (raw[: self.start] + self.text.encode() + raw[self.end :]).decode()
 
     def line_after(self, source: str) -> str:
-        """Return the line of code with the fault in it, stripped."""
-        return self.applied(source).splitlines()[self.line - 1].strip()
+        """Return the line of code with the fault, stripped."""
+        return self.apply(source).splitlines()[self.line - 1].strip()
 
 
-class _Source:
-    """The text of a file, its tokens and where its lines start, in bytes."""
+class _SourceText:
+    """Text of a file with its tokens and the byte offsets of its lines."""
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
@@ -99,7 +99,7 @@ class _Source:
         ]
 
     def _offset_of(self, place: tuple[int, int]) -> int:
-        """Return the byte at a token's place, whose column counts characters."""
+        """Return the byte offset of a token position, whose column counts characters."""
         line, column = place
         if line > len(self.lines):
             return len(self.raw)
@@ -115,7 +115,7 @@ class _Source:
         return self.raw[self.start(node) : self.end(node)].decode()
 
     def token(self, after: int, before: int, known: Container[str]) -> tuple[int, int, str] | None:
-        """Return the first token of `known` that lies between two bytes."""
+        """Return the first token of `known` between two bytes."""
         first = bisect.bisect_left(self.tokens, (after,))
         for start, end, text in self.tokens[first:]:
             if end > before:
@@ -124,16 +124,18 @@ class _Source:
                 return start, end, text
         return None
 
-    def fault(self, start: int, end: int, text: str, operator: str) -> Fault:
-        """Return the fault that sets `text` in the place of the bytes start to end."""
+    def fault(self, start: int, end: int, text: str, operator: str) -> Mutant:
+        """Return the fault that replaces the bytes start to end by `text`."""
         line = bisect.bisect_right(self.starts, start) - 1
-        return Fault(
+        return Mutant(
             self.path, line + 1, start - self.starts[line], operator, start, end, text,
             self.lines[line].strip(),
         )  # fmt: skip
 
 
-def _between(source: _Source, left: ast.expr, right: ast.expr, what: ast.AST) -> Iterator[Fault]:
+def _between(
+    source: _SourceText, left: ast.expr, right: ast.expr, what: ast.AST
+) -> Iterator[Mutant]:
     """Yield the faults of the operator between two operands."""
     start, end = source.end(left), source.start(right)
     if isinstance(what, ast.cmpop):
@@ -149,15 +151,15 @@ def _between(source: _Source, left: ast.expr, right: ast.expr, what: ast.AST) ->
         yield source.fault(found[0], found[1], other, operator)
 
 
-def _dropped(source: _Source, node: ast.BinOp) -> Iterator[Fault]:
-    """Yield the fault that drops the second operand of a sum, a difference or a product."""
+def _dropped(source: _SourceText, node: ast.BinOp) -> Iterator[Mutant]:
+    """Yield the fault that drops the second operand of a sum, difference or product."""
     found = source.token(source.end(node.left), source.start(node.right), ("+", "-", "*"))
     if found and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
         yield source.fault(found[0], source.end(node), "", "drop-term")
 
 
-def _constant(source: _Source, node: ast.Constant, subscript: bool) -> Iterator[Fault]:
-    """Yield the fault that changes a number: by half, by one, or by one place in an index."""
+def _constant(source: _SourceText, node: ast.Constant, subscript: bool) -> Iterator[Mutant]:
+    """Yield the fault that changes a number: times 1.5, or plus one."""
     value = node.value
     if isinstance(value, bool):
         yield source.fault(source.start(node), source.end(node), str(not value), "constant")
@@ -169,8 +171,8 @@ def _constant(source: _Source, node: ast.Constant, subscript: bool) -> Iterator[
         yield source.fault(source.start(node), source.end(node), text, "constant")
 
 
-def _call(source: _Source, node: ast.Call) -> Iterator[Fault]:
-    """Yield the faults of a call: another function, arguments swapped, a range one short."""
+def _call(source: _SourceText, node: ast.Call) -> Iterator[Mutant]:
+    """Yield the faults of a call: other function, swapped arguments, shorter range."""
     func = node.func
     name = func.attr if isinstance(func, ast.Attribute) else getattr(func, "id", "")
     if name in _CALLS:
@@ -191,8 +193,8 @@ def _call(source: _Source, node: ast.Call) -> Iterator[Fault]:
                 yield source.fault(source.start(a), source.end(b), text, "swap-arguments")
 
 
-def _statement(source: _Source, node: ast.stmt) -> Iterator[Fault]:
-    """Yield the faults of a statement: left out, its sign turned, its condition negated."""
+def _statement(source: _SourceText, node: ast.stmt) -> Iterator[Mutant]:
+    """Yield the faults of a statement: dropped, sign changed, or condition negated."""
     span = source.start(node), source.end(node)
     if isinstance(node, ast.AugAssign):
         yield source.fault(*span, "pass", "drop-statement")
@@ -210,7 +212,7 @@ def _statement(source: _Source, node: ast.stmt) -> Iterator[Fault]:
         yield source.fault(source.start(node.test), source.end(node.test), text, "opposite")
 
 
-def _of_node(source: _Source, node: ast.AST, subscript: bool) -> Iterator[Fault]:
+def _node_faults(source: _SourceText, node: ast.AST, subscript: bool) -> Iterator[Mutant]:
     """Yield the faults of one node of the tree, without those of its children."""
     if isinstance(node, ast.Compare):
         operands = [node.left, *node.comparators]
@@ -234,18 +236,18 @@ def _of_node(source: _Source, node: ast.AST, subscript: bool) -> Iterator[Fault]
         yield from _statement(source, node)
 
 
-def _within(source: _Source, node: ast.AST, subscript: bool = False) -> Iterator[Fault]:
-    """Yield the faults of a node and of what stands in it."""
+def _faults_within(source: _SourceText, node: ast.AST, subscript: bool = False) -> Iterator[Mutant]:
+    """Yield the faults of a node and of its children."""
     if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.empty", "numpy.empty"):
         return
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return  # a docstring
-    yield from _of_node(source, node, subscript)
+    yield from _node_faults(source, node, subscript)
     for field, value in ast.iter_fields(node):
         inside = subscript or (isinstance(node, ast.Subscript) and field == "slice")
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST) and field not in ("annotation", "returns"):
-                yield from _within(source, child, inside)
+                yield from _faults_within(source, child, inside)
 
 
 def _is_kernel(node: ast.AST) -> bool:
@@ -261,44 +263,44 @@ def kernel_lines(text: str) -> int:
     return sum(n.end_lineno - n.lineno + 1 for n in tree.body if _is_kernel(n))  # type: ignore[attr-defined]
 
 
-def faults_of(path: str, text: str) -> list[Fault]:
-    """Return all faults that can be put into the kernels of a file, in order of their names.
+def faults_of(path: str, text: str) -> list[Mutant]:
+    """Return all faults of the kernels in a file, in order of their positions.
 
     Parameters
     ----------
     path
-        What the faults' names are to say of the file.
+        Path for the names of the faults.
     text
-        What stands in it.
+        Content of the file.
     """
-    source = _Source(path, text)
-    found: list[Fault] = []
+    source = _SourceText(path, text)
+    found: list[Mutant] = []
     for node in ast.parse(text).body:
         if _is_kernel(node):
             for statement in node.body:  # type: ignore[attr-defined]
-                found += _within(source, statement)
+                found += _faults_within(source, statement)
         elif isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(
             node.value, ast.Constant | ast.BinOp | ast.UnaryOp
         ):
-            found += _within(source, node.value)
+            found += _faults_within(source, node.value)
     return sorted(set(found), key=lambda f: (f.line, f.column, f.operator, f.text))
 
 
-def drawn(faults: list[Fault], count: int, seed: int) -> list[Fault]:
-    """Return `count` of the faults of a file, of every operator in turn.
+def sample_faults(faults: list[Mutant], count: int, seed: int) -> list[Mutant]:
+    """Select `count` faults of a file, cycling through the operators.
 
-    The order within an operator goes by a hash of seed, code and place in the line, so that a
-    change elsewhere in the file does not draw other faults.
+    The order within an operator is a hash of seed, code and place in the line, so that a change
+    elsewhere in the file does not change the selection.
     """
 
-    def rank(fault: Fault) -> str:
+    def rank(fault: Mutant) -> str:
         key = f"{seed}:{fault.path}:{fault.code}:{fault.column}:{fault.operator}:{fault.text}"
         return hashlib.sha256(key.encode()).hexdigest()
 
-    queues: dict[str, list[Fault]] = {}
+    queues: dict[str, list[Mutant]] = {}
     for fault in sorted(faults, key=rank):
         queues.setdefault(fault.operator, []).append(fault)
-    order: list[Fault] = []
+    order: list[Mutant] = []
     depth = 0
     while len(order) < min(count, len(faults)):
         order += [queue[depth] for queue in queues.values() if depth < len(queue)]

@@ -1,4 +1,4 @@
-"""The trials of many faults, side by side, and the file in which their results are kept."""
+"""Run the trials of many faults in parallel and store their results."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from .faults import Fault
-from .trial import Stopped, Workspace
+from .faults import Mutant
+from .trial import MutantWorkspace, TrialStopped
 
 
 @dataclass(frozen=True)
-class Result:
-    """What became of a fault; `verdict` and `test` as `Workspace.trial` has them.
+class MutantResult:
+    """Result of a fault; `verdict` and `test` as returned by `MutantWorkspace.trial`.
 
-    `source` and `tests` are digests of the file and of its tests at the time.
+    `source` and `tests` are digests of the file and of its tests at that time.
     """
 
     fault: str
@@ -33,12 +33,12 @@ class Result:
 
 
 def _digest(paths: list[Path]) -> str:
-    """Return a hash of what stands in files and in the Python files of folders."""
+    """Return a hash of files and of the Python files in folders."""
     files = [f for p in paths for f in (sorted(p.rglob("*.py")) if p.is_dir() else [p])]
     return hashlib.sha256(b"\0".join(f.read_bytes() for f in files)).hexdigest()[:16]
 
 
-class Trials:
+class MutationRun:
     """Trials of faults.
 
     Parameters
@@ -46,40 +46,40 @@ class Trials:
     root
         Working tree.
     kept
-        File of JSON lines, one a result; it is read, and what is found is added. A line that
-        names a file alone is the run of its tests without a fault.
+        File of JSON lines, one per result; it is read and extended. A line with the name of a file
+        is the run of its tests without a fault.
     tests
         Test files and folders of each kernel file, relative to `root`.
 
     Raises
     ------
     ValueError
-        If `kept` holds something else.
+        If `kept` is not a file of results.
     """
 
     def __init__(self, root: Path, kept: Path, tests: dict[str, list[str]]) -> None:
         self._root = root
         self._file = kept
         self._tests = tests
-        self._kept: dict[str, Result] = {}
+        self._kept: dict[str, MutantResult] = {}
         self._writing = threading.Lock()
         if kept.exists():
             for n, line in enumerate(kept.read_text(encoding="utf-8").splitlines(), 1):
                 try:
-                    result = Result(**json.loads(line))
+                    result = MutantResult(**json.loads(line))
                 except (TypeError, json.JSONDecodeError) as error:
-                    raise ValueError(f"{kept}, line {n}, is no result of a fault") from error
+                    raise ValueError(f"{kept}: line {n}: must be the result of a fault") from error
                 self._kept[result.fault] = result
         self._digests = {
             path: (_digest([root / path]), _digest([root / t for t in names]))
             for path, names in tests.items()
         }
 
-    def known(self, fault: Fault) -> Result | None:
-        """Return what was kept of a fault, unless its file, or a survivor's tests, have changed."""
-        return self._holding(fault.name, fault.path)
+    def known(self, fault: Mutant) -> MutantResult | None:
+        """Return the stored result of a fault if it is still valid."""
+        return self._valid_result(fault.name, fault.path)
 
-    def _holding(self, name: str, path: str) -> Result | None:
+    def _valid_result(self, name: str, path: str) -> MutantResult | None:
         kept = self._kept.get(name)
         source, tests = self._digests[path]
         if kept is None or kept.source != source:
@@ -87,48 +87,48 @@ class Trials:
         return kept if kept.verdict != "survived" or kept.tests == tests else None
 
     def run(
-        self, faults: list[Fault], jobs: int, limit: float, tell: Callable[[Result], None]
+        self, faults: list[Mutant], jobs: int, limit: float, tell: Callable[[MutantResult], None]
     ) -> None:
-        """Try faults, a file at a time, and keep their results.
+        """Try faults, one file at a time, and store their results.
 
         Parameters
         ----------
         faults
-            What to try.
+            Faults to try.
         jobs
-            How many at a time, each in a copy of its own.
+            Number of parallel trials, each in its own copy.
         limit
-            Longest time of one fault, s. Less is allowed where the tests take less: half a minute
-            and three times what they take without a fault.
+            Time limit of one fault, s. The actual limit is smaller if the tests are fast: 30 s plus
+            three times their time without a fault.
         tell
-            Is given every result.
+            Callback for every result.
 
         Raises
         ------
         BrokenTestsError
             If the tests of a file fail without a fault.
         """
-        spaces: queue.Queue[Workspace] = queue.Queue()
+        spaces: queue.Queue[MutantWorkspace] = queue.Queue()
 
-        made: list[Workspace] = []
+        made: list[MutantWorkspace] = []
 
-        def work(group: list[Fault]) -> None:
+        def work(group: list[Mutant]) -> None:
             space = spaces.get()
             try:
-                needed = self._unchanged(space, group[0].path)
+                needed = self._time_without_fault(space, group[0].path)
                 for fault in group:
-                    tell(self._tried(space, fault, min(limit, 30.0 + 3.0 * needed)))
-            except Stopped:
+                    tell(self._try_fault(space, fault, min(limit, 30.0 + 3.0 * needed)))
+            except TrialStopped:
                 pass
             finally:
                 spaces.put(space)
 
-        groups: dict[str, list[Fault]] = {}
+        groups: dict[str, list[Mutant]] = {}
         for fault in faults:
             groups.setdefault(fault.path, []).append(fault)
         with tempfile.TemporaryDirectory(prefix="mutants-", ignore_cleanup_errors=True) as folder:
             for job in range(min(jobs, len(groups))):
-                made.append(Workspace(self._root, Path(folder) / str(job)))
+                made.append(MutantWorkspace(self._root, Path(folder) / str(job)))
                 spaces.put(made[-1])
             with ThreadPoolExecutor(jobs) as pool:
                 futures = [pool.submit(work, group) for group in groups.values()]
@@ -141,25 +141,25 @@ class Trials:
                     pool.shutdown(cancel_futures=True)
                     raise
 
-    def _unchanged(self, space: Workspace, path: str) -> float:
-        """Return what the tests of a file take without a fault, s, as kept or as tried now."""
-        kept = self._holding(path, path)
+    def _time_without_fault(self, space: MutantWorkspace, path: str) -> float:
+        """Return the test time of a file without a fault, s, stored or measured now."""
+        kept = self._valid_result(path, path)
         if kept is None:
-            seconds = round(space.unchanged(path, self._tests[path]), 1)
-            kept = Result(path, "survived", "", seconds, *self._digests[path])
+            seconds = round(space.run_without_fault(path, self._tests[path]), 1)
+            kept = MutantResult(path, "survived", "", seconds, *self._digests[path])
             self._keep(kept)
         return kept.seconds
 
-    def _tried(self, space: Workspace, fault: Fault, limit: float) -> Result:
-        """Try a fault and keep its result."""
+    def _try_fault(self, space: MutantWorkspace, fault: Mutant, limit: float) -> MutantResult:
+        """Try a fault and store its result."""
         start = time.monotonic()
         verdict, test = space.trial(fault, self._tests[fault.path], limit)
         seconds = round(time.monotonic() - start, 1)
-        result = Result(fault.name, verdict, test, seconds, *self._digests[fault.path])
+        result = MutantResult(fault.name, verdict, test, seconds, *self._digests[fault.path])
         self._keep(result)
         return result
 
-    def _keep(self, result: Result) -> None:
+    def _keep(self, result: MutantResult) -> None:
         with self._writing, self._file.open("a", encoding="utf-8") as out:
             out.write(json.dumps(asdict(result)) + "\n")
         self._kept[result.fault] = result

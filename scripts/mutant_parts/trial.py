@@ -1,4 +1,4 @@
-"""The trial of one fault: a copy of the package with the fault in it, and the tests run on it."""
+"""Try one fault: put it into a copy of the package and run the tests there."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .faults import Fault
+from .faults import Mutant
 
 CAUGHT = ("caught", "crashed", "timed out")
 _COPIED = ("lunarsim", "envs", "scenarios", "tests", "pyproject.toml")
 _PYTEST = ["-x", "-q", "--no-header", "--tb=line", "-p", "no:cacheprovider"]
-# Numba refuses types in a fault's place: the fault cannot run, so no test is shown to catch it.
+# Numba rejects the types at the fault: it cannot run, so no test detects it.
 _REFUSED = re.compile(
     r"numba\.core\.errors\.\w+|(Typing|Lowering|UnsupportedBytecode|Unsupported)Error"
 )
@@ -31,21 +31,21 @@ class BrokenTestsError(RuntimeError):
     """The tests cannot be run, or fail without a fault."""
 
 
-class Stopped(Exception):  # noqa: N818
-    """A trial was stopped from outside, and tells nothing."""
+class TrialStopped(Exception):  # noqa: N818
+    """A trial was stopped from outside and has no result."""
 
 
 def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
-    """Return for each file those that use it, at first or any hand, itself among them.
+    """Return each file's direct and indirect importers, and itself.
 
-    Numba links a kernel into the cached code of its callers and does not look whether it changed.
+    Numba links a kernel into the cached code of its callers and does not check whether it changed.
 
     Parameters
     ----------
     files
         Python files that import one another by absolute names.
     root
-        Folder in which their package stands. The answer has paths relative to it.
+        Folder of their package. The returned paths are relative to it.
     """
     names = {p.relative_to(root).as_posix(): p for p in files}
     modules = {name.removesuffix(".py").replace("/", "."): name for name in names}
@@ -60,13 +60,13 @@ def importers(files: Iterable[Path], root: Path) -> dict[str, set[str]]:
     return users
 
 
-class Workspace:
-    """A copy of package and tests, with its compiled kernels, that faults are put into in turn.
+class MutantWorkspace:
+    """Copy of package and tests into which faults are put in turn.
 
     Parameters
     ----------
     root
-        Working tree; nothing is written there.
+        Working tree; it is not modified.
     folder
         Empty folder for the copy.
     """
@@ -82,8 +82,8 @@ class Workspace:
         self._process: subprocess.Popen[str] | None = None
         self._users = importers(sorted(folder.glob("lunarsim/**/*kernels.py")), folder)
 
-    def unchanged(self, path: str, tests: list[str]) -> float:
-        """Run the tests of a file without a fault, with its kernels compiled anew.
+    def run_without_fault(self, path: str, tests: list[str]) -> float:
+        """Run the tests of a file without a fault, after recompiling its kernels.
 
         Returns
         -------
@@ -93,33 +93,35 @@ class Workspace:
         Raises
         ------
         BrokenTestsError
-            If they do not pass.
+            If the tests do not pass.
         """
         for file in self._compiled(path):
             file.unlink()
         start = time.monotonic()
         verdict, output = self._run(tests, None)
         if verdict != "survived":
-            raise BrokenTestsError(f"without a fault the tests of {path} fail:\n{output}")
+            raise BrokenTestsError(
+                f"tests of {path}: must pass without a fault, but fail:\n{output}"
+            )
         return time.monotonic() - start
 
-    def trial(self, fault: Fault, tests: list[str], limit: float) -> tuple[str, str]:
-        """Return what became of a fault, and the first test that failed.
+    def trial(self, fault: Mutant, tests: list[str], limit: float) -> tuple[str, str]:
+        """Try a fault; return the outcome and the first failed test.
 
         Parameters
         ----------
         fault
-            What to put in.
+            Fault to try.
         tests
-            Test files, in the order in which they are run up to the first failure.
+            Test files, in order; the run ends at the first failure.
         limit
-            Time after which the fault is taken to be caught, s.
+            Time after which the fault counts as caught, s.
 
         Returns
         -------
         tuple of str
-            "caught", "crashed", "timed out", "survived" or "refused" (by the compiler); the
-            test's name, or "".
+            "caught", "crashed", "timed out", "survived" or "refused" (by the compiler); the name of
+            the failed test, or "".
         """
         with self._with_fault(fault):
             verdict, output = self._run(tests, limit)
@@ -129,14 +131,14 @@ class Workspace:
         return verdict, failed.group(1) if failed else ""
 
     def stop(self) -> None:
-        """End the trial under way, in another thread; it and all later ones raise `Stopped`."""
+        """End the current trial of another thread; it and later ones raise `TrialStopped`."""
         self._stopped.set()
         process = self._process
         if process is not None and process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
 
     def _compiled(self, path: str) -> list[Path]:
-        """Return the cached kernels into which those of a file are compiled."""
+        """Return the cached kernels that contain those of a file."""
         return [
             cached
             for user in self._users.get(path, {path})
@@ -144,8 +146,8 @@ class Workspace:
         ]
 
     @contextmanager
-    def _with_fault(self, fault: Fault) -> Iterator[None]:
-        """Put a fault in, set the kernels compiled without it aside, and restore both."""
+    def _with_fault(self, fault: Mutant) -> Iterator[None]:
+        """Put a fault in, set aside the kernels compiled without it, and restore both."""
         file = self.folder / fault.path
         stat = file.stat()
         source = file.read_bytes()
@@ -154,13 +156,13 @@ class Workspace:
         aside.mkdir()
         for cached, place in kept:
             cached.rename(place)
-        file.write_text(fault.applied(source.decode()), encoding="utf-8")
+        file.write_text(fault.apply(source.decode()), encoding="utf-8")
         _forget_byte_code(file)
         try:
             yield
         finally:
             file.write_bytes(source)
-            # Numba and Python tell by size and time whether what they cached is of this source.
+            # Numba and Python decide by size and time whether their caches match the source.
             os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
             for cached in self._compiled(fault.path):
                 cached.unlink()
@@ -170,13 +172,14 @@ class Workspace:
             aside.rmdir()
 
     def _run(self, tests: list[str], limit: float | None) -> tuple[str, str]:
-        """Return the verdict of the tests, and what they printed."""
+        """Return the outcome of the tests, and their output."""
         if self._stopped.is_set():
-            raise Stopped
+            raise TrialStopped
         environment = dict(
             os.environ, PYTHONPATH=os.pathsep.join((str(self.folder), str(self.folder / "envs")))
         )
-        environment.pop("NUMBA_CACHE_DIR", None)  # the copy has its own beside its modules
+        # the copy has its own cache in its package folders
+        environment.pop("NUMBA_CACHE_DIR", None)
         process = subprocess.Popen(
             [sys.executable, "-m", "pytest", *_PYTEST, *tests],
             cwd=self.folder, env=environment, text=True, start_new_session=True,
@@ -192,7 +195,7 @@ class Workspace:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.communicate()
         if self._stopped.is_set():
-            raise Stopped
+            raise TrialStopped
         code = process.returncode
         if code < 0 or code > 128:
             return "crashed", output
@@ -204,9 +207,9 @@ class Workspace:
 
 
 def _forget_byte_code(file: Path) -> None:
-    """Delete the byte code of a module; Python would take it for a new source of the same second.
+    """Delete the byte code of a module, which could seem valid for a new source.
 
-    Python compares sizes, and times in whole seconds.
+    Python compares only sizes, and times in whole seconds.
     """
     for byte_code in file.parent.glob(f"__pycache__/{file.stem}.*.pyc"):
         byte_code.unlink()

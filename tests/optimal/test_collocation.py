@@ -47,8 +47,8 @@ def test_what_comes_out_moves_by_its_own_thrust():
 @pytest.mark.slow
 def test_fifty_random_descents_take_the_same_propellant():
     rng = np.random.default_rng(2)
-    gaps = np.array([gap(moon(rng)) for _ in range(50)])
-    assert np.abs(gaps).max() < 2e-3, gaps
+    defects = np.array([gap(moon(rng)) for _ in range(50)])
+    assert np.abs(defects).max() < 2e-3, defects
 
 
 def test_what_it_does_not_know_is_refused_and_failures_are_told():
@@ -63,4 +63,4 @@ def test_what_it_does_not_know_is_refused_and_failures_are_told():
         with pytest.raises(InputError, match="intervals"):
             collocate(mars(), intervals)
     with pytest.raises(SolverError, match="IPOPT"):
-        collocate(mars(), 10, most=2)
+        collocate(mars(), 10, max_iterations=2)

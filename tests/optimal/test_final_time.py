@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.cone_program import Judged
+from lunarsim.optimal.cone_program import FallbackSolver
 from lunarsim.optimal.errors import InfeasibleError, RelaxationError, SolverError
 from lunarsim.optimal.final_time import (
-    first_time,
-    flyable,
-    least_error,
+    is_flyable,
     least_propellant,
-    masses_left,
+    minimize_landing_error,
+    minimum_effort_time,
     nearest,
-    search_about,
+    remaining_log_mass,
+    search_near,
 )
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
-from lunarsim.optimal.transcription import Walls
+from lunarsim.optimal.transcription import HalfSpaces
 from tests.optimal.cases import mars, moon
 
 FAR = {"position": (2000.0, 500.0, 1500.0), "velocity": (100.0, 40.0, -75.0)}
@@ -56,7 +56,7 @@ def test_the_first_final_time_is_that_of_least_effort():
     rng = np.random.default_rng(2)
     for _ in range(10):
         d = moon(rng, end_velocity=rng.normal(0.0, 5.0, 3))
-        first = first_time(d)
+        first = minimum_effort_time(d)
         assert effort(d, first) < min(effort(d, first * s) for s in (0.98, 1.02))
         far = np.linspace(0.3 * first, 3.0 * first, 60)
         assert effort(d, first) <= min(effort(d, t) for t in far)
@@ -67,7 +67,7 @@ def test_a_slope_that_hardly_changes_is_followed_to_its_end():
     path = least_propellant(Planner(30), level_slope())
     assert path.propellant == pytest.approx(82.58, rel=2e-3)
     assert path.loss < 1e-3
-    assert path.settled
+    assert path.converged
 
 
 def test_a_slow_descent_is_found_far_from_the_first_guess():
@@ -88,22 +88,22 @@ def test_a_region_that_holds_the_nearest_end_is_reached(region):
 
 def test_a_search_whose_solves_run_out_says_so():
     d = moon()
-    far = 1.6 * first_time(d)
-    short = search_about(Planner(20), d, iter((far,)), most=2)
-    assert not short.settled
-    assert search_about(Planner(20), d, iter((far,)), most=16).settled
+    far = 1.6 * minimum_effort_time(d)
+    short = search_near(Planner(20), d, iter((far,)), max_solves=2)
+    assert not short.converged
+    assert search_near(Planner(20), d, iter((far,)), max_solves=16).converged
 
 
 def test_solves_are_counted_from_the_first_final_time_that_can_be_flown():
     """What is spent on final times out of reach leaves the search as many as without them."""
     d, planner = moon(), Planner(20)
     first = least_propellant(planner, d).duration
-    alone = search_about(planner, d, iter((1.2 * first,)), most=3)
-    found = search_about(planner, d, iter((0.5 * first, 0.6 * first, 1.2 * first)), most=3)
+    alone = search_near(planner, d, iter((1.2 * first,)), max_solves=3)
+    found = search_near(planner, d, iter((0.5 * first, 0.6 * first, 1.2 * first)), max_solves=3)
     assert found.duration == alone.duration < 1.2 * first
 
 
-class Moody(Judged):
+class Moody(FallbackSolver):
     """A solver that gives up the first time."""
 
     def solve(self, program):
@@ -124,20 +124,20 @@ def test_a_path_that_the_engine_cannot_fly_is_told_not_returned():
         250297.0, 255405.0, 2684.9, 1159.7, np.deg2rad(80.0), np.deg2rad(83.55),
         end_tilt=np.deg2rad(10.0),
     )  # fmt: skip
-    with pytest.raises(RelaxationError, match="breaks its limits by"):
+    with pytest.raises(RelaxationError, match="violates the thrust limits by"):
         least_propellant(Planner(20), d)
     assert issubclass(RelaxationError, SolverError)
-    bound = least_propellant(Planner(20), d, lossy=True)
-    assert not flyable(bound)
+    bound = least_propellant(Planner(20), d, allow_lossy=True)
+    assert not is_flyable(bound)
     assert bound.excess > 0.05
-    assert flyable(least_propellant(Planner(20), moon()))
+    assert is_flyable(least_propellant(Planner(20), moon()))
 
 
 def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_above():
     low = moon(position=(-600.0, 0.0, 60.0), velocity=(28.0, 0.0, 5.0))
-    assert low.outside
-    assert not replace(low, region=400.0).outside
-    assert not moon().outside
+    assert low.violates_glideslope
+    assert not replace(low, region=400.0).violates_glideslope
+    assert not moon().violates_glideslope
     with pytest.raises(InfeasibleError) as found:
         least_propellant(Planner(20), low)
     gap = low.position - found.value.nearest
@@ -148,22 +148,22 @@ def test_a_start_under_the_glideslope_is_out_of_reach_and_the_nearest_end_keeps_
 
 def test_the_nearest_end_is_that_of_all_the_thrust_there_is():
     fast = {"position": (-250.0, 0.0, 200.0), "velocity": (45.0, 0.0, -25.0)}
-    short, spared = (nearest(Planner(20), moon(**fast, spare=s)) for s in (0.0, 400.0))
+    short, spared = (nearest(Planner(20), moon(**fast, thrust_slack=s)) for s in (0.0, 400.0))
     assert spared.miss < 1.0
     assert short.miss > 40.0
 
 
 def test_of_all_ends_as_near_the_one_of_least_propellant_is_taken():
     low = moon(position=(-600.0, 0.0, 60.0), velocity=(28.0, 0.0, 5.0))
-    near, best = nearest(Planner(20), low), least_error(Planner(20), low)
+    near, best = nearest(Planner(20), low), minimize_landing_error(Planner(20), low)
     assert best.miss == pytest.approx(near.miss, rel=5e-3)
     assert best.increment < 0.98 * near.increment
 
 
 def test_half_spaces_that_leave_no_way_are_not_answered_by_a_nearest_end_that_breaks_them():
     up = np.broadcast_to([0.0, 0.0, 1.0], (20, 1, 3))
-    with pytest.raises(InfeasibleError, match="nor is another end") as found:
-        least_propellant(Planner(20), moon(), walls=Walls(up, np.full((20, 1), 2000.0)))
+    with pytest.raises(InfeasibleError, match="no end at that height") as found:
+        least_propellant(Planner(20), moon(), half_spaces=HalfSpaces(up, np.full((20, 1), 2000.0)))
     assert found.value.nearest is None
 
 
@@ -175,18 +175,18 @@ def test_walls_that_stand_stay_where_they_are_while_the_end_moves():
     free = nearest(Planner(n), d)
     assert free.position[-1, 0] < -200.0
     offsets = np.full((n, 1), 400.0)
-    path = nearest(Planner(n), d, walls=Walls(east, offsets, moves=False))
+    path = nearest(Planner(n), d, half_spaces=HalfSpaces(east, offsets, moves=False))
     control = path.position[:-1, 0] + 0.5 * path.step * path.velocity[:-1, 0]
     assert control[1:-1].max() < -400.0 + 0.1
-    assert nearest(Planner(n), d, walls=Walls(east, offsets)) is None
+    assert nearest(Planner(n), d, half_spaces=HalfSpaces(east, offsets)) is None
 
 
 def test_what_is_left_of_a_path_begins_where_it_is():
     path = least_propellant(Planner(20), mars(glideslope=0.0))
-    left = masses_left(path, 0.5 * path.duration, 10)
+    left = remaining_log_mass(path, 0.5 * path.duration, 10)
     assert np.allclose(left, np.log(path.mass[10:-1] / path.mass[10]) - 0.5 * np.log(
         path.mass[10:-1] / path.mass[11:]), atol=1e-6)  # fmt: skip
-    assert np.allclose(masses_left(path, 0.0, 20), path.log_mass, atol=1e-6)
+    assert np.allclose(remaining_log_mass(path, 0.0, 20), path.log_mass, atol=1e-6)
 
 
 @pytest.mark.parametrize("elapsed", [np.nan, -5.0, "a", None])

@@ -9,56 +9,56 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.optimal.cone_program import Judged
+from lunarsim.optimal.cone_program import FallbackSolver
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
-from lunarsim.optimal.ground import Relief, least_propellant_over
+from lunarsim.optimal.ground import TerrainRaster, least_propellant_over
 from lunarsim.optimal.planner import Planner
 from tests.optimal.cases import moon
 
 GRID = Grid.centred((0.0, 0.0), 1500.0, 10.0)
 
 
-def hill(height: float, west: float, width: float) -> Relief:
+def hill(height: float, west: float, width: float) -> TerrainRaster:
     east, north = np.meshgrid(GRID.x, GRID.y)
     gap = (east + west) ** 2 + north**2
-    return Relief(GRID, height * np.exp(-0.5 * gap / width**2))
+    return TerrainRaster(GRID, height * np.exp(-0.5 * gap / width**2))
 
 
 def test_the_majorant_lies_above_all_terrain_and_touches_in_every_sector():
     rng = np.random.default_rng(1)
-    relief = Relief(GRID, rng.normal(0.0, 20.0, GRID.shape))
+    terrain = TerrainRaster(GRID, rng.normal(0.0, 20.0, GRID.shape))
     end = np.array([3.0, -4.0, 5.0])
-    cone = relief.majorant(end, 12, clearance=2.0)
+    cone = terrain.majorant(end, 12, clearance=2.0)
     lift = np.array([0.0, 0.0, 2.0])
-    above = (relief.posts + lift - end) @ cone.normals.T
+    above = (terrain.posts + lift - end) @ cone.normals.T
     assert above.min(axis=1).max() < 1e-9, "each post lies under one plane at least"
     steep = np.hypot(cone.normals[:, 0], cone.normals[:, 1])
     for plane in np.flatnonzero(steep > 0.0):
         assert np.abs(above[:, plane]).min() < 1e-9, "and each plane that rises touches one"
-    flat = Relief(GRID, np.zeros(GRID.shape)).majorant(end)
+    flat = TerrainRaster(GRID, np.zeros(GRID.shape)).majorant(end)
     assert np.allclose(flat.normals, [0.0, 0.0, 1.0]), "what lies below asks for nothing"
 
 
 def test_heights_are_bilinear_and_missing_off_the_posts():
     east, north = np.meshgrid(GRID.x, GRID.y)
-    relief = Relief(GRID, 0.1 * east - 0.2 * north + 1e-3 * east * north)
+    terrain = TerrainRaster(GRID, 0.1 * east - 0.2 * north + 1e-3 * east * north)
     at = np.random.default_rng(2).uniform(-740.0, 740.0, (50, 2))
     wanted = 0.1 * at[:, 0] - 0.2 * at[:, 1] + 1e-3 * at[:, 0] * at[:, 1]
-    assert np.allclose(relief.height(at), wanted)
-    assert np.isnan(relief.height([[800.0, 0.0]])[0])
+    assert np.allclose(terrain.height(at), wanted)
+    assert np.isnan(terrain.height([[800.0, 0.0]])[0])
 
 
 def test_a_path_within_the_majorant_keeps_above_the_ground_between_its_nodes():
     """A knoll 60 m before the site: the path over flat ground goes through it."""
-    relief, planner = hill(60.0, 60.0, 20.0), Planner(30)
+    terrain, planner = hill(60.0, 60.0, 20.0), Planner(30)
     free = least_propellant(planner, moon())
-    assert relief.above(free) < 0.0
-    cone = relief.majorant(moon().end_position, 16, 1.0)
+    assert terrain.above(free) < 0.0
+    cone = terrain.majorant(moon().end_position, 16, 1.0)
     kept = least_propellant(planner, replace(moon(), cone=cone))
-    assert relief.above(kept) > 0.9
+    assert terrain.above(kept) > 0.9
     assert kept.increment > free.increment
-    assert kept.bars.max() > 1e-3
+    assert kept.half_space_multipliers.max() > 1e-3
 
 
 def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
@@ -66,14 +66,14 @@ def test_planes_about_the_path_undercut_a_majorant_that_blocks_the_way():
     fine = Grid.centred((0.0, 0.0), 1400.0, 5.0)
     east, north = np.meshgrid(fine.x, fine.y)
     knoll = 60.0 * np.exp(-0.5 * ((east + 60.0) ** 2 + north**2) / 20.0**2)
-    relief, planner = Relief(fine, knoll), Planner(24)
+    terrain, planner = TerrainRaster(fine, knoll), Planner(24)
     kept = least_propellant(
-        planner, replace(moon(), cone=relief.majorant(moon().end_position, 12, 1.0))
+        planner, replace(moon(), cone=terrain.majorant(moon().end_position, 12, 1.0))
     )
-    found = least_propellant_over(planner, moon(), relief, clearance=1.0, rounds=4)
-    assert relief.above(found) > 1.0 - 2e-3
+    found = least_propellant_over(planner, moon(), terrain, clearance=1.0, rounds=4)
+    assert terrain.above(found) > 1.0 - 2e-3
     free = least_propellant(planner, moon())
-    assert relief.above(free) < 0.0
+    assert terrain.above(free) < 0.0
     assert free.increment * (1.0 - 1e-4) <= found.increment < kept.increment - 1.0
 
 
@@ -84,7 +84,7 @@ def test_a_wall_about_the_site_is_passed_by_the_short_way():
     """
     grid = Grid.centred((0.0, 0.0), 2400.0, 20.0)
     east, up = np.meshgrid(grid.x, grid.y)
-    pit = Relief(grid, np.where(np.hypot(east, up) < 60.0, -100.0, 0.0))
+    pit = TerrainRaster(grid, np.where(np.hypot(east, up) < 60.0, -100.0, 0.0))
     descent = moon(
         position=np.array([-600.0, 0.0, 400.0]), end_position=np.array([0.0, 0.0, -97.0]),
         glideslope=None,
@@ -95,7 +95,7 @@ def test_a_wall_about_the_site_is_passed_by_the_short_way():
     assert found.propellant < 1.2 * least_propellant(planner, descent).propellant
 
 
-class Fails(Judged):
+class Fails(FallbackSolver):
     """A solver that gives up from one program on."""
 
     at, met = 0, 0
@@ -120,34 +120,34 @@ def test_a_solver_that_gives_up_over_terrain_leaves_the_path_found_before(later)
 
 def test_where_no_terrain_rises_nothing_changes():
     planner = Planner(30)
-    over = least_propellant_over(planner, moon(), Relief(GRID, np.zeros(GRID.shape)))
+    over = least_propellant_over(planner, moon(), TerrainRaster(GRID, np.zeros(GRID.shape)))
     assert over.increment == pytest.approx(least_propellant(planner, moon()).increment, rel=1e-4)
 
 
 def test_bad_terrain_is_refused():
     with pytest.raises(InputError, match="elevation"):
-        Relief(GRID, np.zeros((3, 3)))
+        TerrainRaster(GRID, np.zeros((3, 3)))
     holed = np.zeros(GRID.shape)
     holed[3, 4] = np.nan
     with pytest.raises(InputError, match="1 posts"):
-        Relief(GRID, holed)
+        TerrainRaster(GRID, holed)
     with pytest.raises(InputError, match="end_position"):
-        least_propellant_over(Planner(20), moon(), Relief(GRID, np.full(GRID.shape, 20.0)))
+        least_propellant_over(Planner(20), moon(), TerrainRaster(GRID, np.full(GRID.shape, 20.0)))
     small = Grid.centred((0.0, 0.0), 100.0, 5.0)
     with pytest.raises(InputError, match="terrain"):
-        Relief(small, np.zeros(small.shape)).above(least_propellant(Planner(20), moon()))
+        TerrainRaster(small, np.zeros(small.shape)).above(least_propellant(Planner(20), moon()))
 
 
 def test_no_way_at_all_is_infeasible_not_a_failure():
     with pytest.raises(InfeasibleError):
-        flat = Relief(GRID, np.zeros(GRID.shape))
+        flat = TerrainRaster(GRID, np.zeros(GRID.shape))
         least_propellant_over(Planner(10), moon(dry_mass=1495.0), flat)
 
 
 def test_a_start_under_the_ground_is_refused():
     grid = Grid.centred((0.0, 0.0), 2000.0, 20.0)
     east, north = np.meshgrid(grid.x, grid.y)
-    hill = Relief(grid, 200.0 * np.exp(-((east + 600.0) ** 2 + north**2) / (2.0 * 150.0**2)))
+    hill = TerrainRaster(grid, 200.0 * np.exp(-((east + 600.0) ** 2 + north**2) / (2.0 * 150.0**2)))
     low = moon(position=np.array([-600.0, 0.0, 150.0]), velocity=np.array([28.0, 0.0, 5.0]))
     with pytest.raises(InputError, match=r"optimal\.position"):
         least_propellant_over(Planner(20), low, hill, clearance=1.0)
@@ -156,12 +156,12 @@ def test_a_start_under_the_ground_is_refused():
 def test_a_path_off_the_posts_is_refused():
     small = Grid.centred((0.0, 0.0), 100.0, 5.0)
     with pytest.raises(InputError, match="posts"):
-        least_propellant_over(Planner(20), moon(), Relief(small, np.zeros(small.shape)))
+        least_propellant_over(Planner(20), moon(), TerrainRaster(small, np.zeros(small.shape)))
 
 
 @pytest.mark.parametrize("sectors", [0, 1, 2, 2.5, "a", None])
 def test_sectors_too_wide_for_a_plane_are_refused(sectors):
-    flat = Relief(grid := Grid.centred((0.0, 0.0), 1500.0, 50.0), np.zeros(grid.shape))
+    flat = TerrainRaster(grid := Grid.centred((0.0, 0.0), 1500.0, 50.0), np.zeros(grid.shape))
     with pytest.raises(InputError, match=r"optimal\.sectors"):
         flat.majorant(moon().end_position, sectors)
 
@@ -174,29 +174,29 @@ def test_few_sectors_keep_above_the_ground_too(sectors):
 
 
 def test_a_path_that_the_terrain_does_not_let_pass_is_not_returned(monkeypatch):
-    monkeypatch.setattr(Relief, "above", lambda self, path: 0.5)
+    monkeypatch.setattr(TerrainRaster, "above", lambda self, path: 0.5)
     with pytest.raises(SolverError, match="above the terrain"):
         least_propellant_over(Planner(16), moon(), hill(60.0, 60.0, 20.0), clearance=1.0, rounds=2)
 
 
 def test_planes_lie_above_the_posts_about_each_piece_and_its_neighbours():
-    relief = hill(60.0, 60.0, 20.0)
+    terrain = hill(60.0, 60.0, 20.0)
     path = least_propellant(Planner(16), moon())
-    walls = relief.walls(path, 3.0)
+    half_spaces = terrain.half_spaces(path, 3.0)
     control = path.position[:-1] + 0.5 * path.step * path.velocity[:-1]
     for k in range(16):
-        near = relief.posts[np.hypot(*(relief.posts[:, :2] - control[k, :2]).T) < 20.0]
+        near = terrain.posts[np.hypot(*(terrain.posts[:, :2] - control[k, :2]).T) < 20.0]
         from_end = near - path.descent.end_position
-        under = from_end @ walls.normals[k, 1] - walls.offsets[k, 1]
+        under = from_end @ half_spaces.normals[k, 1] - half_spaces.offsets[k, 1]
         assert under.max() < -3.0 + 1e-9, "each post lies the clearance under its plane"
-    for of, at in ((walls.normals[:, :, :], 0), (walls.offsets[:, :, None], 0)):
+    for of, at in ((half_spaces.normals[:, :, :], 0), (half_spaces.offsets[:, :, None], 0)):
         assert np.array_equal(of[1:, at], of[:-1, 1])
         assert np.array_equal(of[:-1, 2], of[1:, 1])
 
 
 @pytest.mark.parametrize("value", [np.nan, -5.0, np.inf, "a", None])
 def test_a_clearance_that_is_no_height_is_refused(value):
-    flat = Relief(GRID, np.zeros(GRID.shape))
+    flat = TerrainRaster(GRID, np.zeros(GRID.shape))
     with pytest.raises(InputError, match=r"optimal\.clearance"):
         least_propellant_over(Planner(8), moon(), flat, clearance=value)
     with pytest.raises(InputError, match=r"optimal\.clearance"):
@@ -207,10 +207,10 @@ def test_what_is_no_terrain_is_refused():
     with pytest.raises(InputError, match=r"optimal\.terrain"):
         least_propellant_over(Planner(8), moon(), None)
     with pytest.raises(InputError, match=r"optimal\.grid"):
-        Relief(None, np.zeros((3, 3)))
+        TerrainRaster(None, np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"optimal\.elevation"):
-        Relief(GRID, np.full(GRID.shape, "a"))
-    flat = Relief(GRID, np.zeros(GRID.shape))
+        TerrainRaster(GRID, np.full(GRID.shape, "a"))
+    flat = TerrainRaster(GRID, np.zeros(GRID.shape))
     with pytest.raises(InputError, match=r"optimal\.end_position"):
         flat.majorant([np.nan, 0.0, 0.0])
     for rounds in (0, -1, 2.5):

@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 
 from lunarsim.errors import InputError
-from lunarsim.optimal.cone_program import Answer, Clarabel, Judged, Qoco, Unjudged
+from lunarsim.optimal.cone_program import (
+    Clarabel,
+    FallbackSolver,
+    Qoco,
+    QocoOnlySolver,
+    SolverResult,
+)
 from lunarsim.optimal.errors import InfeasibleError, SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Cone
-from lunarsim.optimal.transcription import Structure, Walls
+from lunarsim.optimal.transcription import HalfSpaces, Structure
 from tests.optimal.cases import mars, moon
 
 
@@ -101,22 +107,22 @@ def test_the_end_may_have_to_be_upright():
 
 
 def test_spare_thrust_is_left_alone_while_there_is_another_way():
-    calm = least_propellant(Planner(40), moon(spare=400.0))
+    calm = least_propellant(Planner(40), moon(thrust_slack=400.0))
     assert calm.forces.max() < 5568.0 * (1.0 + 1e-4)
     planner = Planner(40)
     short = 0.96 * calm.duration
     assert planner.at_time(moon(), short) is None
-    hard = planner.at_time(moon(spare=400.0), short)
+    hard = planner.at_time(moon(thrust_slack=400.0), short)
     assert 5568.0 * 1.002 < hard.forces.max() < 5968.0
 
 
 def test_spare_thrust_has_its_price_and_counts_among_the_limits():
-    hard = Planner(40).at_time(moon(spare=400.0, spare_price=8.0), 26.8)
+    hard = Planner(40).at_time(moon(thrust_slack=400.0, thrust_slack_penalty=8.0), 26.8)
     share = (hard.forces.max() - 5568.0) / 400.0
     assert 0.05 < share < 1.0
     assert hard.cost - hard.increment == pytest.approx(8.0 * share, rel=0.02)
     assert hard.excess < 1e-3
-    tight = replace(hard, descent=moon(spare=0.5 * share * 400.0))
+    tight = replace(hard, descent=moon(thrust_slack=0.5 * share * 400.0))
     assert tight.excess == pytest.approx(0.5 * share * 400.0 / 5568.0, rel=0.02)
 
 
@@ -147,20 +153,20 @@ class Failing:
 
     def solve(self, program):
         nothing = np.zeros(0)
-        return Answer("failed", nothing, nothing, nothing, 7, "failing")
+        return SolverResult("failed", nothing, nothing, nothing, 7, "failing")
 
 
 def test_infeasible_and_failed_are_told_apart():
-    with pytest.raises(SolverError, match="failing gave up after 7 iterations"):
+    with pytest.raises(SolverError, match="failing fails after 7 iterations"):
         least_propellant(Planner(20, Failing), moon())
     assert Planner(20).at_time(moon(), 5.0) is None
-    with pytest.raises(SolverError, match="qoco gave up after 2"):
+    with pytest.raises(SolverError, match="qoco fails after 2"):
         Planner(20, lambda: Qoco(2)).at_time(moon(), 30.0)
-    assert Planner(20, lambda: Unjudged(2)).at_time(moon(), 30.0) is None
-    referred = Judged(2)
-    path = Planner(20, lambda: referred).at_time(moon(), 30.0)
+    assert Planner(20, lambda: QocoOnlySolver(2)).at_time(moon(), 30.0) is None
+    fallback_count = FallbackSolver(2)
+    path = Planner(20, lambda: fallback_count).at_time(moon(), 30.0)
     assert path.solver == "clarabel"
-    assert referred.referred >= 1
+    assert fallback_count.fallback_count >= 1
     below = moon(position=np.array([-600.0, 0.0, 5.0]))
     with pytest.raises(InfeasibleError):
         least_propellant(Planner(20), below)
@@ -180,19 +186,19 @@ class Stuck(Clarabel):
 @pytest.mark.parametrize(("duration", "why"), [(30.0, SolverError), (5.0, None)])
 def test_a_judge_that_fails_is_asked_whether_wider_cones_hold_something(duration, why):
     """Nothing is told infeasible that is not proven so."""
-    judged = Judged(2)
-    judged.judge = Stuck()
+    judged = FallbackSolver(2)
+    judged.fallback = Stuck()
     planner = Planner(20, lambda: judged)
     if why is None:
         assert planner.at_time(moon(), duration) is None
     else:
-        with pytest.raises(why, match="clarabel gave up"):
+        with pytest.raises(why, match="clarabel fails"):
             planner.at_time(moon(), duration)
-    assert judged.judge.met == 2
+    assert judged.fallback.met == 2
 
 
 def test_after_a_failure_the_solver_begins_anew():
-    planner = Planner(20, Unjudged)
+    planner = Planner(20, QocoOnlySolver)
     before = planner.at_time(moon(), 30.0)
     assert planner.at_time(moon(), 5.0) is None
     after = planner.at_time(moon(), 30.0)
@@ -203,7 +209,7 @@ def test_infeasible_errors_travel_between_processes():
     error = InfeasibleError(np.zeros(3), "why", np.array([3.0, 4.0, 0.0]))
     again = pickle.loads(pickle.dumps(error))
     assert (again.miss, str(again)) == (5.0, str(error))
-    assert "(3.0, 4.0, 0.0), 5.0 m off" in str(again)
+    assert "(3.0, 4.0, 0.0), 5.0 m away" in str(again)
 
 
 @pytest.mark.parametrize(
@@ -222,7 +228,7 @@ def test_infeasible_errors_travel_between_processes():
         ({"end_tilt": np.nan}, "end_tilt"),
         ({"tilt_rate": np.nan}, "tilt_rate"),
         ({"region": np.inf}, "region"),
-        ({"region": 5.0, "spare": 10.0}, "spare"),
+        ({"region": 5.0, "thrust_slack": 10.0}, "thrust_slack"),
         ({"mass": "abc"}, "mass"),
         ({"mass": None}, "mass"),
         ({"mass": True}, "mass"),
@@ -237,7 +243,7 @@ def test_infeasible_errors_travel_between_processes():
         ({"max_tilt": True}, "max_tilt"),
         ({"glideslope": [0.1]}, "glideslope"),
         ({"region": True}, "region"),
-        ({"spare_price": np.nan}, "spare_price"),
+        ({"thrust_slack_penalty": np.nan}, "thrust_slack_penalty"),
         ({"cone": 3}, "cone"),
         ({"position": np.array([1e200, 0.0, 1e200])}, "position"),
         ({"velocity": np.array([1e300, 0.0, 0.0])}, "velocity"),
@@ -262,12 +268,14 @@ def test_bad_times_cones_and_grids_are_refused():
     for masses in (np.zeros(3), np.full(20, np.nan), "a"):
         with pytest.raises(InputError, match="log_mass"):
             Planner(20).at_time(moon(), 30.0, log_mass=masses)
-    with pytest.raises(InputError, match="walls"):
-        Planner(20).at_time(moon(), 30.0, walls=Walls(np.ones((5, 1, 3)), np.zeros((5, 1))))
-    with pytest.raises(InputError, match="walls"):
-        Walls(np.ones((5, 1, 3)), np.zeros((5, 2)))
-    with pytest.raises(InputError, match="spare"):
-        Structure(20, True, True, 0, True, spare=True)
+    with pytest.raises(InputError, match="half_spaces"):
+        Planner(20).at_time(
+            moon(), 30.0, half_spaces=HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 1)))
+        )
+    with pytest.raises(InputError, match="half_spaces"):
+        HalfSpaces(np.ones((5, 1, 3)), np.zeros((5, 2)))
+    with pytest.raises(InputError, match="thrust_slack"):
+        Structure(20, True, True, 0, True, thrust_slack=True)
     with pytest.raises(InputError, match="cone"):
         Cone(np.zeros((0, 3)))
     with pytest.raises(InputError, match="cone"):

@@ -16,7 +16,7 @@ from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.final_time import least_propellant
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.six_dof import compiled, successive
-from lunarsim.optimal.six_dof.guess import carried_on, guess_of
+from lunarsim.optimal.six_dof.guess import carried_on, initial_guess
 from lunarsim.optimal.six_dof.motion import (
     SHARES,
     control_units,
@@ -24,7 +24,7 @@ from lunarsim.optimal.six_dof.motion import (
     interval,
     state_units,
 )
-from lunarsim.optimal.six_dof.path import RigidPath, kept
+from lunarsim.optimal.six_dof.path import RigidPath, evaluate_violations
 from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
 from lunarsim.optimal.six_dof.shooting import shoot
 from lunarsim.optimal.six_dof.successive import Successive
@@ -59,7 +59,7 @@ def descent(rng: np.random.Generator, **changes) -> RigidDescent:
 
 def held(d: RigidDescent, path: RigidPath) -> None:
     """Check a path by what the simulator makes of its commands."""
-    found = kept(d, *flown(path))
+    found = evaluate_violations(d, *flown(path))
     assert found.miss < 0.05 and found.speed < 0.01, found
     assert np.rad2deg([found.lean, found.spin]).max() < 0.05, found
     assert np.rad2deg([found.tilt, found.rate]).max() < 0.3, found
@@ -109,7 +109,7 @@ def test_a_sensor_sees_the_site_for_as_long_as_it_is_asked_to():
     d = descent(np.random.default_rng(2))
     asked = replace(d, sight=Sight(np.array([0.0, 0.0, -1.0]), np.deg2rad(55.0), 0.6))
     free, path = Successive(N).solve(d), Successive(N).solve(asked)
-    assert np.rad2deg(kept(asked, *flown(free)).sight) > 5.0  # nobody asked
+    assert np.rad2deg(evaluate_violations(asked, *flown(free)).sight) > 5.0  # nobody asked
     held(asked, path)
     assert path.propellant > 1.1 * free.propellant
 
@@ -119,13 +119,15 @@ def test_a_tighter_limit_costs_more_and_the_guess_may_be_an_answer():
     free = Successive(N).solve(d)
     slow = Successive(N).solve(replace(d, max_rate=np.deg2rad(6.0)))
     assert slow.propellant > free.propellant
-    assert kept(slow.descent, *flown(slow)).rate == pytest.approx(0.0, abs=2e-3)  # all of it is had
+    assert evaluate_violations(slow.descent, *flown(slow)).rate == pytest.approx(
+        0.0, abs=2e-3
+    )  # all of it is had
     weak = Successive(N).solve(replace(d, torque_share=0.1))
     share = np.abs(weak.torque).max(axis=0) / np.asarray(d.lander.torque_max)
     assert share.max() == pytest.approx(0.1, rel=1e-3)
     held(weak.descent, weak)
-    guess = guess_of(d, 12)
-    assert len(guess.on(N).thrust) == N
+    guess = initial_guess(d, 12)
+    assert len(guess.resample(N).thrust) == N
     again = Successive(N).solve(d, guess)
     assert again.propellant == pytest.approx(free.propellant, rel=5e-3)
 
@@ -158,9 +160,9 @@ def test_what_cannot_be_is_refused():
         for solve in (shoot, lambda d, n: Successive(n)):
             with pytest.raises(InputError, match="intervals"):
                 solve(far, intervals)
-    for most in (0, 1.5, None):
-        with pytest.raises(InputError, match="most"):
-            Successive(N, most)
+    for max_programs in (0, 1.5, None):
+        with pytest.raises(InputError, match="max_programs"):
+            Successive(N, max_programs)
     for changes, name in (
         ({"lander": None}, "lander"), ({"start": None}, "start"), ({"start": 3}, "start"),
         ({"gravity": "a"}, "gravity"), ({"max_tilt": True}, "max_tilt"),
@@ -184,7 +186,7 @@ def test_a_sensor_that_cannot_be_is_refused_by_name(given, field):
 
 
 def test_what_is_no_sensor_is_refused():
-    with pytest.raises(InputError, match=r"optimal\.sight = 'int'"):
+    with pytest.raises(InputError, match=r"optimal\.sight: must be a Sight or None"):
         descent(np.random.default_rng(1), sight=3)
 
 
@@ -192,7 +194,7 @@ def test_what_is_no_sensor_is_refused():
 def test_neither_way_burns_what_is_to_be_kept():
     """A path that takes 3 % more than there is lands nowhere, though the guess would."""
     d = descent(np.random.default_rng(1))
-    free, guess = Successive(N).solve(d), guess_of(d, N)
+    free, guess = Successive(N).solve(d), initial_guess(d, N)
     held_back = d.start.mass - d.lander.dry_mass - free.propellant
     roomy = replace(d, reserve=held_back - 0.01 * free.propellant)
     path = Successive(N).solve(roomy, guess)
@@ -202,15 +204,17 @@ def test_neither_way_burns_what_is_to_be_kept():
     with pytest.raises(SolverError):
         shoot(short, N, guess=guess)
     with pytest.raises(SolverError):
-        Successive(N, most=12).solve(short, guess)
+        Successive(N, max_programs=12).solve(short, guess)
 
 
 def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
     """Paths of made gaps, that all burn alike: the first that is joined is given."""
 
     def point(apart, passed=0.0):
-        return SimpleNamespace(burnt=0.1, apart=apart, passed=passed, x=np.zeros((2, 15)),
-                               merit=0.1 + apart + passed)  # fmt: skip
+        return SimpleNamespace(
+            propellant_used=0.1, max_defect=apart, violation=passed, x=np.zeros((2, 15)),
+            merit=0.1 + apart + passed,
+        )  # fmt: skip
 
     for row, given in (
         ((1e-3, 1e-4, 1e-6, 0.0), 2), ((1e-3, 1e-6, 0.0), 1),
@@ -219,11 +223,11 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
         made = [point(*np.atleast_1d(p)) for p in row]
         programs = Successive(N)
         monkeypatch.setattr(programs, "_layout", SimpleNamespace(
-            fill=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
-        monkeypatch.setattr(programs, "_solved", lambda program: np.zeros(1))
+            build=lambda *given: None, read=lambda *given: (None, None, None)))  # fmt: skip
+        monkeypatch.setattr(programs, "_solve", lambda program: np.zeros(1))
         coming = iter(made)
-        monkeypatch.setattr(successive.Point, "at", lambda *given, c=coming: next(c))
-        path, count = programs.settled(None, point(2e-3))
+        monkeypatch.setattr(successive.LinearisedPath, "at", lambda *given, c=coming: next(c))
+        path, count = programs.iterate(None, point(2e-3))
         assert path is made[given]
         assert count == given + 1
 
@@ -231,9 +235,9 @@ def test_a_path_is_given_only_once_its_intervals_are_joined(monkeypatch):
 def test_failures_of_solvers_are_told():
     d = descent(np.random.default_rng(1))
     with pytest.raises(SolverError, match="IPOPT"):
-        shoot(d, N, most=2)
-    with pytest.raises(SolverError, match="not settled in 1 programs"):
-        Successive(N, most=1).solve(d)
+        shoot(d, N, max_iterations=2)
+    with pytest.raises(SolverError, match="does not converge in 1 programs"):
+        Successive(N, max_programs=1).solve(d)
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):
@@ -272,7 +276,7 @@ def test_a_compiled_program_gives_the_same_path(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_thirty_descents_take_the_same_propellant_both_ways():
-    rng, programs, gaps = np.random.default_rng(6), Successive(N), []
+    rng, programs, defects = np.random.default_rng(6), Successive(N), []
     for k in range(30):
         d = descent(rng)
         if k % 3 == 0:
@@ -280,5 +284,5 @@ def test_thirty_descents_take_the_same_propellant_both_ways():
         first, second = shoot(d, N), programs.solve(d)
         held(d, first)
         held(d, second)
-        gaps.append(second.propellant / first.propellant - 1.0)
-    assert np.abs(gaps).max() < 5e-3, gaps
+        defects.append(second.propellant / first.propellant - 1.0)
+    assert np.abs(defects).max() < 5e-3, defects

@@ -62,7 +62,7 @@ def test_units_end_the_keys(unit, suffix):
 
 
 def test_unknown_units_are_refused_where_they_are_written():
-    with pytest.raises(ValueError, match=r"'furlong': known are .*'m/s'"):
+    with pytest.raises(ValueError, match=r"'furlong' must be one of .*'m/s'"):
         quantity(1.0, "furlong")
 
 

@@ -47,13 +47,13 @@ def test_names_and_paths_give_classes():
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("safset", "did you mean 'safest'? Or \"module:Class\""),
+        ("safset", "must be a known kind or \"module:Class\" (did you mean 'safest'?)"),
         ("x", "known: fuel-aware, nearest-safe"),
-        ("no.such.module:Thing", "a class that can be imported, from the working directory"),
-        (f"{__name__}:Missing", "installed package (AttributeError"),
-        (f"{__name__}:NoDataclass", "a dataclass; "),
-        (f"{__name__}:pytest", "a dataclass; "),
-        (":", 'the name of a part, or "module:Class"'),
+        ("no.such.module:Thing", "must be a class that can be imported (ModuleNotFoundError"),
+        (f"{__name__}:Missing", "can be imported (AttributeError"),
+        (f"{__name__}:NoDataclass", "must be a dataclass, but "),
+        (f"{__name__}:pytest", "must be a dataclass, but "),
+        (":", 'must be a registered part or "module:Class"'),
     ],
 )
 def test_what_is_no_part_is_explained(kind, says):
@@ -94,7 +94,7 @@ def test_entry_points_add_names_but_take_none(monkeypatch):
     assert "mine" not in kinds("mapper")
     assert resolve("policy", "mine", "entry-point") is MyPolicy
     extra.append(EntryPoint("safest", "other:Safest", "lunarsim.policy"))
-    with pytest.raises(InputError, match=r"a name of its own: lunarsim\.onboard\.policies"):
+    with pytest.raises(InputError, match=r"must be a unique name; lunarsim\.onboard\.policies"):
         kinds("policy")
 
 
@@ -123,7 +123,7 @@ class Greedy:
     ("contract", "name", "words"),
     [
         ("policy", "Thawed", "not frozen"),
-        ("policy", "Greedy", "without a field named 'kind'"),
+        ("policy", "Greedy", "must not have a field named 'kind'"),
         ("navigation", "MyPolicy", "has no 'build'"),
         ("control", "MyPolicy", "has no 'torques'"),
         ("sensor", "MyPolicy", "has no 'gives'"),

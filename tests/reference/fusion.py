@@ -193,7 +193,9 @@ def level_ground(
     return prior * level * max(math.exp(-10.0 * unseen), 1.0 - missed) * clear
 
 
-def prior_beside(cells: list, posting: float, footprint: float, expected: float) -> float:
+def unobserved_safety_prior(
+    cells: list, posting: float, footprint: float, expected: float
+) -> float:
     """Probability of ground that was not measured; of what was (p, none stands unseen) a cell."""
     if not cells or expected == 0.0:
         return expected

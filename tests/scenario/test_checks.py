@@ -136,7 +136,7 @@ WRONG = {
     ),
     "more measurements than cycles": (
         {"tasking": {"flash": {"kind": "periodic", "rate_hz": 10.5}}},
-        "tasking.flash.rate_hz", 10.5, "at most 10, one measurement a control cycle",
+        "tasking.flash.rate_hz", 10.5, "must be at most 10, one measurement per control cycle",
     ),
     "more measurements on the site than cycles": (
         {

@@ -1,4 +1,4 @@
-"""Scripts of `scenarios/`, imported by folder and name."""
+"""Fixtures that import the scripts of `scenarios/` by folder and name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.conftest import SCENARIOS
 
 @pytest.fixture
 def script(monkeypatch):
-    """Import a script as if it were run: its folder first on the path, its neighbours its own."""
+    """Import a script with its folder first on the path, as if it were run."""
 
     def load(folder, name):
         here = SCENARIOS / folder

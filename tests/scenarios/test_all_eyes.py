@@ -1,4 +1,4 @@
-"""The study of all eyes: its figures from made counts, its file, and one flight of it."""
+"""All-sensor study: metrics from synthetic counts, result file, and one flight."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.worlds import flat_terrain
 
 @dataclass(frozen=True)
 class Scan:
-    """What of a scan matters to losing returns."""
+    """The parts of a scan that matter for lost returns."""
 
     time: float
     range: np.ndarray
@@ -45,19 +45,19 @@ def flights(study):
 
 
 def judged(flights, p, safe, large=None, objects=()):
-    """Return the counts of a map that claims a frequency everywhere, a cell for each place."""
+    """Return the counts of a map that is calibrated everywhere, one cell per position."""
     p, s = np.asarray(p, np.float32), np.asarray(safe, bool)
     grid = Grid(0.0, 0.0, 1.0, 1, len(p))
     seen = np.ones((1, len(p)), bool)
     drawn = HazardMap(grid, p[None], seen, np.zeros((1, len(p)), np.float32), in_domain=seen)
-    ground = flights.Ground(
+    ground = flights.MapTruth(
         grid.centres().reshape(-1, 2), s, np.zeros(len(p), bool) if large is None else large,
         np.array([[x, 0.0] for x in objects]).reshape(-1, 2),
     )  # fmt: skip
-    return json.loads(json.dumps(flights.judged(drawn, ground)))
+    return json.loads(json.dumps(flights.count_sites(drawn, ground)))
 
 
-def test_figures_of_a_map(figures, flights):
+def test_map_metrics(figures, flights):
     truth = [True] * 8 + [False] * 2
     good = judged(flights, [0.9] * 8 + [0.6, 0.1], truth, objects=(8.0, 9.0))
     f = figures.figures_of([good, good])
@@ -69,7 +69,7 @@ def test_figures_of_a_map(figures, flights):
     assert f["skill"] == pytest.approx(1.0 - (8 * 0.01 + 0.36 + 0.01) / 10 / 0.16, abs=1e-6)
 
 
-def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, flights):
+def test_fused_map_is_compared_with_the_best_other_map_per_field(figures, flights):
     truth = [True] * 5 + [False] * 5
     half = judged(flights, [0.9, 0.9, 0.2, 0.2, 0.2] + [0.4] * 5, truth)
     whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
@@ -80,9 +80,9 @@ def test_the_fused_map_is_set_against_the_best_other_field_by_field(figures, fli
         )
         for fused in (whole, half)
     ]
-    # What the form makes of the LiDAR alone is no map of one mapper, but told besides.
+    # The fused form of the LiDAR only is no single-mapper map, but is reported as well.
     assert figures.best_single(made, "100") == "rocks"
-    assert figures.gained(made, "100", "rocks") == pytest.approx([0.6, 0.0])
+    assert figures.recall_gains(made, "100", "rocks") == pytest.approx([0.6, 0.0])
     (found,) = figures.comparisons(made, 400.0)
     assert (found.best, found.left, found.missed) == ("rocks", [], [])
     assert found.over_form == pytest.approx([0.0, -0.6])
@@ -93,8 +93,8 @@ def flight(row, altitude, flights, **maps):
             "maps": {altitude: maps}}  # fmt: skip
 
 
-def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flights):
-    """Both find four of five safe places; among what they call safe, one and none have a rock."""
+def test_large_rocks_are_counted_at_the_recall_of_the_lidar_map(figures, flights):
+    """Both maps find four of five safe sites; one and none of these have a rock."""
     truth = np.array([True] * 5 + [False] * 3)
     large = ~truth
     dem = judged(flights, [0.9, 0.9, 0.8, 0.7, 0.1, 0.75, 0.2, 0.2], truth, large)
@@ -109,7 +109,7 @@ def test_large_rocks_are_counted_at_the_recall_of_the_lidars_map(figures, flight
         assert found.missed == aims
 
 
-def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(figures, flights):
+def test_fused_map_is_compared_with_the_remaining_sensor_after_a_failure(figures, flights):
     truth = [True] * 5 + [False] * 5
     whole = judged(flights, [0.9] * 5 + [0.1] * 5, truth)
     none = judged(flights, [0.1] * 5 + [0.9] * 5, truth)
@@ -118,16 +118,16 @@ def test_where_an_eye_fails_the_fused_map_is_set_against_the_one_that_is_left(fi
         for altitude, gap in (("500", []), ("200", [-1.0])):
             (found,) = figures.comparisons([flight(row, altitude, flights, **maps)], 400.0)
             assert found.left == gap
-            assert ("worse than the eye that is left" in found.missed) == bool(gap)
+            assert ("worse than the remaining sensor" in found.missed) == bool(gap)
 
 
-def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(flights, monkeypatch):
+def test_time_of_a_requested_surface_counts_for_its_own_mapper(flights, monkeypatch):
     now = [0.0]
     monkeypatch.setattr(flights.time, "perf_counter", lambda: now[0])
 
     own = Slow(now)
     fused = FusedMapper({"own": own}, TERMS)
-    clock = flights.Clock({"own": own, "fused": fused})
+    clock = flights.MapperTimer({"own": own, "fused": fused})
     own.update(0.7, None)
     fused.hazard_map()
     told = clock.mean_ms()
@@ -135,9 +135,9 @@ def test_ground_that_another_asks_for_is_the_work_of_the_mapper_that_draws_it(fl
     assert told["own"] == 1e3 * now[0] > 0.0
 
 
-def test_half_of_the_returns_are_lost_alike_for_all(flights):
+def test_all_mappers_lose_the_same_half_of_the_returns(flights):
     taken = []
-    lossy = flights.dropping(lambda scan, estimate: taken.append(scan.range))
+    lossy = flights.with_dropouts(lambda scan, estimate: taken.append(scan.range))
     scan = Scan(3.21, np.ones((100, 100)))
     lossy(scan, None)
     lossy(scan, None)
@@ -145,19 +145,19 @@ def test_half_of_the_returns_are_lost_alike_for_all(flights):
     assert np.array_equal(taken[0], taken[1], equal_nan=True)
 
 
-def test_rocks_reach_into_footprints_and_stand_above_the_ground(flights):
+def test_rocks_in_the_footprint_and_their_heights(flights):
     xy = np.array([[0.0, 0.0], [3.0, 0.0], [8.0, 0.0]])
     middles, radius = np.array([[4.0, 0.0]]), np.array([0.5])
-    assert flights.reached(xy, middles, radius, 3.0).tolist() == [False, True, False]
-    assert flights.reached(xy, middles, radius, 3.5).tolist() == [True, True, True]
-    assert not flights.reached(xy, np.empty((0, 2)), np.empty(0), 3.0).any()
+    assert flights.has_rock_in_footprint(xy, middles, radius, 3.0).tolist() == [False, True, False]
+    assert flights.has_rock_in_footprint(xy, middles, radius, 3.5).tolist() == [True, True, True]
+    assert not flights.has_rock_in_footprint(xy, np.empty((0, 2)), np.empty(0), 3.0).any()
     rocks = RockField.hemispheres([0.0, 5.0], [0.0, 1.0], [0.0, -0.2], [0.5, 0.5])
     terrain = Terrain(flat_terrain(40.0, 2.0).relief, rocks)
-    assert flights.rises(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
+    assert flights.rock_heights(terrain) == pytest.approx([0.5, 0.3], abs=1e-6)
 
 
-def test_every_row_can_be_flown(flights):
-    """Each is a scenario that checks, with both cameras in one map and the fused map to decide."""
+def test_every_row_is_a_valid_scenario(flights):
+    """Both cameras build one map, and the fused map decides."""
     for row in flights.ROWS.values():
         scenario = flights.scenario_of(row.world, (1000.0, 100.0))
         assert scenario.start.make().position[2] == pytest.approx(1200.0)
@@ -168,16 +168,16 @@ def test_every_row_can_be_flown(flights):
 
 @pytest.mark.parametrize(
     ("option", "value", "told"),
-    [("--rows", "the Moon", "not one of"), ("--altitudes", "10", "metres from 50")],
+    [("--rows", "the Moon", "must be one of"), ("--altitudes", "10", "must be numbers from 50")],
 )
-def test_mistakes_are_named(study, option, value, told):
+def test_invalid_options_are_named(study, option, value, told):
     result = CliRunner().invoke(study.main, [option, value])
     assert result.exit_code == 2
     assert told in result.output
 
 
-def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch):
-    """Flights that are kept are not flown again, and the file is of one seed and code."""
+def test_interrupted_study_resumes(study, flights, tmp_path, monkeypatch):
+    """Stored flights are not repeated, and the file has one seed and code."""
     truth = [True] * 5 + [False] * 5
     counts = judged(flights, [0.9] * 5 + [0.1] * 5, truth, objects=(7.0,))
     flown = []
@@ -199,26 +199,26 @@ def test_a_study_that_was_cut_off_goes_on(study, flights, tmp_path, monkeypatch)
     result = CliRunner().invoke(study.main, [*options, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert len(flown) == 1 and not set(flown) & set(first)
-    for words in (*flights.MAPS.values(), "objects missed", "mean over rows", "15 % cover"):
+    for words in (*flights.MAPS.values(), "objects", "Mean over rows", "15 % cover"):
         assert words in result.output
     assert (tmp_path / "all_eyes.png").stat().st_size > 10_000
     other = CliRunner().invoke(study.main, [*options, "--seed", "7"])
     assert other.exit_code == 2
-    assert "flights of another seed" in " ".join(other.output.split())
+    assert "flights with another seed" in " ".join(other.output.split())
     file.write_text("[]")
     broken = CliRunner().invoke(study.main, options)
     assert broken.exit_code == 2
-    assert "is no file of flights" in " ".join(broken.output.split())
+    assert "is not a file of flights" in " ".join(broken.output.split())
 
 
-def test_sites_are_counted_by_two_maps(flights):
-    """Each once, by both probabilities; those that the second has not seen by themselves."""
+def test_joint_site_counts_of_two_maps(flights):
+    """Each site counts once; sites that the second map has not observed are separate."""
     grid = Grid(0.0, 0.0, 1.0, 1, 4)
     seen = np.ones((1, 4), bool)
     p, q = np.float32([[0.9, 0.9, 0.1, 1.0]]), np.float32([[0.6, 0.6, 0.2, 0.0]])
     fused, second = HazardMap(grid, p, seen), HazardMap(grid, q, seen & (q > 0.0))
     xy, safe = grid.centres().reshape(-1, 2), np.array([True, False, False, True])
-    counts = np.array(flights.joint(fused, second, flights.Ground(xy, safe, ~safe, xy)))
+    counts = np.array(flights.joint(fused, second, flights.MapTruth(xy, safe, ~safe, xy)))
     assert counts.sum() == 4
     row, col = (np.searchsorted(flights.ODDS, np.log(v / (1 - v))) - 1 for v in (0.9, 0.6))
     assert counts[0, row, col] == counts[1, row, col] == 1
@@ -226,10 +226,10 @@ def test_sites_are_counted_by_two_maps(flights):
     assert counts[0, :, -1].sum() == 0
 
 
-def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
-    """Made flights whose quadtree knows what the fused map does not: it is given a weight."""
+def test_calibration_stage_is_fitted_to_flights(study, script, flights, tmp_path):
+    """If the quadtree has information that the fused map lacks, its weight is not zero."""
     fit = script(".", "eyes_calibration")
-    p, q, seen = fit.kinds()
+    p, q, seen = fit.probability_bins()
     x, y = np.log(p / (1 - p)), np.where(seen, np.log(q / (1 - q)), 0.0)
     chance = 1 / (1 + np.exp(-(0.9 * x + 0.4 * y)))
     shape = 2, len(fit.ODDS) - 1, len(fit.ODDS)
@@ -246,29 +246,29 @@ def test_the_last_stage_is_fitted_to_flights(study, script, flights, tmp_path):
     weights = told["intercept"], told["slope"], told["other"]
     assert weights == pytest.approx((0.0, 0.9, 0.4), abs=0.02)
     none, _, both = (fit.loss_of(c, counts)[0] for c in (
-        fit.FusedCalibration(), fit.fitted(counts, False, fit.Lander()),
+        fit.FusedCalibration(), fit.fit_calibration(counts, False, fit.Lander()),
         fit.FusedCalibration(*weights)))  # fmt: skip
     assert both < none
     file.write_text(json.dumps({"settings": {}, "flights": {"a": made["a"]}}))
     alone = CliRunner().invoke(fit.main, [str(file)])
-    assert alone.exit_code == 2 and "one row" in alone.output
+    assert alone.exit_code == 2 and "two rows" in alone.output
 
 
 @pytest.mark.slow
-def test_a_flight_is_judged(study, tmp_path):
+def test_flight_is_evaluated(study, tmp_path):
     file = tmp_path / "all.json"
     options = ["--fields", "1", "--rows", "cameras dead from 400 m on", "--altitudes", "120"]
     result = CliRunner().invoke(study.main, [*options, "--json", str(file)])
     assert result.exit_code == 0, result.output
     (kept,) = json.loads(file.read_text())["flights"].values()
     maps = kept["maps"]["120"]
-    # Nothing was seen above 400 m that could have been mapped: the LiDAR's map is what is left.
+    # Above 400 m no image was mapped, so only the LiDAR map remains.
     assert maps["fused"] == maps["dem"]
     assert maps["dem"]["objects"][0] > 20
 
 
-def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
-    """All rocks a step beside their places: the error of the mean, by the filter's own word."""
+def test_rock_position_errors_exclude_shared_errors(script):
+    """All rocks have the same offset: error of the mean and the reported covariance."""
     places = script(".", "eyes_places")
     rng = np.random.default_rng(0)
     level = np.array([0.0, 0.0, 0.0, 1.0])
@@ -287,12 +287,12 @@ def test_places_are_judged_by_what_rocks_and_lander_do_not_share(script):
         computer=SimpleNamespace(mappers={"rocks": mapper}),
         world=SimpleNamespace(terrain=terrain), navigation_error=np.array([5.0, -7.0, 0.0]),
     )  # fmt: skip
-    off, claim, nees, count = places.judged(simulation)
+    off, claim, nees, count = places.position_errors(simulation)
     assert count == 24
     assert off == pytest.approx(np.sqrt(0.05))
-    # Rocks that are known beforehand share nothing with the lander.
+    # Rocks that are known a priori share no error with the lander.
     variance = 0.2**2 / 24 + 2.0**2
     assert claim == pytest.approx(np.sqrt(variance))
     assert nees == pytest.approx(0.1 / variance)
     existence[4:] = 0.0
-    assert places.judged(simulation) is None
+    assert places.position_errors(simulation) is None

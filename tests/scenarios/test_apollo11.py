@@ -32,9 +32,9 @@ def _close(ours, theirs):
             assert np.asarray(ours[key]) == pytest.approx(np.asarray(value), rel=1e-8), key
 
 
-def test_the_file_holds_the_load(study):
+def test_scenario_file_contains_the_load(study):
     plain = Scenario.load(FILE)
-    loaded = study.apollo11.started(study.apollo11.loaded(plain))
+    loaded = study.apollo11.with_ignition_start(study.apollo11.with_load(plain))
     for table in ("start", "braking", "approach"):
         _close(getattr(plain, table).model_dump(), getattr(loaded, table).model_dump())
     assert plain.descent.table == loaded.descent.table
@@ -60,7 +60,7 @@ def _decoded(row):
     return [(high * 2**14 + low) * 2.0 ** (power - 28) * per for high, low in pairs]
 
 
-def test_the_values_of_the_flown_load_are_its_words(study):
+def test_values_of_the_flown_load_match_its_words(study):
     import csv
 
     with (ROOT / "data" / study.apollo11.FLOWN).open() as file:
@@ -71,18 +71,18 @@ def test_the_values_of_the_flown_load_are_its_words(study):
         assert _decoded(row) == pytest.approx(told, rel=2e-4 if row["unit"] == "1" else 1e-7)
 
 
-def test_masses_are_the_mission_reports(study):
+def test_masses_match_the_mission_report(study):
     """33,401.6 lb after descent orbit insertion, which took 268 lb of 8,248 kg."""
     lander, pound = Scenario.load(FILE).vehicle.make(), 0.45359237
     assert lander.wet_mass == pytest.approx(33_401.6 * pound, abs=1.0)
     assert pytest.approx(268.0 * pound, abs=0.1) == study.apollo11.INSERTION
     assert lander.propellant_mass == pytest.approx(8_248.0 - 268.0 * pound, abs=0.5)
-    # What was left at landing, less the lander's dry mass here: 16,153.2 lb and 349 kg.
+    # Remaining mass at landing minus the dry mass here: 16,153.2 lb and 349 kg.
     assert lander.dry_mass + 349.0 == pytest.approx(16_153.2 * pound, abs=60.0)
 
 
 def _leapt(moon, position, velocity, time):
-    """Return where a coast ends, ENU then and there: leapfrog in a frame that does not turn."""
+    """Return the end of a coast in ENU by leapfrog integration in an inertial frame."""
     centre = np.array([0.0, 0.0, -moon.radius])
     r, steps = position - centre, 26_000
     v, step = velocity + np.cross(moon.spin, r), time / 26_000
@@ -98,25 +98,25 @@ def _leapt(moon, position, velocity, time):
     x, y, z = moon.spin / rate
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     c, s = np.cos(rate * time), np.sin(rate * time)
-    back = np.eye(3) - s * cross + (1.0 - c) * cross @ cross  # the frame has turned on meanwhile
+    back = np.eye(3) - s * cross + (1.0 - c) * cross @ cross  # rotation of the frame
     r, v = back @ r, back @ v
     return r + centre, v - np.cross(moon.spin, r)
 
 
-def test_ignition_coasts_to_where_the_load_wants_the_throttle_up(study):
+def test_coast_from_ignition_reaches_the_throttle_up_state_of_the_load(study):
     plain = Scenario.load(FILE)
-    # The mission's ignition, as published 260 nautical miles uprange, comes out of the load.
+    # The load gives the published ignition point, 260 nautical miles uprange.
     assert study.apollo11.uprange(plain) == pytest.approx(260.0 * 1852.0, rel=1e-3)
     moon = plain.moon.make().gravity(plain.gravity_m_s2)
     start = np.array(plain.start.position_m), np.array(plain.start.velocity_m_s)
     r, v = _leapt(moon, *start, 26.0)
     assert r == pytest.approx([436_655.6875, 0.0, -39_782.4375], abs=0.01)  # RIGNZ, RIGNX
     assert np.linalg.norm(v) == pytest.approx(1690.256118774 + 26.0 * 0.350132708, abs=1e-4)
-    assert v @ moon.from_centre(r) == pytest.approx(0.0, abs=10.0)  # level there
+    assert v @ moon.from_centre(r) == pytest.approx(0.0, abs=10.0)  # horizontal there
 
 
-def test_the_first_guess_of_braking_solves_its_cubic(study):
-    """As the computer writes it: along z, time negative, with the starred values."""
+def test_first_guess_of_braking_solves_its_cubic(study):
+    """In the form of the computer: along z, negative time, starred values."""
     plain, t = Scenario.load(FILE), study.apollo11.targets()
     time = -plain.braking.time_to_go_s / 8.0
     z, speed = -plain.start.position_m[0], -plain.start.velocity_m_s[0]
@@ -129,14 +129,14 @@ def test_the_first_guess_of_braking_solves_its_cubic(study):
 
 
 @pytest.mark.parametrize("load", ["FLOWN", "SAMPLE"])
-def test_stars_of_a_load_are_what_the_cubic_takes_for_an_eighth_of_the_time(study, load):
+def test_starred_values_are_the_cubic_coefficients_for_an_eighth_of_the_time(study, load):
     t = study.apollo11.targets(getattr(study.apollo11, load))
     for of in ("BRFG", "APFG"):
         assert t[f"V{of}*"][0] == pytest.approx(18.0 / 8.0 * t[f"V{of}"][0], rel=2e-3)
         assert t[f"A{of}*"][0] == pytest.approx(6.0 * t[f"A{of}"][0], rel=1e-5)
 
 
-def test_the_record_is_read_as_it_is(study):
+def test_record_is_read_unchanged(study):
     told = study.apollo11.record()
     known = np.isfinite(told.altitude)
     assert (len(told.time), int(known.sum())) == (391, 215)
@@ -146,21 +146,21 @@ def test_the_record_is_read_as_it_is(study):
     assert abs(told.pitch).max() < np.pi / 2
 
 
-def test_differences_are_those_put_in(study):
+def test_known_differences_are_recovered(study):
     a = study.apollo11
     told = a.record()
     good = np.isfinite(told.altitude)
     height = np.interp(told.time, told.time[good], told.altitude[good])
-    ours = a.Track(told.time, height + 30.0, told.pitch - 0.02)
-    found = a.beside(ours, told, a.LOCK_ON, a.P64)
+    ours = a.DescentTrack(told.time, height + 30.0, told.pitch - 0.02)
+    found = a.record_difference(ours, told, a.LOCK_ON, a.P64)
     assert (found.altitude, found.pitch) == pytest.approx((30.0, 0.02))
     assert 0 < found.rows < good.sum()
-    # What the flight does not last for is not compared.
-    short = a.Track(told.time[:50], height[:50], told.pitch[:50])
-    assert np.isnan(a.beside(short, told, a.P66, a.LANDING).altitude)
+    # The record after the end of the flight is not compared.
+    short = a.DescentTrack(told.time[:50], height[:50], told.pitch[:50])
+    assert np.isnan(a.record_difference(short, told, a.P66, a.LANDING).altitude)
 
 
-def test_the_command_tells_of_itself(study):
+def test_command_has_help(study):
     said = CliRunner().invoke(study.main, ["--help"])
     assert said.exit_code == 0
     for option in ("--json", "--out", "--isp", "--sample", "--ground"):
@@ -169,7 +169,7 @@ def test_the_command_tells_of_itself(study):
 
 
 @pytest.mark.slow
-def test_all_runs_land_beside_the_record(study, tmp_path):
+def test_all_runs_land_and_match_the_record(study, tmp_path):
     import json
 
     out = tmp_path / "a11.json"
@@ -185,8 +185,8 @@ def test_all_runs_land_beside_the_record(study, tmp_path):
         assert 485.0 < run["approach_s"] < 495.0
         assert run["times_real_time"] > 5.0
         phases = run["braking_kg"] + run["approach_kg"] + run["last_kg"]
-        assert phases == pytest.approx(run["propellant_kg"], abs=40.0)  # thrusters' in it
-    # Within 3 % of what the mission report has for the whole stage: all but the plain pilot.
+        assert phases == pytest.approx(run["propellant_kg"], abs=40.0)  # includes the thrusters
+    # All runs except the plain pilot are within 3 % of the mission report.
     share = [(run["propellant_kg"] + 121.6) / 7_899.0 - 1.0 for run in runs]
     assert [abs(s) < 0.03 for s in share] == [True, False, True]
     assert share[1] == pytest.approx(-0.045, abs=0.004)

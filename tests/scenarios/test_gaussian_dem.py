@@ -1,4 +1,4 @@
-"""The Gaussian DEM scripts run; the tables hold what they promise, small."""
+"""Gaussian DEM scripts on small cases."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_table_3_has_no_false_safe_cell(tmp_path):
 
 @pytest.mark.slow
 def test_table_5_beats_the_paper_everywhere(tmp_path):
-    """And the baseline at the best phase of its grid."""
+    """It is also better than the baseline at the best phase of its grid."""
     assert len(re.findall(r"yes │ +yes │", run("--table", "5"))) == 9
 
 
@@ -57,11 +57,11 @@ def test_unknown_table_is_refused(script):
     assert "Traceback" not in done.output
 
 
-def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
+def test_sampled_terrain_errors_match_the_map_variance(tmp_path, script):
     study = script("gaussian_dem", "monte_carlo")
     for configuration in (1, 3):
-        dem = study.scanned(configuration, 0)[1].dem
-        task = study.Task(configuration, 0, 0, 1)
+        dem = study.scan_testbed(configuration, 0)[1].dem
+        task = study.TerrainSampleTask(configuration, 0, 0, 1)
         ratio = [
             (study.error_field(task, np.random.default_rng([9, n])) ** 2 / dem.variance)[
                 dem.observed
@@ -76,15 +76,15 @@ def test_sampled_terrain_has_the_errors_that_the_map_states(tmp_path, script):
     assert CliRunner().invoke(study.main, ["--samples", "0"]).exit_code == 2
 
 
-def test_mapped_is_scan_and_dem_on_the_cells_that_are_judged(script):
+def test_map_testbed_returns_scan_and_dem_on_the_evaluated_cells(script):
     bed = script("gaussian_dem", "testbed")
     field = bed.testbed(3, 50.0)
-    one = bed.mapped(field, 200.0, 30.0, np.random.default_rng(5), **bed.DENSITY)
+    one = bed.map_testbed(field, 200.0, 30.0, np.random.default_rng(5), **bed.DENSITY)
     points, sigma, shape = bed.scan(field, 200.0, 30.0, np.random.default_rng(5))
     np.testing.assert_array_equal(one.points, points)
     assert (one.sigma, one.shape) == (sigma, shape)
     assert one.grid == bed.view_grid(200.0)
-    # The truth that belongs to it is nearer than the truth a cell aside.
+    # The matching truth is closer than the truth shifted by one cell.
     error = one.dem.mean - field.elevation[one.window]
     rows, cols = one.window
     aside = one.dem.mean - field.elevation[rows, cols.start + 2 : cols.stop + 2]
@@ -94,8 +94,8 @@ def test_mapped_is_scan_and_dem_on_the_cells_that_are_judged(script):
     assert few.height.max() == pytest.approx(1.0)
 
 
-def test_phase_moves_the_baselines_cells_and_nothing_else(script):
-    """A tilted plane is met to half a cell at each phase; the error's mean follows the phase."""
+def test_phase_only_moves_the_baseline_cells(script):
+    """On a tilted plane the error is within half a cell; its mean follows the phase."""
     computed = script("gaussian_dem", "computed")
     grid = Grid.centred((0.0, 0.0), 12.0, 0.1)
     x, y = np.meshgrid(np.arange(-8.0, 8.0, 0.05), np.arange(-8.0, 8.0, 0.05))
@@ -104,13 +104,13 @@ def test_phase_moves_the_baselines_cells_and_nothing_else(script):
     for phase in ((0.0, 0.0), (0.5, 0.0), (0.25, 0.75)):
         coarse, nearest = computed.baseline(points, grid, 0.8, phase)
         error = (coarse.elevation[nearest] - 0.5 * grid.centres()[..., 0])[:, inner]
-        # Half a cell's run of the slope, and a little for how samples fall into it.
+        # The slope over half a cell, plus a margin for the sample positions.
         assert np.abs(error).max() < 0.5 * 0.4 + 0.05
         assert coarse.grid.centre == pytest.approx((0.8 * phase[0], 0.8 * phase[1]))
     assert len(set(computed.PHASES)) == 16
 
 
-def test_table_6_counts_each_cell_once_a_map(script, monkeypatch):
+def test_table_6_counts_each_cell_once_per_map(script, monkeypatch):
     computed = script("gaussian_dem", "computed")
     monkeypatch.setattr(computed, "CONFIGURATIONS", [(200.0, 60.0)])
     result = computed.table_6(1)
@@ -126,21 +126,21 @@ def test_table_6_counts_each_cell_once_a_map(script, monkeypatch):
         assert recall == pytest.approx((called & safe).sum() / safe.sum())
 
 
-def test_unsafe_sites_are_split_by_whether_a_return_shows_the_rock(script, monkeypatch):
+def test_unsafe_sites_are_split_by_returns_above_the_limit(script, monkeypatch):
     study = script("gaussian_dem", "sensitivity")
     monkeypatch.setattr(study, "CONFIGURATIONS", [(1000.0, 60.0)])
     own = study.testbed(1)
     monkeypatch.setattr(study, "testbed", lambda seed, **bed: own)
-    (one,) = study.missed((0, 1))
+    (one,) = study.count_missed_sites((0, 1))
     unsafe = one.quality.false_safe + one.quality.rejected
     assert one.seen[1] + one.unseen[1] == unsafe
     assert one.seen[0] + one.unseen[0] == one.quality.false_safe
-    # What no return shows is called safe the more often.
+    # Rocks without a return are more often called safe.
     assert one.unseen[0] / one.unseen[1] > 3.0 * one.seen[0] / one.seen[1]
-    # The same split by distances on the raster, good to half a cell.
+    # The same split by raster distances, accurate to half a cell.
     setting = {"sigma_f": np.sqrt(study.VARIANTS[0].growth * study.LENGTH)}
     rng = np.random.default_rng([1, 0])
-    scan = study.mapped(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
+    scan = study.map_testbed(own, 1000.0, 60.0, rng, length_scale=study.LENGTH, **setting)
     low = np.ones(scan.grid.shape, np.bool_)
     high = scan.points[scan.points[:, 2] > 0.25, :2]
     row, col = scan.grid.cell(high[scan.grid.contains(high)])
@@ -159,13 +159,13 @@ def test_random_field_is_swept_over_both_tables(script, monkeypatch, tmp_path):
         for p5, p6 in zip(study.PAPER_5, study.PAPER_6, strict=True)
     ]
     rows = np.tile(paper, (len(study.GROWTHS), 1, 1))
-    rows[3:, 2, study.FIGURES.index("nlpd")] += 0.1
-    rows[2, 5, study.FIGURES.index("recall slope")] -= 0.1
-    values = {name: rows[:, :, i] for i, name in enumerate(study.FIGURES)}
-    count = study.reached(values)
+    rows[3:, 2, study.METRICS.index("nlpd")] += 0.1
+    rows[2, 5, study.METRICS.index("recall slope")] -= 0.1
+    values = {name: rows[:, :, i] for i, name in enumerate(study.METRICS)}
+    count = study.count_rows_reached(values)
     assert count["NLPD"].tolist() == [9, 9, 9] + [8] * (len(study.GROWTHS) - 3)
     assert count["recall slope"][:4].tolist() == [9, 9, 8, 9]
-    monkeypatch.setattr(study, "swept", lambda seed: rows.tolist())
+    monkeypatch.setattr(study, "sweep_testbed", lambda seed: rows.tolist())
     arguments = ["--study", "field", "--seeds", "1", "--out", str(tmp_path)]
     done = CliRunner().invoke(study.main, arguments)
     assert done.exit_code == 0, done.output

@@ -1,4 +1,4 @@
-"""The study of what each law spends over the optimum, small."""
+"""Guidance studies on small cases."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from click.testing import CliRunner
 from lunarsim.parts.registry import kinds
 
 
-def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
+def test_propellant_of_laws_is_compared_with_the_optimum(script, tmp_path):
     study = script("guidance", "propellant")
     out = tmp_path / "flown.json"
     done = CliRunner().invoke(study.main, ["--flights", "1", "--json", str(out)])
     assert done.exit_code == 0, done.output
-    assert "over the optimum" in done.output
+    assert "relative to the optimum" in done.output
     rows = {row["law"]: row for row in json.loads(out.read_text())}
     assert set(rows) == set(kinds("guidance"))
     assert len({row["optimum"] for row in rows.values()}) == 1
@@ -30,9 +30,7 @@ def test_what_laws_spend_is_set_against_the_optimum(script, tmp_path):
     assert neural["asked"] > 100 and f"{neural['infeasible']} of {neural['asked']}" in done.output
 
 
-def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
-    script, tmp_path, monkeypatch
-):
+def test_infeasible_starts_and_invalid_files_are_rejected(script, tmp_path, monkeypatch):
     study = script("guidance", "propellant")
     problem = study.problem
 
@@ -42,7 +40,7 @@ def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
 
     monkeypatch.setattr(study, "problem", short_of_fuel)
     for options, told in (
-        ([], "starts that can be flown from, which flight 0 of seed 1 has not"),
+        ([], "must give feasible starts (flight 0 of seed 1)"),
         (["--json", str(tmp_path / "none" / "x.json")], "an existing folder"),
     ):
         done = CliRunner().invoke(study.main, ["--flights", "1", "--laws", "optimal", *options])
@@ -50,15 +48,15 @@ def test_starts_that_cannot_be_flown_from_and_files_that_cannot_be_are_told(
         assert told in " ".join(done.output.split())
 
 
-def test_round_and_flat_are_set_side_by_side(script):
+def test_spherical_and_flat_moon_are_compared(script):
     study = script("guidance", "round_and_flat")
     done = CliRunner().invoke(study.main, ["--flights", "1"])
     assert done.exit_code == 0, done.output
     assert "55418.29" in done.output
-    assert "1 flights from 600 m" in done.output
-    # The same fall on both is the same where the sphere has no curvature to speak of.
+    assert "1 flights from a distance of 600 m" in done.output
+    # Close to the site both models give the same fall.
     r, v = np.array([-300.0, 0.0, 900.0]), np.array([20.0, 0.0, -20.0])
-    fell = study.fallen(None, r, v)
+    fell = study.fall(None, r, v)
     assert fell == pytest.approx(r + 30.0 * v - [0.0, 0.0, 0.5 * 1.622 * 900.0], abs=1e-6)
 
 
@@ -69,7 +67,7 @@ def test_reach_shrinks_on_the_way_down(script, tmp_path):
     assert done.exit_code == 0, done.output
     areas = [float(line.split()[4]) for line in done.output.splitlines() if "km^2" in line]
     assert areas[0] > 2.0 * areas[1] > 0.0
-    # Of the square that is surveyed, 6.5 heights wide, in km^2.
+    # Area of the surveyed square, 6.5 heights wide, km^2.
     assert all(0.05 * (6.5 * up) ** 2 < 1e6 * a < (6.5 * up) ** 2
                for up, a in zip((450.0, 200.0), areas, strict=True))  # fmt: skip
     assert cv2.imread(str(out)).std() > 20

@@ -1,4 +1,4 @@
-"""The study of information-seeking descents: its figures from made flights, and a flight of it."""
+"""Information-seeking study: metrics from synthetic flights, and one flight."""
 
 from __future__ import annotations
 
@@ -32,50 +32,50 @@ def made(study, clear, propellant=8.0, known=100.0):
     }  # fmt: skip
 
 
-def test_paths_are_compared_field_by_field(study):
+def test_paths_are_compared_per_field(study):
     clear = {"nominal": (0.2, 0.4), "modified": (0.6, 0.9), "seeking": (0.7, 0.8)}
     rows = [{p: made(study, v[k]) for p, v in clear.items()} for k in range(2)]
-    line = study.compared(rows)["clear ground called clear"]
+    line = study.compare_paths(rows)["clear cells classified as clear"]
     assert line["seeking"].startswith("0.750")
     assert line["seeking - nominal"].startswith("0.450")
     assert line["seeking - modified"].startswith("0.000")
-    assert study.compared(rows)["safe sites known"]["seeking"].startswith("0.250")
-    assert study.compared(rows)["and in reach"]["seeking"].startswith("0.125")
+    assert study.compare_paths(rows)["safe sites known"]["seeking"].startswith("0.250")
+    assert study.compare_paths(rows)["known and reachable"]["seeking"].startswith("0.125")
     console = Console(record=True, width=150)
     study.show("camera", rows, console)
     study.show_losses(rows, console)
     told = console.export_text()
-    assert "less clear ground than modified in 1 of 2" in told
-    assert "less clear ground than nominal in 0 of 2" in told
+    assert "Worse than modified in 1 of 2" in told
+    assert "Worse than nominal in 0 of 2" in told
     assert "2 of 120" in told
-    assert "more than modified in 1 of 2 fields, median +0.000" in told
-    assert told.count("no clear win") == 2
+    assert "better than modified in 1 of 2 fields, median +0.000" in told
+    assert told.count("not significantly positive") == 2
 
 
-def test_a_win_is_one_whose_interval_lies_above_nought(study):
+def test_difference_is_significant_if_its_interval_is_above_zero(study):
     few = [{p: made(study, v) for p, v in row.items()} for row in (
         {"nominal": 0.20, "modified": 0.60, "seeking": 0.70},
         {"nominal": 0.22, "modified": 0.80, "seeking": 0.71},
         {"nominal": 0.19, "modified": 0.50, "seeking": 0.69},
     )]  # fmt: skip
-    assert "by the interval of the mean a clear win" in study.odds(few, "nominal")
-    assert "by the interval of the mean no clear win" in study.odds(few, "modified")
-    # A figure that is none leaves its field out.
+    assert "mean difference significantly positive" in study.odds(few, "nominal")
+    assert "mean difference not significantly positive" in study.odds(few, "modified")
+    # A NaN metric excludes its field.
     few[0]["seeking"]["levels"][study.LAST]["clear"] = float("nan")
     assert "in 2 of 2 fields" in study.odds(few, "nominal")
 
 
-def test_a_field_counts_once_all_paths_have_flown_it(study):
-    tasks = [study.Task(p, k, 1) for k in range(2) for p in study.PATHS]
+def test_field_counts_if_all_paths_have_flown_it(study):
+    tasks = [study.SeekingFlightTask(p, k, 1) for k in range(2) for p in study.PATHS]
     flights = {t.key: made(study, 0.5) for t in tasks[:5]}
-    assert len(study.whole_fields(tasks, flights)) == 1
+    assert len(study.complete_fields(tasks, flights)) == 1
     assert study.unfinished(tasks, flights) == []
     del flights[tasks[0].key]["levels"][study.LAST]
-    assert study.whole_fields(tasks, flights) == []
+    assert study.complete_fields(tasks, flights) == []
     assert study.unfinished(tasks, flights) == [tasks[0].key]
 
 
-def test_points_lie_within_what_is_asked(study):
+def test_sobol_points_lie_within_their_bounds(study):
     points = study.sobol(60, 3)
     assert len(set(points)) == 60
     assert points == study.sobol(60, 3)
@@ -86,7 +86,7 @@ def test_points_lie_within_what_is_asked(study):
     assert (np.ptp(rows, axis=0) > 0.9 * np.array([360.0, 35.0, 4.0, 0.13])).all()
 
 
-def test_it_goes_on_from_its_file_and_refuses_another(study, tmp_path, monkeypatch):
+def test_study_resumes_from_its_file_and_rejects_another(study, tmp_path, monkeypatch):
     flown = []
 
     def fly(task):
@@ -117,7 +117,7 @@ def test_it_goes_on_from_its_file_and_refuses_another(study, tmp_path, monkeypat
     assert flown[7:] == []
 
 
-def test_an_interrupt_keeps_what_is_done(study, tmp_path, monkeypatch):
+def test_interrupt_keeps_finished_flights(study, tmp_path, monkeypatch):
     flown = []
 
     def fly(task):
@@ -130,7 +130,7 @@ def test_an_interrupt_keeps_what_is_done(study, tmp_path, monkeypatch):
     file = tmp_path / "study.json"
     words = ["--sobol", "2", "--json", str(file)]
     done = CliRunner().invoke(study.main, words)
-    assert "interrupted; what is done is kept" in done.output
+    assert "Interrupted. The finished flights are saved" in done.output
     assert list(json.loads(file.read_text())["flights"]) == flown
     monkeypatch.setattr(study, "fly", lambda task: flown.append(task.key) or made(study, 0.5))
     assert CliRunner().invoke(study.main, words).exit_code == 0
@@ -139,15 +139,15 @@ def test_an_interrupt_keeps_what_is_done(study, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("words", [["--sobol", "2", "--sensors", "lidar"], ["--seed", "-1"],
                                    ["--sobol", "-1"], ["--fields", "0"]])  # fmt: skip
-def test_words_that_cannot_be_are_refused(study, words):
+def test_invalid_options_are_rejected(study, words):
     assert CliRunner().invoke(study.main, words).exit_code == 2
 
 
 @pytest.mark.parametrize("sensors", ["camera", "lidar", "both"])
-def test_every_set_of_sensors_is_a_scenario(study, script, sensors):
+def test_every_sensor_set_is_a_valid_scenario(study, script, sensors):
     flights = script(".", "seeking_flights")
     for path in flights.PATHS:
-        scenario = flights.scenario_of(flights.Task(path, 0, 1, sensors))
+        scenario = flights.scenario_of(flights.SeekingFlightTask(path, 0, 1, sensors))
         kind = "information-seeking" if path == "seeking" else "apollo"
         assert scenario.guidance.kind == kind
         assert ("rocks" in scenario.mappers) == (sensors != "lidar")
@@ -155,9 +155,9 @@ def test_every_set_of_sensors_is_a_scenario(study, script, sensors):
 
 
 @pytest.mark.slow
-def test_it_sees_more_than_the_direct_path_for_less_than_the_modified(script):
+def test_seeking_sees_more_than_nominal_for_less_propellant_than_modified(script):
     flights = script(".", "seeking_flights")
-    flown = {p: flights.fly(flights.Task(p, 0, 41)) for p in flights.PATHS}
+    flown = {p: flights.fly(flights.SeekingFlightTask(p, 0, 41)) for p in flights.PATHS}
     clear = {p: f["levels"]["50"]["clear"] for p, f in flown.items()}
     assert clear["seeking"] > clear["nominal"] + 0.2
     assert clear["seeking"] > clear["modified"] - 0.03

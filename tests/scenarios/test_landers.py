@@ -1,4 +1,4 @@
-"""The scripts and scenarios of landers, small."""
+"""Lander scripts and scenarios on small cases."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lunarsim.scenario import Scenario
 from tests.conftest import SCENARIOS
 
 
-def test_touchdowns_are_judged_both_ways(script, tmp_path):
+def test_touchdowns_are_evaluated_both_ways(script, tmp_path):
     study = script("landers", "touchdowns")
     out = tmp_path / "touchdowns.json"
     runs = []
@@ -19,7 +19,7 @@ def test_touchdowns_are_judged_both_ways(script, tmp_path):
         arguments = ["--touchdowns", "6", "--seed", "5", "--jobs", jobs, "--json", str(out)]
         done = CliRunner().invoke(study.main, arguments)
         assert done.exit_code == 0, done.output
-        assert "static-safe that tip over" in done.output
+        assert "Static-safe touchdowns that tip over" in done.output
         runs.append(json.loads(out.read_text()))
     assert runs[0] == runs[1]
     assert sum(runs[0]["confusion"].values()) == 6
@@ -30,12 +30,12 @@ def test_the_lunar_module_can_be_loaded():
     scenario = Scenario.load(SCENARIOS / "landers" / "lunar_module.toml")
     lander = scenario.vehicle.make()
     assert lander.thrusters.count == 16
-    # 550 ft lb a thruster, four of a sense about pitch and roll.
+    # 550 ft lb per thruster, four per direction in pitch and roll.
     assert abs(lander.torque_max[0] / 4.0 - 745.7) < 3.0
     assert lander.engine.gap_from == 28024.0
 
 
-def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
+def test_failed_thruster_with_and_without_detection(script):
     study = script("landers", "dead_thruster")
     blind, seeing = (study.fly("phase-plane", 1, 1, watch) for watch in (False, True))
     assert blind[2] != blind[2]
@@ -53,16 +53,16 @@ def test_a_dead_thruster_is_flown_with_and_without_the_watch(script):
     assert {one for one, _ in shut} == {None} | set(range(16)) - {0, 1, 4, 5}
     assert {seed for _, seed in shut} == {7, 8, 9, 10}
     assert "false alarms in 4" in done.output
-    assert "noticed 12, 4.0 s after (median; most 4.0), others given up 0" in done.output
+    assert "detected 12, after 4.0 s (median; maximum 4.0), false isolations 0" in done.output
     assert 5.0 < seeing[2] < 38.0
     assert seeing[0]
     assert seeing[1] < blind[1]
 
 
-def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeypatch):
+def test_flights_with_and_without_slosh_are_compared(script, monkeypatch):
     study = script("landers", "slosh")
     still, swinging = (
-        study.fly(study.Task("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
+        study.fly(study.SloshTask("phase-plane", case, 2)) for case in ("none", "smooth, 0.005")
     )
     assert still.slosh_deg == 0.0
     assert 1.0 < swinging.slosh_deg < 30.0
@@ -76,13 +76,13 @@ def test_liquid_that_swings_is_flown_beside_liquid_that_does_not(script, monkeyp
 
 
 @pytest.mark.slow
-def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(script, monkeypatch):
+def test_maps_with_thrusters_and_ideal_attitude_are_compared(script, monkeypatch):
     study = script("landers", "thrusters_and_map")
     world = {**study.WORLD, "terrain": {**study.WORLD["terrain"], "size_m": 160.0}}
     sensors = {**world["sensors"], "flash": {"kind": "flash-lidar", "rows": 48, "cols": 48}}
     dem = {"kind": "gaussian-dem", "posting_m": 0.4, "size_m": 60.0}
     monkeypatch.setattr(study, "WORLD", {**world, "sensors": sensors, "mappers": {"dem": dem}})
-    ideal, jets = (study.fly(study.Task(way, 0, 3)) for way in ("ideal", "phase-plane"))
+    ideal, jets = (study.fly(study.ThrusterMapTask(way, 0, 3)) for way in ("ideal", "phase-plane"))
     assert ideal.figures["thruster_kg"] == 0.0
     assert jets.figures["thruster_kg"] > 0.2
     assert jets.figures["rate_deg_s"] > ideal.figures["rate_deg_s"]
@@ -97,4 +97,4 @@ def test_maps_under_thrusters_and_under_an_ideal_attitude_are_set_side_by_side(s
     done = CliRunner().invoke(study.main, ["--flights", "2"])
     assert done.exit_code == 0, done.output
     gained = jets.figures["thruster_kg"]
-    assert f"| thrusters kg | 0.000 | {gained:.3f} | {gained:+.3f} [" in done.output
+    assert f"| thruster propellant (kg) | 0.000 | {gained:.3f} | {gained:+.3f} [" in done.output

@@ -1,4 +1,4 @@
-"""Scripts that set agents beside each other: what they print, and what they refuse."""
+"""Scripts that compare agents: output and rejected input."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def _between(low, high):
     return Difference("a", "b", 10, 0.5 * (low + high), low, high, 0.5)
 
 
-def test_reference_scores_are_a_row_an_agent(script, monkeypatch, capsys):
+def test_reference_scores_have_one_row_per_agent(script, monkeypatch, capsys):
     study = script("learning", "reference_scores")
     monkeypatch.setattr("sys.argv", ["x", "--episodes", "2", "--only", "Control-v0"])
     assert study.main() == 0
     rows = capsys.readouterr().out.strip().splitlines()[2:]
     assert [row.split("`")[1] for row in rows] == list(study.AGENTS["Control-v0"])
-    assert all("| 0.000 [0.000, 0.658] |" in row for row in rows)  # nobody lands by chance
+    assert all("| 0.000 [0.000, 0.658] |" in row for row in rows)  # no agent lands by chance
     for given, word in ((["--only", "Glide-v0"], "Guidance-v0"), (["--episodes", "0"], "episodes")):
         monkeypatch.setattr("sys.argv", ["x", *given])
         assert study.main() == 2
@@ -34,32 +34,35 @@ def test_every_environment_has_reference_scores(script):
     assert told == {None, "surrogate", "truth"}
 
 
-def test_rankings_contradict_where_both_are_sure_of_other_sides(script):
+def test_rankings_contradict_if_both_intervals_exclude_zero(script):
     study = script("learning", "ranking")
     ahead, behind, unsure = _between(0.1, 0.3), _between(-0.3, -0.1), _between(-0.1, 0.2)
     assert [study.side(d) for d in (ahead, behind, unsure)] == [1, -1, 0]
-    assert study.contradicted(ahead, behind) and study.contradicted(behind, ahead)
-    assert not study.contradicted(ahead, ahead) and not study.contradicted(ahead, unsure)
+    assert study.is_contradiction(ahead, behind) and study.is_contradiction(behind, ahead)
+    assert not study.is_contradiction(ahead, ahead) and not study.is_contradiction(ahead, unsure)
 
 
-def test_pairs_are_counted_by_what_both_perceptions_say(script):
+def test_pairs_are_counted_by_both_perceptions(script):
     study = script("learning", "ranking")
     model, mapper = study.PERCEPTIONS
     rng = np.random.default_rng(3)
     good, bad = np.arange(100) < 95, np.arange(100) < 40
     cheap, dear = 30.0 + rng.random(100), 35.0 + rng.random(100)
     told = {
-        ("one", model): study.Flown(good, cheap), ("one", mapper): study.Flown(bad, cheap),
-        ("two", model): study.Flown(bad, dear), ("two", mapper): study.Flown(good, dear),
-        ("three", model): study.Flown(bad, dear), ("three", mapper): study.Flown(bad, dear),
+        ("one", model): study.AgentFlights(good, cheap),
+        ("one", mapper): study.AgentFlights(bad, cheap),
+        ("two", model): study.AgentFlights(bad, dear),
+        ("two", mapper): study.AgentFlights(good, dear),
+        ("three", model): study.AgentFlights(bad, dear),
+        ("three", mapper): study.AgentFlights(bad, dear),
     }  # fmt: skip
     counts = study.pairs(told, ("one", "two", "three"))
-    # One and two swap sides in safety; one is ahead of three on the model alone, two on the mapper.
+    # One and two swap in safety; one is ahead of three only on the model, two only on the mapper.
     assert counts["safe"] == [1, 0, 3]
     assert counts["propellant"] == [0, 3, 3]
 
 
-def test_a_ranking_refuses_what_it_cannot_fly(script, monkeypatch, capsys):
+def test_ranking_rejects_invalid_input(script, monkeypatch, capsys):
     study = script("learning", "ranking")
     for given, word in ((["--flights", "1"], "--flights"), (["--agent", "nobody"], "--agent"),
                         (["--scenario", "nowhere"], "nowhere")):  # fmt: skip
@@ -69,7 +72,7 @@ def test_a_ranking_refuses_what_it_cannot_fly(script, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_a_ranking_is_printed_whole(script, monkeypatch, capsys):
+def test_ranking_is_printed(script, monkeypatch, capsys):
     study = script("learning", "ranking")
     given = ["--flights", "3", "--worlds", "1", "--agent", "no-divert", "--agent", "safest"]
     monkeypatch.setattr("sys.argv", ["x", *given])
@@ -79,7 +82,7 @@ def test_a_ranking_is_printed_whole(script, monkeypatch, capsys):
     assert out.count("of 1 pairs of agents") == 2
 
 
-def test_example_script_tells_bad_input(script, tmp_path):
+def test_example_script_rejects_invalid_input(script, tmp_path):
     for words, says in (
         (["--episodes", "0"], "x>=1"), (["--seed", "-1"], "x>=0"),
         (["--scenario", "hardd"], "did you mean 'hard'"),
@@ -89,7 +92,7 @@ def test_example_script_tells_bad_input(script, tmp_path):
         assert done.exit_code == 2 and says in done.output, done.output
 
 
-def test_a_surrogate_of_an_unknown_scenario_is_refused(script, monkeypatch, capsys):
+def test_surrogate_of_an_unknown_scenario_is_rejected(script, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["fit_surrogate.py", "--scenario", "hardd", "--check"])
     assert script("learning", "fit_surrogate").main() == 2
     assert "did you mean 'hard'" in capsys.readouterr().err

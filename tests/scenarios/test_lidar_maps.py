@@ -1,4 +1,4 @@
-"""The matrix of worlds, and the two calibrations on it."""
+"""Matrix of worlds, and the two calibrations on it."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from tests.made_mapper import Slow
 
 
 def first(module, **changes):
-    """Return a scene of a few metres, seen from near by."""
+    """Return a small scene at short range."""
     scene = next(iter(module.scenes(8, 1)))
     return replace(scene, distance=140.0, angle_deg=0.0, relief="fractal-6", **changes)
 
 
-def test_every_part_of_the_matrix_has_its_turn(script):
+def test_every_part_of_the_matrix_is_used(script):
     worlds = script("lidar_maps", "worlds")
     deck = list(worlds.scenes(240, 3))
     for name, cards in (
@@ -46,19 +46,19 @@ def test_every_part_of_the_matrix_has_its_turn(script):
     assert len({s.seed for s in deck}) == 240
 
 
-def test_ground_that_the_computer_asks_for_is_the_work_of_the_mapper(script, monkeypatch):
+def test_time_of_the_requested_surface_counts_for_the_mapper(script, monkeypatch):
     flown = script("lidar_maps", "flown")
     now = [0.0]
     monkeypatch.setattr(flown.time, "perf_counter", lambda: now[0])
 
     mapper = Slow(now)
-    clock = flown.Clock(mapper)
+    clock = flown.SingleMapperTimer(mapper)
     mapper.surface()
     assert clock.seconds == 3.0
 
 
 @pytest.mark.parametrize("name", ["calibration", "quadtree_calibration"])
-def test_a_scene_is_judged_the_same_twice(script, name):
+def test_scene_evaluation_is_repeatable(script, name):
     study = script("lidar_maps", name)
     scene = first(study, rocks="golombek-5", lander="small")
     a, b = study.judge(scene), study.judge(scene)
@@ -71,7 +71,7 @@ def test_a_scene_is_judged_the_same_twice(script, name):
     assert done.exit_code == 2
 
 
-def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
+def test_scene_cache_is_exact_and_rejects_other_scenes(script, tmp_path):
     kept = script("lidar_maps", "kept")
     worlds = script("lidar_maps", "worlds")
     drawn = []
@@ -80,31 +80,33 @@ def test_scenes_are_kept_as_they_were_and_no_others_are_taken(script, tmp_path):
         drawn.append(scene)
         rng = scene.rng(9)
         n = int(rng.integers(2, 6))
-        return kept.Judged(
+        return kept.SceneSites(
             scene, rng.random((n, 3), np.float32), rng.random(n) < 0.5, rng.random(n) + add,
             rng.random(n), rng.random(n), rng.random(n) < 0.5, float(rng.random()),
             rng.random(n) < 0.5,
         )  # fmt: skip
 
-    deck, other = ([kept.Scene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4))
+    deck, other = (
+        [kept.LidarScene(**asdict(s)) for s in worlds.scenes(8, seed)] for seed in (3, 4)
+    )
     file, console = tmp_path / "scenes.npz", Console(quiet=True)
-    first = kept.judged_scenes(judge, deck, file, 1, console)
+    first = kept.evaluated_scenes(judge, deck, file, 1, console)
     drawn.clear()
-    again = kept.judged_scenes(judge, deck, file, 1, console)
+    again = kept.evaluated_scenes(judge, deck, file, 1, console)
     assert drawn == deck[:1]
     for one, same in zip(first, again, strict=True):
         assert (one.scene, one.cover) == (same.scene, same.cover)
         assert all(np.array_equal(getattr(one, n), getattr(same, n)) for n in kept.ARRAYS)
     with pytest.raises(click.ClickException, match="other scenes"):
-        kept.judged_scenes(judge, other, file, 1, console)
+        kept.evaluated_scenes(judge, other, file, 1, console)
     with pytest.raises(click.ClickException, match="another version"):
-        kept.judged_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
+        kept.evaluated_scenes(lambda s: judge(s, 1e-6), deck, file, 1, console)
     file.write_bytes(file.read_bytes()[:300])
-    with pytest.raises(click.ClickException, match="no file of scenes"):
-        kept.judged_scenes(judge, deck, file, 1, console)
+    with pytest.raises(click.ClickException, match="not a file of scenes"):
+        kept.evaluated_scenes(judge, deck, file, 1, console)
 
 
-def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
+def test_held_out_rows_are_evaluated_by_a_fit_without_them(script):
     study = script("lidar_maps", "calibration")
     rng = np.random.default_rng(1)
     deck = list(study.scenes(24, 2))
@@ -115,17 +117,17 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
         safe = rng.random(60) < 1.0 / (1.0 + np.exp(-(8.0 * x[:, FREE] - 4.0)))
         ones = np.ones(60)
         known, doomed = rng.random(60) < 0.8, rng.random(60) < 0.5
-        return study.Judged(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
+        return study.SceneSites(scene, x, known, ones, ones, ones, doomed, 0.005, safe)
 
     scenes = [judged(s) for s in deck]
-    rows = list(study.left_out(scenes))
+    rows = list(study.held_out_rows(scenes))
     assert {name.split()[0] for name, _, _ in rows} == {"relief", "rocks", "lander", "range"}
     for _, others, kept in rows:
         assert len(others) + len(kept) == 24
         assert not {id(j) for j in others} & {id(j) for j in kept}
     name, others, kept = rows[0]
-    sites = study.Sites.of(kept)
-    model = study.fitted(others)
+    sites = study.PooledSites.of(kept)
+    model = study.fit_model(others)
     assert name not in model.without
     assert set(model.without) <= {row for row, _, _ in rows}
     plain, _ = study.probability(model, sites, MARGIN)
@@ -134,17 +136,17 @@ def test_what_is_kept_out_is_judged_by_a_fit_without_it(script):
     assert (p <= plain).all()
     assert np.array_equal(p[claimed & (p >= SURE)], plain[claimed & (plain >= SURE)])
     assert not claimed[~sites.known].any()
-    # Sites that may not be called surely unsafe are claimed where they are surely safe alone.
+    # Sites that cannot be classified as unsafe are claimed only if they are certainly safe.
     assert not claimed[~sites.doomed & (p < SURE)].any()
     assert study.probability(model, replace(sites, doomed=~sites.doomed))[1][
         claimed & (p >= SURE)
     ].all()
     assert (p <= expit(sites.features @ np.array(model.weights).T).min(axis=1) + 1e-9).all()
-    # A constant has no error of calibration, and no skill.
+    # A constant has no calibration error and no skill.
     flat = study.figures(np.full(len(p), sites.safe.mean()), sites.safe)
     assert flat["ece"] < 0.01
     assert flat["skill"] == pytest.approx(0.0, abs=1e-9)
-    assert study.table_of([study.Row(name, p, claimed, sites)]).row_count == 1
+    assert study.table_of([study.HeldOutRow(name, p, claimed, sites)]).row_count == 1
 
 
 @pytest.fixture
@@ -152,11 +154,11 @@ def small_world(script, monkeypatch, tmp_path):
     """The comparison of mappers on one small world."""
     flown = script("lidar_maps", "flown")
     compare = script("lidar_maps", "compare_mappers")
-    # A short way down; as in the study the lander is told its place.
+    # A short descent, with position fixes as in the study.
     small = Scenario.load(SCENARIOS / "golombek.toml").changed(
         terrain={"size_m": 90.0}, target={"scatter_m": [10.0, 10.0]},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
-        sensors={**flown.PLACED["sensors"], "flash": {"rows": 128, "cols": 128}},
+        sensors={**flown.WITH_FIXES["sensors"], "flash": {"rows": 128, "cols": 128}},
         tasking={"flash": {"altitudes_m": [220.0, 120.0]}},
         mappers={"dem": {"posting_m": 0.4, "size_m": 70.0}},
     )  # fmt: skip
@@ -167,9 +169,9 @@ def small_world(script, monkeypatch, tmp_path):
         monkeypatch.setattr(module, "WORLDS", worlds)
     kept = script("lidar_maps", "flown_kept")
     monkeypatch.setattr(kept, "flown", flown)
-    monkeypatch.setattr(compare, "flown_or_kept", kept.flown_or_kept)
+    monkeypatch.setattr(compare, "load_or_fly", kept.load_or_fly)
     monkeypatch.setattr(compare, "fly", flown.fly)
-    monkeypatch.setattr(compare, "Task", flown.Task)
+    monkeypatch.setattr(compare, "MapperFlightTask", flown.MapperFlightTask)
     return flown, compare
 
 
@@ -190,7 +192,7 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeyp
     assert calibrated["first"] != calibrated["last"], "maps grow between decisions"
     assert (tmp_path / "out" / "mappers.png").stat().st_size > 20_000
     shown = (tmp_path / "out" / "figures.json").read_text()
-    monkeypatch.setattr(flown, "fly", None)  # kept: nothing is flown again
+    monkeypatch.setattr(flown, "fly", None)  # stored: no flight is repeated
     again = CliRunner().invoke(compare.main, options)
     assert again.exit_code == 0, again.output
     assert (tmp_path / "out" / "figures.json").read_text() == shown
@@ -198,15 +200,15 @@ def test_mappers_are_compared_on_the_same_returns(small_world, tmp_path, monkeyp
     kept.write_text(kept.read_text().replace('"code": "', '"code": "0'))
     other = CliRunner().invoke(compare.main, options)
     assert other.exit_code == 1
-    assert "other code" in other.output
+    assert "different code" in other.output
     kept.write_text("{")
-    assert "is no kept flight" in CliRunner().invoke(compare.main, options).output
+    assert "is not a saved flight" in CliRunner().invoke(compare.main, options).output
     wrong = CliRunner().invoke(compare.main, ["--worlds", "Mars"])
     assert wrong.exit_code == 2
     assert "Mars" in wrong.output
 
 
-def test_a_flight_that_carries_all_mappers_is_the_one_that_carries_its_own(small_world):
+def test_extra_mappers_do_not_change_a_flight(small_world):
     flown, _ = small_world
     plain = flown.scenario_of("small")
     both = [
@@ -217,7 +219,7 @@ def test_a_flight_that_carries_all_mappers_is_the_one_that_carries_its_own(small
         assert np.array_equal(values, both[1].trajectory[column], equal_nan=True), column
 
 
-def test_maps_are_judged_by_counting_cells(script):
+def test_map_evaluation_counts_cells(script):
     flown = script("lidar_maps", "flown")
     rng = np.random.default_rng(2)
     grid = Grid.centred((0.0, 0.0), 8.0, 0.2)
@@ -244,14 +246,14 @@ def test_maps_are_judged_by_counting_cells(script):
     assert judged.table[:, 0].sum() == judged.claimed[:, 0].sum()
 
 
-def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
+def test_map_is_compared_with_the_terrain_under_it(script):
     flown = script("lidar_maps", "flown")
-    # Safe ground ends 1 m east, and the truth knows none beyond 3 m south.
+    # Safe terrain ends 1 m east; the truth ends 3 m south.
     own = Grid.centred((0.0, 0.0), 12.0, 0.5)
     east, north = own.centres()[..., 0], own.centres()[..., 1]
     flat = np.zeros(own.shape, np.float32)
     truth = SimpleNamespace(safety=SafetyMap(own, flat, flat, east < 1.0, north > -3.0))
-    # The map takes all for 2 m farther east than it is.
+    # The map is shifted by 2 m to the east.
     grid = Grid.centred((2.0, 0.0), 8.0, 0.5)
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
     hazard_map = HazardMap(grid, (x < 3.0).astype(np.float32), np.ones(grid.shape, bool))
@@ -263,7 +265,7 @@ def test_a_map_is_judged_on_the_ground_that_lies_under_it(script):
     assert judged.counts[1].tolist() == [(hits & west).sum(), 0, 0, 0]
 
 
-def test_maps_on_grids_of_their_own_are_judged_on_the_same_ground(script):
+def test_maps_on_different_grids_are_evaluated_on_the_same_terrain(script):
     flown = script("lidar_maps", "flown")
     own = Grid.centred((0.0, 0.0), 30.0, 0.5)
     east = own.centres()[..., 0]
@@ -284,7 +286,7 @@ def test_maps_on_grids_of_their_own_are_judged_on_the_same_ground(script):
     assert np.array_equal(judged["one"].counts, judged["other"].counts)
 
 
-def test_ground_is_told_apart_by_slope_and_rocks(script):
+def test_strata_depend_on_slope_and_rocks(script):
     flown = script("lidar_maps", "flown")
     lander = Lander()
     limit = np.tan(lander.slope_limit)

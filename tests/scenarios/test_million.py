@@ -1,4 +1,4 @@
-"""Very many descents: what is printed of few."""
+"""Mass simulation of descents on a small number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import pytest
 
 
-def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys):
+def test_failure_rates_are_printed_also_after_an_interrupt(script, monkeypatch, capsys):
     study = script(".", "million")
     monkeypatch.setattr("sys.argv", ["million.py", "--flights", "150", "--worlds", "1"])
     assert study.main() == 0
@@ -19,7 +19,7 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
     batches = study.batches
 
     def cut(scenario, flights, seed, worlds):
-        if flights == 64:  # by which kernels are compiled
+        if flights == 64:  # the compilation run
             yield from batches(scenario, flights, seed, worlds)
             return
         yield next(batches(scenario, flights, seed, worlds, lanes=70))
@@ -29,18 +29,19 @@ def test_rates_of_failure_are_printed_and_cut_short(script, monkeypatch, capsys)
     assert study.main() == 130
     told = capsys.readouterr()
     assert told.out.startswith("70 descents of ")
-    assert "interrupted: flights till then count" in told.err
+    assert "interrupted: the results cover the flights until then" in told.err
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--flights", "0"], "--flights = 0: 1 or more"), (["--seed", "-1"], "0 or more"),
+        (["--flights", "0"], "--flights: must be 1 or more, got 0"),
+        (["--seed", "-1"], "must be 0 or more"),
         (["--scenario", "hardd"], "hard"), (["--step", "nan"], "step_s"),
-        (["--worlds", "0"], "--worlds = 0: 1 or more"),
+        (["--worlds", "0"], "--worlds: must be 1 or more, got 0"),
     ],
 )  # fmt: skip
-def test_bad_input_is_told(script, monkeypatch, capsys, words, says):
+def test_invalid_input_is_rejected(script, monkeypatch, capsys, words, says):
     study = script(".", "million")
     monkeypatch.setattr("sys.argv", ["million.py", *words])
     assert study.main() == 2

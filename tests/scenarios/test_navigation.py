@@ -1,4 +1,4 @@
-"""Studies of navigation: what they write and add up, small, and their claims, at length."""
+"""Navigation studies: output on small cases, and (slow) their claims."""
 
 from __future__ import annotations
 
@@ -39,65 +39,65 @@ def test_consistency_is_printed_and_written_by_epoch(script, tmp_path):
         "start.velocity_m_s=[18,0,-12]",
     ]
     text = run(study.main, *words)
-    assert "NEES over degrees of freedom" in text
+    assert "NEES / degrees of freedom" in text
     assert "stars attitude" in text
     (flights,) = json.loads(out.read_text()).values()
     assert len(flights) == 2
     for flight in flights:
         assert len(flight["error"]) == len(flight["sigma"]) == len(flight["nis_at"])
-        # What was taken in between epochs adds up to what was taken in before the last.
+        # The sums between epochs add up to the total before the last epoch.
         speeds = [at["velocimeter speed of beam 1"] for at in flight["nis_at"][1:]]
         assert all(degrees > 0 and total >= 0.0 for total, degrees in speeds)
         first = np.array(flight["error"][0]) / flight["sigma"][0]
         assert flight["nees"]["all nine"] is not None
         assert np.all(np.abs(first) < 6.0)
-        # What was set on the command line was flown.
+        # The settings of the command line were used.
         assert flight["start_error"] < 1e-3
 
 
 def drawn(study, rng, *, scale=1.0, lost=False, nis=1.0):
-    """Return a flight whose errors are `scale` times, and innovations `nis` times, what is said."""
+    """Return a flight with errors scaled by `scale` and innovations by `nis`."""
     root = rng.standard_normal((9, 9)) + 3.0 * np.eye(9)
     covariance = np.array([root @ root.T] * len(study.EPOCHS))
     error = scale * rng.standard_normal((len(covariance), 9)) @ root.T
     latest = [{"beam range": Consistency(nis * rng.chisquare(40), 40)} for _ in study.EPOCHS]
-    return study.Flown(
+    return study.ConsistencyFlight(
         error, covariance, latest, latest, {}, {}, 0, (lost, lost), 0.0, 0.0, safe=True
     )
 
 
-def test_what_errs_as_it_says_is_told_from_what_does_not(script):
+def test_consistent_and_inconsistent_flights_are_distinguished(script):
     study, rng = script("navigation", "consistency"), np.random.default_rng(4)
     right = [drawn(study, rng) for _ in range(50)]
-    assert study.broken(right, 1.0) == []
-    assert study.broken([drawn(study, rng, lost=n == 0) for n in range(50)], 1.0) == []
-    (line,) = study.broken([drawn(study, rng, lost=n < 2) for n in range(50)], 1.0)
-    assert "2 of 50 flights are lost" in line
-    bold = study.broken([drawn(study, rng, scale=1.3) for _ in range(50)], 1.0)
+    assert study.inconsistencies(right, 1.0) == []
+    assert study.inconsistencies([drawn(study, rng, lost=n == 0) for n in range(50)], 1.0) == []
+    (line,) = study.inconsistencies([drawn(study, rng, lost=n < 2) for n in range(50)], 1.0)
+    assert "2 of 50 flights ended lost" in line
+    bold = study.inconsistencies([drawn(study, rng, scale=1.3) for _ in range(50)], 1.0)
     assert sum("NEES of all nine" in line for line in bold) == len(study.EPOCHS)
     timid = [drawn(study, rng, scale=0.8) for _ in range(50)]
-    assert any("NEES" in line for line in study.broken(timid, 1.0))
-    assert not any("NEES" in line for line in study.broken(timid, 0.5))
-    # One that is far off and does not know, among many that are right.
+    assert any("NEES" in line for line in study.inconsistencies(timid, 1.0))
+    assert not any("NEES" in line for line in study.inconsistencies(timid, 0.5))
+    # One flight with a large undeclared error among many consistent ones.
     sigma = np.sqrt(np.diag(right[7].covariance[2]))
     for lost in (False, True):
         right[7].error[2] = 0.0
         right[7].error[2, 3] = 5.2 * sigma[3]
         right[7] = replace(right[7], lost=(lost, lost))
-        assert any("flight 7" in line for line in study.broken(right, 0.01)) is not lost
+        assert any("flight 7" in line for line in study.inconsistencies(right, 0.01)) is not lost
     for nis in (0.8, 1.25):
-        off = study.broken([drawn(study, rng, nis=nis) for _ in range(50)], 1.0)
+        off = study.inconsistencies([drawn(study, rng, nis=nis) for _ in range(50)], 1.0)
         assert sum("NIS of beam range" in line for line in off) == len(study.EPOCHS)
 
 
-def test_what_is_only_watched_is_no_measurement(script):
+def test_monitored_quantities_are_no_measurements(script):
     study = script("navigation", "consistency")
     kinds = ["rocks' places", "flash map", "flash scans", "stars attitude", "speed of beam 1"]
     assert all(study.corrects(kind) for kind in kinds)
     assert not any(study.corrects(k) for k in ("rocks' expected", "rocks' shadows", "flash fits"))
 
 
-def test_a_study_that_is_judged_ends_with_1_where_errors_are_not_what_is_said(script, monkeypatch):
+def test_check_exits_with_1_if_errors_are_inconsistent(script, monkeypatch):
     study, rng = script("navigation", "consistency"), np.random.default_rng(5)
     for scale, code in ((1.0, 0), (2.0, 1)):
         flown = [drawn(study, rng, scale=scale) for _ in range(20)]
@@ -108,10 +108,10 @@ def test_a_study_that_is_judged_ends_with_1_where_errors_are_not_what_is_said(sc
 
 
 @pytest.mark.slow
-def test_flights_with_faults_are_written_and_added_up(script, tmp_path, monkeypatch):
+def test_flights_with_faults_are_written_and_summed(script, tmp_path, monkeypatch):
     faults, out = script("navigation", "faults"), tmp_path / "faults.json"
     monkeypatch.setattr(faults, "RELIEFS", (4.0,))
-    # Less ground, known well enough to come down on it, and a shorter way down.
+    # Smaller terrain, smaller initial error and a shorter descent.
     Scenario.load(SCENARIOS / "instruments.toml").changed(
         terrain={"size_m": 300.0}, start_knowledge={"position_m": 5.0},
         start={"position_m": [-300.0, 0.0, 250.0], "velocity_m_s": [18.0, 0.0, -12.0]},
@@ -135,9 +135,9 @@ def test_flights_with_faults_are_written_and_added_up(script, tmp_path, monkeypa
     assert cells["all"][:2] == ["1 of 5", "1 of 2"]
 
 
-def test_fits_begun_at_the_stated_error_are_not_wrong_and_would_be_seen(script, monkeypatch):
+def test_fits_with_the_assumed_error_are_correct_and_errors_are_detected(script, monkeypatch):
     study = script("navigation", "fits")
-    tasks = [study.Task(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
+    tasks = [study.FitTask(*row, 0, 11) for row in (("objects", 0.5, 0.0), ("craters", 1.0, 0.2))]
     tried = [f for task in tasks for f in study.fits(task)]
     assert sum(f.believed for f in tried) > 10
     assert not any(f.wrong for f in tried)
@@ -145,11 +145,11 @@ def test_fits_begun_at_the_stated_error_are_not_wrong_and_would_be_seen(script, 
     def blind(seen, features, covariance):
         return np.zeros(len(covariance)), False, np.zeros((2, 2))
 
-    monkeypatch.setattr("lunarsim.onboard.navigation.registration._begin", blind)
+    monkeypatch.setattr("lunarsim.onboard.navigation.registration._initial_error", blind)
     assert any(f.wrong for task in tasks for f in study.fits(task))
 
 
-def test_a_flight_on_a_map_out_of_date_is_judged(script, tmp_path):
+def test_flight_on_an_outdated_map_is_evaluated(script, tmp_path):
     study = script("navigation", "prior_map")
     assert all(row.startswith("none") == (not r.prior.keys() - {"posting_m", "sigma_m"}
                and not r.scanner and r.kept is None) for row, r in study.ROWS.items())  # fmt: skip
@@ -158,21 +158,24 @@ def test_a_flight_on_a_map_out_of_date_is_judged(script, tmp_path):
     assert [kept(t, rng) for t in (5.9, 6.0, 9.9, 10.0)] == [True, False, False, True]
 
 
-# --- at length ----------------------------------------------------------------------------------
+# --- slow tests ---------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["instruments", "two_eyes", "shadow_nominal", "morpheus"])
-def test_errors_of_fifty_flights_are_what_is_said(script, name):
+def test_errors_of_fifty_flights_are_consistent(script, name):
     study = script("navigation", "consistency")
     modest, changes = study.SETS[name]
     path = str(SCENARIOS / f"{name}.toml")
-    tasks = [study.Task(path, None, n, 1201, "safest", None, changes=changes) for n in range(50)]
-    assert study.broken([study.fly(task) for task in tasks], modest) == []
+    tasks = [
+        study.ConsistencyTask(path, None, n, 1201, "safest", None, changes=changes)
+        for n in range(50)
+    ]
+    assert study.inconsistencies([study.fly(task) for task in tasks], modest) == []
 
 
 @pytest.mark.slow
-def test_fewer_than_one_believed_fit_in_a_thousand_is_wrong(script):
+def test_fewer_than_one_accepted_fit_in_a_thousand_is_wrong(script):
     text = run(script("navigation", "fits").main, "--fits", 1000, "--seed", 11)
     last = next(line for line in text.splitlines() if line.startswith("│ all"))
     fits, believed, _, wrong = (cell.strip() for cell in last.split("│")[2:6])

@@ -1,4 +1,4 @@
-"""The data set of optimal descents: read as others would, set against the equations of motion."""
+"""Data set of optimal descents: read by Minari, checked by the equations of motion."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def episodes(folder):
     return [data[k] for k in range(data.total_episodes)]
 
 
-def test_episodes_move_as_a_lander_that_burns(small, tmp_path, monkeypatch):
-    # Written from the folder that one works in, as documents tell it.
+def test_episodes_obey_the_equations_of_motion(small, tmp_path, monkeypatch):
+    # Written to a relative path, as in the documentation.
     monkeypatch.chdir(tmp_path.parent)
     output = written(small, tmp_path.name)
     scenario = Scenario.from_dict({"name": "check"})
@@ -52,11 +52,11 @@ def test_episodes_move_as_a_lander_that_burns(small, tmp_path, monkeypatch):
         assert one.infos["time_to_go"][-1] == 0.0
         moved = velocity[:-1] + step * (one.actions - [0.0, 0.0, gravity])
         assert velocity[1:] == pytest.approx(moved, abs=1e-5)
-        # The solver keeps its equations to some 1e-8 of a kilometre, by processor.
+        # The solver satisfies its equations to about 1e-8 of a kilometre.
         assert position[1:] == pytest.approx(
             position[:-1] + 0.5 * step * (velocity[:-1] + velocity[1:]), abs=3e-5
         )
-        # It burns what it pushes with; at a switch of the thrust there may be a little more.
+        # The propellant matches the thrust; at a thrust switch it can be slightly larger.
         push = np.linalg.norm(one.actions, axis=1)
         burnt = mass[:-1, 0] * -np.expm1(-push * step[:, 0] / lander.exhaust_velocity)
         assert one.rewards == pytest.approx(np.diff(mass[:, 0]))
@@ -68,26 +68,28 @@ def test_episodes_move_as_a_lander_that_burns(small, tmp_path, monkeypatch):
         assert not one.truncations.any()
 
 
-def test_same_seed_same_bits_in_any_number_of_processes_and_after_a_break(small, tmp_path):
+def test_results_do_not_depend_on_processes_or_interruptions(small, tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     written(small, whole)
-    # Two of three shards are there already.
+    # Two of three shards exist already.
     (broken / "shards").mkdir(parents=True)
     for file in sorted((whole / "shards").glob("*.npz"))[:2]:
         (broken / "shards" / file.name).write_bytes(file.read_bytes())
     written(small, broken)
     figures = [json.loads((f / "figures.json").read_text()) for f in (whole, broken)]
     assert figures[0] == figures[1]
-    tasks = [small.Task(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
+    tasks = [small.DescentShardTask(k, 3 if k < 2 else 1, 1, 40) for k in range(3)]
     again = small.solve(tasks[1])
     stored = np.load(sorted((whole / "shards").glob("*.npz"))[1])
     assert np.array_equal(again["observations"], stored["observations"])
     other = small.solve(replace(tasks[1], seed=2))
     assert not np.array_equal(other["observations"], stored["observations"])
-    assert small.DrawnStarts.key(tasks[1]) != small.DrawnStarts.key(replace(tasks[1], intervals=30))
+    assert small.StartDistribution.key(tasks[1]) != small.StartDistribution.key(
+        replace(tasks[1], intervals=30)
+    )
 
 
-def test_what_cannot_be_done_is_told(small, tmp_path, monkeypatch):
+def test_invalid_requests_are_rejected(small, tmp_path, monkeypatch):
     def refused(*options):
         done = CliRunner().invoke(small.main, [*options])
         assert done.exit_code == 2, done.output
@@ -98,14 +100,14 @@ def test_what_cannot_be_done_is_told(small, tmp_path, monkeypatch):
     assert "'--intervals'" in refused("--intervals", "3", "--out", str(tmp_path))
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "mine.txt").write_text("kept")
-    assert "there is one in" in refused("--out", str(tmp_path))
+    assert "without a data set" in refused("--out", str(tmp_path))
     assert (tmp_path / "data" / "mine.txt").read_text() == "kept"
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert "the extra `data`" in refused("--out", str(tmp_path / "new"))
     assert not (tmp_path / "new").exists()
 
 
-def test_an_interrupt_keeps_the_shards_that_are_done(small, tmp_path, monkeypatch):
+def test_interrupt_keeps_finished_shards(small, tmp_path, monkeypatch):
     solve, left = small.solve, [2]
 
     def broken(task):
@@ -117,7 +119,7 @@ def test_an_interrupt_keeps_the_shards_that_are_done(small, tmp_path, monkeypatc
     monkeypatch.setattr(small, "solve", broken)
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 1
-    assert "the same command goes on" in done.output
+    assert "run the same command again to resume" in done.output
     assert len(list((tmp_path / "shards").glob("*.npz"))) == 2
     assert not (tmp_path / "data").exists()
     left[0] = 1
@@ -125,7 +127,7 @@ def test_an_interrupt_keeps_the_shards_that_are_done(small, tmp_path, monkeypatc
     assert "7 descents" in output
 
 
-def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeypatch):
+def test_shards_of_other_limits_are_rejected(small, tmp_path, monkeypatch):
     written(small, tmp_path)
     (tmp_path / "data").rename(tmp_path / "before")
     monkeypatch.setattr(small, "Approach", lambda: replace(Approach(), reserve=20.0))
@@ -134,32 +136,32 @@ def test_shards_of_other_limits_are_not_taken_for_these(small, tmp_path, monkeyp
     assert "other limits" in " ".join(done.output.split())
 
 
-def test_descents_begin_where_the_law_takes_over(small):
-    starts = small.DrawnStarts()
+def test_descents_start_in_the_domain_of_the_law(small):
+    starts = small.StartDistribution()
     assert starts.elevation == pytest.approx(np.rad2deg(LEAST_ELEVATION))
     assert starts.height[1] == MOST_HEIGHT
     assert starts.across == (-MOST_ACROSS, MOST_ACROSS)
 
 
-def test_limits_that_cannot_be_read_are_told(small, tmp_path):
+def test_invalid_limits_file_is_rejected(small, tmp_path):
     (tmp_path / "shards").mkdir()
     (tmp_path / "shards" / "problem.json").write_text("{")
     done = CliRunner().invoke(small.main, ["--descents", "7", "--out", str(tmp_path)])
     assert done.exit_code == 2, done.output
-    assert "tells no limits" in " ".join(done.output.split())
+    assert "not a valid file of limits" in " ".join(done.output.split())
 
 
-def test_a_folder_that_cannot_be_written_to_is_told(small, tmp_path):
+def test_unwritable_folder_is_reported(small, tmp_path):
     (tmp_path / "file").write_text("")
     done = CliRunner().invoke(
         small.main, ["--descents", "2", "--out", str(tmp_path / "file" / "x")]
     )
     assert done.exit_code == 1, done.output
-    assert "--out = " in done.output
+    assert "--out: " in done.output
     assert "Not a directory" in " ".join(done.output.split())
 
 
-def test_a_full_disk_is_told_and_what_is_done_is_kept(small, tmp_path, monkeypatch):
+def test_full_disk_is_reported_and_shards_are_kept(small, tmp_path, monkeypatch):
     def full(*given):
         (given[1] / "main_data.hdf5").write_text("half")
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -171,8 +173,8 @@ def test_a_full_disk_is_told_and_what_is_done_is_kept(small, tmp_path, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == ["shards"]
 
 
-def test_a_run_that_is_killed_as_it_writes_goes_on(small, tmp_path, monkeypatch):
-    """Nothing can be taken away again then: what is half written is not where a data set lies."""
+def test_run_killed_while_writing_resumes(small, tmp_path, monkeypatch):
+    """A killed run cannot clean up: partial output is not in the data folder."""
     write = small.write_dataset
 
     def killed(*given):
@@ -192,7 +194,7 @@ def test_a_run_that_is_killed_as_it_writes_goes_on(small, tmp_path, monkeypatch)
 @pytest.mark.slow
 def test_bits_do_not_depend_on_the_number_of_processes(script, tmp_path, monkeypatch):
     study = script("learning", "optimal_descents")
-    # Three shards: one process solves them all, of two one has more than the other.
+    # Three shards: one process solves all, two processes share them unequally.
     monkeypatch.setattr(study, "SHARD", 20)
     for jobs in ("1", "2"):
         given = ["--descents", "50", "--intervals", "8", "--jobs", jobs]

@@ -1,4 +1,4 @@
-"""The scripts of the quadtree pipeline, on one small field."""
+"""Quadtree scripts on one small field."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.conftest import SCENARIOS
 
 @pytest.fixture
 def small(script, monkeypatch, tmp_path):
-    """A short sweep in the place of the paper's, read by the script named."""
+    """A short sweep instead of the paper's, for the named script."""
     short = Scenario.load(SCENARIOS / "morpheus.toml").changed(
         terrain={"size_m": 200.0, "field_m": 70.0, "boulders": 150, "craters": 12},
         start={"position_m": [-220.0, 0.0, 150.0], "position_sigma_m": 1.0},

@@ -1,4 +1,4 @@
-"""The airborne returns through both LiDAR maps, small; the judging on ground that is known."""
+"""Airborne returns in both LiDAR maps, and their evaluation on known terrain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def scattered():
     return np.column_stack((xy, plane(xy)))
 
 
-def test_cloud_is_split_once_and_its_spacing_follows_the_share(script):
+def test_cloud_split_and_spacing(script):
     returns = script("real_returns", "returns")
     cloud = returns.load()
     assert len(cloud.points) == 35_318
@@ -39,22 +39,22 @@ def test_cloud_is_split_once_and_its_spacing_follows_the_share(script):
     np.testing.assert_array_equal(both[order[0]], cloud.points[order[1]])
 
 
-def test_trend_of_a_plane_is_taken_away_whole(script, scattered):
+def test_trend_of_a_plane_is_removed_completely(script, scattered):
     returns = script("real_returns", "returns")
     bumps = scattered + [0.0, 0.0, 1.0] * (np.arange(4000) == 77)[:, None]
     np.testing.assert_allclose(returns.without_trend(scattered)[:, 2], 0.0, atol=1e-8)
     assert returns.without_trend(bumps)[77, 2] == pytest.approx(1.0, abs=0.2)
 
 
-def test_lander_is_scaled_in_length_alone(script):
+def test_only_lengths_of_the_lander_are_scaled(script):
     returns = script("real_returns", "returns")
-    large = returns.scaled(Lander(), 2.0)
+    large = returns.scaled_lander(Lander(), 2.0)
     assert (large.leg_radius, large.pad_diameter, large.roughness_limit) == (4.7, 0.6, 0.5)
     assert large.slope_limit == pytest.approx(np.deg2rad(30.0))
 
 
-def test_heights_are_judged_between_cell_centres_and_by_stratum(script, scattered):
-    """Bilinear between cells, so a plane is met exactly; errors come back as they were put in."""
+def test_heights_are_interpolated_and_split_by_stratum(script, scattered):
+    """Bilinear interpolation is exact on a plane; known errors are recovered."""
     judging = script("real_returns", "judging")
     grid = Grid.centred((0.0, 0.0), 30.0, 0.5)
     mean = plane(grid.centres()).astype(np.float32)
@@ -76,8 +76,8 @@ def test_heights_are_judged_between_cell_centres_and_by_stratum(script, scattere
     assert np.isnan(own.figures(1)["rmse"])
 
 
-def test_cells_of_the_quadtree_err_by_the_scatter_of_their_returns(script):
-    """On level ground with noise, mapped and held alike: the error has the deviation stated."""
+def test_quadtree_cell_errors_match_the_scatter_of_their_returns(script):
+    """On flat terrain with noise the error has the predicted deviation."""
     returns, judging = script("real_returns", "returns"), script("real_returns", "judging")
     rng = np.random.default_rng(4)
     both = np.column_stack((rng.uniform(-32.0, 32.0, (40_000, 2)), rng.normal(0.0, 0.2, 40_000)))
@@ -87,7 +87,7 @@ def test_cells_of_the_quadtree_err_by_the_scatter_of_their_returns(script):
     own = judging.heights_of_cells(mapper, both[20_000:], slope, grid)
     figures = own.figures(1)
     assert figures["n"] > 300
-    # Cells of 1.6 m hold 12.5 of either.
+    # Cells of 1.6 m contain 12.5 returns of each half.
     assert figures["rmse"] == pytest.approx(0.2 * np.sqrt(2.0 / 12.5), rel=0.2)
     assert figures["nees"] == pytest.approx(1.0, abs=0.2)
     lifted = judging.heights_of_cells(mapper, both[20_000:] + [0.0, 0.0, 0.3], slope, grid)

@@ -1,4 +1,4 @@
-"""Recorded episodes: read as others would, and flown again by what was recorded."""
+"""Recorded episodes: read by Minari and replayed."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def same(first, second):
         ),
     ],
 )  # fmt: skip
-def test_what_was_recorded_is_flown_again(
+def test_recorded_episodes_can_be_replayed(
     script, tmp_path, monkeypatch, env, agent, more, settings
 ):
-    # From the folder that one works in, as documents tell it.
+    # With a relative path, as in the documentation.
     monkeypatch.chdir(tmp_path)
     Scenario.from_dict(SMALL_FLIGHT).save("small.toml")
     out = Path("new/some")
@@ -95,7 +95,7 @@ def test_what_was_recorded_is_flown_again(
         (("Guidance-v0", "--episodes", "0"), "--episodes"),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(script, tmp_path, given, word):
+def test_invalid_requests_are_rejected_without_output(script, tmp_path, given, word):
     out = tmp_path / "some"
     done = recorded(script, *given, "--out", out)
     assert done.exit_code == 2, done.output
@@ -103,9 +103,9 @@ def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(script, tmp_path,
     assert not out.exists()
 
 
-def test_nothing_is_written_over(script, tmp_path):
+def test_existing_folders_are_not_overwritten(script, tmp_path):
     done = recorded(script, "Guidance-v0", "--out", tmp_path)
-    assert done.exit_code == 2 and "not there yet" in done.output
+    assert done.exit_code == 2 and "must be a folder that does not exist" in done.output
 
 
 @pytest.mark.parametrize(
@@ -115,22 +115,22 @@ def test_nothing_is_written_over(script, tmp_path):
         ("Guidance-v0", "apollo", ("descent_reward.safe=-1", "descent_reward.crash=-3"), 1),
     ],
 )
-def test_who_lands_safe_is_the_verdict_whatever_it_is_worth(
+def test_safe_flag_is_the_landing_outcome_for_any_reward(
     script, tmp_path, env, agent, weights, safe
 ):
     more = [word for one in weights for word in ("--set", one)]
     out = tmp_path / "some"
     done = recorded(script, env, "--agent", agent, "--episodes", 1, "--out", out, *more)
-    assert done.exit_code == 0 and f"1 episodes, {safe} landed safe" in done.output
+    assert done.exit_code == 0 and f"1 episodes, {safe} safe landings" in done.output
     (told,) = minari.MinariDataset(out).storage.get_episode_metadata([0])
     assert told["safe"] == safe
 
 
-def test_actions_that_do_not_fit_are_the_agents_mistake(script, tmp_path, monkeypatch):
+def test_invalid_actions_are_attributed_to_the_agent(script, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("agent_of_nans.py").write_text(
         "import numpy as np\ndef nans(shown):\n    return np.full(3, np.nan)\n"
     )
     done = recorded(script, "Guidance-v0", "--agent", "agent_of_nans:nans", "--out", "some")
-    assert done.exit_code == 2 and "actions that fit" in done.output
+    assert done.exit_code == 2 and "must give actions" in done.output
     assert not Path("some").exists()

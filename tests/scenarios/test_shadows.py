@@ -1,4 +1,4 @@
-"""The scripts of the shadow pipeline, small."""
+"""Shadow scripts on small cases."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lunarsim.simulation import Simulation
 from tests.worlds import SMALL_SHADOW_FLIGHT
 
 
-def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
+def test_measurement_noise_is_constant_in_pixels(script, monkeypatch):
     study = script("shadows", "looks")
     monkeypatch.setattr(study, "FAR", 45.0)
     monkeypatch.setattr(study, "LAG", 5)
@@ -34,7 +34,7 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
     for row in looks:
         along, across, over, over_across = (float(cell) for cell in row[2:])
         assert 0.1 < along < 1.5 and 0.05 < across < 0.5
-        # What is told goes by pixels alone: that of large patches, and more the smaller they are.
+        # The reported noise depends only on pixels: constant for large patches, larger below.
         edges = np.array([float(edge) for edge in row[0].split("-")])
         for found, ratio, base, small in zip(
             (along, across), (over, over_across), told.look_sigma, told.look_small, strict=True
@@ -42,14 +42,14 @@ def test_looks_differ_by_pixels_whatever_the_size(script, monkeypatch):
             least, most = np.sort(np.hypot(base, small / edges))
             assert least / 1.2 < found / ratio < 1.2 * most
     assert "nan" not in done.output
-    left = re.search(r"radius ([\d.]+) of itself, centre ([\d.]+) radii", done.output)
+    left = re.search(r"radius ([\d.]+) \(relative\), center ([\d.]+) radii", done.output)
     assert left is not None
     radius, centre = _outline_sigmas()
     assert float(left[1]) == pytest.approx(radius, abs=0.08)
     assert float(left[2]) == pytest.approx(centre, abs=0.1)
 
 
-def test_the_first_look_lies_towards_the_sun_since_it_was_chosen(script, monkeypatch):
+def test_first_measurement_is_biased_towards_the_sun_by_selection(script, monkeypatch):
     study = script("shadows", "looks")
     monkeypatch.setattr(study, "FAR", 150.0)
     monkeypatch.setattr(study, "NEAR", 125.0)
@@ -62,7 +62,7 @@ def test_the_first_look_lies_towards_the_sun_since_it_was_chosen(script, monkeyp
 
 
 def _outline_sigmas() -> tuple[float, float]:
-    """Return what the model says that looks do not average out, in radii."""
+    """Return the errors of the model that averaging does not remove, in radii."""
     model = ShadowModel(np.radians(20.0), RockModel("cube"))
     return model.radius_sigma, model.centre_sigma
 
@@ -93,7 +93,7 @@ def test_real_image_prints_precision_and_recall(script, tmp_path):
 
 @pytest.fixture
 def small(script, tmp_path, monkeypatch):
-    """Two short descents in the place of the paper's."""
+    """Two short descents instead of the paper's."""
     experiment = script("shadows", "nominal_vs_modified")
     for path, speed in (("nominal", 9.0), ("modified", 11.0)):
         short = Scenario.from_dict(SMALL_SHADOW_FLIGHT).changed(
@@ -106,24 +106,24 @@ def small(script, tmp_path, monkeypatch):
 
 
 def test_experiment_compares_two_paths(small, tmp_path):
-    tasks = [small.Task(path, 0, 1, None) for path in small.PATHS]
+    tasks = [small.ShadowPathTask(path, 0, 1, None) for path in small.PATHS]
     results = [small.fly(task) for task in tasks]
     assert [r["path"] for r in results] == list(small.PATHS)
     assert all(r["landed"] for r in results)
     summary = small.summarise(results)
     low = summary["altitudes"][50.0]["clear_recall"]
-    # Seen from the Sun's side hardly any ground shows that no shadow lies on it.
+    # Seen from the side of the Sun, little terrain is visibly free of shadows.
     assert 0.02 < low["nominal"].mean <= 1.0
     difference = low["modified"].mean - low["nominal"].mean
     assert low["difference"].mean == pytest.approx(difference)
     console = Console(record=True, width=140, file=io.StringIO())
     small.show(summary, console)
-    assert "clear ground called clear" in console.export_text()
-    text = json.dumps(small.plain(summary, results))
+    assert "clear area classified as clear" in console.export_text()
+    text = json.dumps(small.to_json(summary, results))
     assert json.loads(text)["flights"][0]["levels"]["50.0"]["counts"]["cells"] == 14_400
 
 
-def test_bad_requests_are_refused(script):
+def test_invalid_requests_are_rejected(script):
     experiment = script("shadows", "nominal_vs_modified")
     for arguments in (["--fields", "0"], ["--shapes", "pyramid"], ["--jobs", "x"]):
         done = CliRunner().invoke(experiment.main, arguments)
@@ -132,7 +132,7 @@ def test_bad_requests_are_refused(script):
 
 
 @pytest.mark.slow
-def test_the_default_rates_are_those_that_the_script_prints(script, tmp_path):
+def test_default_rates_are_those_printed_by_the_script(script, tmp_path):
     rates = script("shadows", "rates")
     done = CliRunner().invoke(rates.main, ["--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
@@ -141,7 +141,7 @@ def test_the_default_rates_are_those_that_the_script_prints(script, tmp_path):
         assert getattr(DetectionRates(), name) == pytest.approx(line, abs=6e-4), name
 
 
-def test_the_array_of_cells_has_every_pair_of_levels_once(script):
+def test_orthogonal_array_has_every_pair_of_levels_once(script):
     cells = script("shadows", "cells")
     runs = [c for c in cells.CELLS if c.name.startswith("array") and c.pixels == 1]
     columns = np.array(
@@ -174,16 +174,16 @@ def test_the_array_of_cells_has_every_pair_of_levels_once(script):
 
 @pytest.fixture
 def matrix(script, tmp_path, monkeypatch):
-    """The matrix of two cells that are one short descent."""
+    """A matrix of two cells with one short descent."""
     module = script("shadows", "matrix")
     short = Scenario.from_dict(SMALL_SHADOW_FLIGHT)
-    cells = tuple(module.Cell(f"small {k}", cover=0.05) for k in range(2))
+    cells = tuple(module.ShadowCell(f"small {k}", cover=0.05) for k in range(2))
     monkeypatch.setattr(module, "CELLS", cells)
-    monkeypatch.setattr(module.Cell, "scenario", lambda self, path: short)
+    monkeypatch.setattr(module.ShadowCell, "scenario", lambda self, path: short)
     return module
 
 
-def test_matrix_keeps_each_flight_and_goes_on_from_its_file(matrix, tmp_path, monkeypatch):
+def test_matrix_stores_each_flight_and_resumes(matrix, tmp_path, monkeypatch):
     file = tmp_path / "matrix.json"
     some = ["--cells", "small 0", "--fields", "1", "--json", str(file)]
     done = CliRunner().invoke(matrix.main, some)
@@ -194,7 +194,7 @@ def test_matrix_keeps_each_flight_and_goes_on_from_its_file(matrix, tmp_path, mo
     counts, table = flight["classes"], np.array(flight["reliability"])
     assert table[:, 0].sum() == counts["cells"] and table[:, 2].sum() == counts["occupied"]
     assert flight["landed"] and flight["objects"] >= flight["objects_clear"]
-    # What is done is not flown again; a file of another seed is not mixed in.
+    # Stored flights are not repeated; a file of another seed is rejected.
     flown = []
     monkeypatch.setattr(matrix, "fly", lambda task: flown.append(task.key) or flight)
     done = CliRunner().invoke(matrix.main, ["--fields", "1", "--json", str(file)])
@@ -207,8 +207,8 @@ def test_matrix_keeps_each_flight_and_goes_on_from_its_file(matrix, tmp_path, mo
 
 
 @pytest.mark.parametrize("off", [0.0, 3.0])
-def test_the_site_that_is_chosen_is_judged_where_it_truly_lies(matrix, monkeypatch, off):
-    """On the largest rock and, by an error of navigation, beside it; staying is a choice too."""
+def test_chosen_site_is_evaluated_at_its_true_position(matrix, monkeypatch, off):
+    """On the largest rock and, by a navigation error, next to it; staying is a choice too."""
     simulation = Simulation(Scenario.from_dict(SMALL_SHADOW_FLIGHT), 1)
     rocks = simulation.world.terrain.rocks
     largest = int(np.argmax(rocks.a))
@@ -226,24 +226,24 @@ def test_the_site_that_is_chosen_is_judged_where_it_truly_lies(matrix, monkeypat
     assert not found["diverts"] and found["site_on_hazard"]
 
 
-def test_matrix_names_the_goals_that_are_missed(matrix):
+def test_matrix_names_missed_goals(matrix):
     good = {"clear_false": 0.001, "objects_clear": 0.0, "clear_recall": 0.7}
-    cell = matrix.Cell("x")
-    assert matrix.meets(cell, good) == ""
+    cell = matrix.ShadowCell("x")
+    assert matrix.missed_goals(cell, good) == ""
     bad = {"clear_false": 0.003, "objects_clear": 0.05, "clear_recall": 0.5}
-    assert matrix.meets(cell, bad) == "area, objects, recall"
-    far = matrix.Cell("x", relief=8.0)
-    assert matrix.meets(far, bad | {"clear_false": float("nan")}) == "objects"
+    assert matrix.missed_goals(cell, bad) == "area, objects, recall"
+    far = matrix.ShadowCell("x", relief=8.0)
+    assert matrix.missed_goals(far, bad | {"clear_false": float("nan")}) == "objects"
 
 
-def test_no_bad_picture_counts_and_most_good_ones_do(script):
+def test_faulty_images_are_rejected_and_most_good_ones_accepted(script):
     health = script("shadows", "health")
-    rows = health.look(health.Task(2, 0.05, 2.0, 11, True))
+    rows = health.check_images(health.ImageCheckTask(2, 0.05, 2.0, 11, True))
     by = {}
     for row in rows:
         by.setdefault(row["fault"], []).append(row["verdict"])
     assert len(by) == 20 and len(by["none"]) == 15
-    # A smear of 4 pixels and a blur of 1 are hardly more than the camera's own.
+    # A smear of 4 pixels and a blur of 1 pixel are close to those of the camera.
     mild = {"none", health.SEEN, "defocus 1.0 px", "smear 4 px"}
     assert not {name for name in by if name not in mild and "counts" in by[name]}
     assert by[health.SEEN].count("counts") >= 11

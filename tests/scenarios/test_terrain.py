@@ -1,4 +1,4 @@
-"""The scripts of terrain, small."""
+"""Terrain scripts on small cases."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.conftest import SCENARIOS
 
 
 def test_gallery_renders_a_scene_and_fits_the_rocks(script, tmp_path):
-    """One as it is typed, the other by the command alone."""
+    """One by the command line, the other by the command object."""
     file, rest = SCENARIOS / "terrain" / "gallery.py", ["--out", str(tmp_path)]
     command = [sys.executable, str(file), "--only", "hirise", *rest]
     subprocess.run(command, capture_output=True, text=True, check=True)
@@ -27,8 +27,8 @@ def test_gallery_renders_a_scene_and_fits_the_rocks(script, tmp_path):
     assert (tmp_path / "rock_sizes.png").exists()
 
 
-def test_differences_know_slope_from_curvature(script):
-    """Of z = a x + b y^2: first a L and b (2 y L + L^2), second 0 and 2 b L^2."""
+def test_differences_separate_slope_and_curvature(script):
+    """For z = a x + b y^2: first a L and b (2 y L + L^2), second 0 and 2 b L^2."""
     study = script("terrain", "structure")
     grid = Grid.centred((0.0, 0.0), 20.0, 0.5)
     x, y = grid.centres()[..., 0], grid.centres()[..., 1]
@@ -42,8 +42,8 @@ def test_differences_know_slope_from_curvature(script):
     assert np.isnan(study.differences(tilted, 0.25, box)).all()
 
 
-def test_detail_of_apollo_15_carries_the_relief_on(script, tmp_path):
-    """On part of the plain: the script prints, and no scale below the posts is left smooth."""
+def test_detail_of_apollo_15_continues_the_relief(script, tmp_path):
+    """On a part of the plain, no scale below the posting is smooth."""
     study = script("terrain", "structure")
     part = Scenario.load(SCENARIOS / "apollo15.toml").changed(
         terrain={"dtm_window": (60, 140, 20, 100)}
@@ -85,13 +85,13 @@ def test_spectrum_keeps_the_variance_of_white_noise(script):
     study = script("terrain", "beside_nac")
     noise = 1.0 + 0.1 * np.random.default_rng(0).standard_normal((study.SIDE, study.SIDE))
     _, power = study.spectrum(noise)
-    # The same in every ring, variance times the area of a pixel; few waves are in the first.
+    # Equal in every ring: variance times pixel area; the first ring has few waves.
     assert power[1:] == pytest.approx(0.01 * study.SAMPLE * study.LINE, rel=0.4)
     assert power[6:] == pytest.approx(0.01 * study.SAMPLE * study.LINE, rel=0.1)
 
 
 @pytest.mark.slow
-def test_renders_lie_within_bounds_of_the_real_picture(script):
+def test_rendered_images_are_close_to_the_real_image(script):
     study = script("terrain", "beside_nac")
     images, found = study.compare(("highland", "golombek"), 7)
     spread, length = study.smooth_part(images["real"])

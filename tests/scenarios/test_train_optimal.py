@@ -1,4 +1,4 @@
-"""Distilling descents of least propellant into a network."""
+"""Training of a network on minimum-propellant descents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from lunarsim.onboard.guidance.optimal_network import OptimalNetwork
 from tests.conftest import SCENARIOS
 
-# What is told of the weights that come along.
+# Documented values of the shipped weights.
 FIGURES = SCENARIOS.parent / "docs" / "results" / "learning" / "neural_optimal.json"
 
 
@@ -29,13 +29,13 @@ def shards(script, tmp_path):
     folder = tmp_path / "set" / "shards"
     folder.mkdir(parents=True)
     for k in range(2):
-        np.savez(folder / f"{k}.npz", **descents.solve(descents.Task(k, 3, 5, 12)))
+        np.savez(folder / f"{k}.npz", **descents.solve(descents.DescentShardTask(k, 3, 5, 12)))
     return tmp_path / "set"
 
 
 def test_states_between_nodes_lie_on_the_descent(study, shards):
-    descents = study.Descents.load(sorted((shards / "shards").glob("*.npz")))
-    gravity = study.problem_figures()[0]
+    descents = study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
+    gravity = study.problem_parameters()[0]
     start, wanted = descents.within(np.zeros(descents.done.shape[:2]), gravity)
     end, _ = descents.within(np.full(descents.done.shape[:2], 1.0 - 1e-9), gravity)
     first = descents.seen[0]
@@ -46,22 +46,22 @@ def test_states_between_nodes_lie_on_the_descent(study, shards):
     assert wanted[0, 3] * 20.0 == pytest.approx(descents.duration[0])
 
 
-def test_a_missing_extra_and_too_few_shards_are_told(study, shards, tmp_path, monkeypatch):
+def test_missing_extra_and_too_few_shards_are_reported(study, shards, tmp_path, monkeypatch):
     done = CliRunner().invoke(study.main, [str(tmp_path), "--out", str(tmp_path / "w.npz")])
     assert done.exit_code == 2
-    assert "two shards" in done.output
+    assert "two or more shards" in done.output
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     done = CliRunner().invoke(study.main, [str(shards), "--out", str(tmp_path / "w.npz")])
     assert done.exit_code == 2
-    assert "the extra `rl` installs it" in done.output
+    assert "Install the extra `rl`" in done.output
     assert not (tmp_path / "w.npz").exists()
 
 
-def test_a_shard_that_is_not_whole_is_told(study, shards):
+def test_incomplete_shard_is_reported(study, shards):
     files = sorted((shards / "shards").glob("*.npz"))
     files[0].write_bytes(files[0].read_bytes()[:500])
-    with pytest.raises(click.UsageError, match="is no whole shard"):
-        study.Descents.load(files)
+    with pytest.raises(click.UsageError, match="is not a complete shard"):
+        study.DescentNodes.load(files)
 
 
 def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
@@ -80,22 +80,22 @@ def test_the_same_seed_gives_the_same_weights(study, shards, tmp_path):
         assert (figures["shards"], figures["epochs"]) == (2, 2)
     for a, b in zip(nets[0].weights, nets[1].weights, strict=True):
         assert np.array_equal(a, b)
-    assert np.array_equal(nets[0].problem, study.problem_figures())
+    assert np.array_equal(nets[0].problem, study.problem_parameters())
 
 
-def test_shards_of_several_runs_are_not_mixed(study, script, shards):
+def test_shards_of_several_runs_are_rejected(study, script, shards):
     descents = script("learning", "optimal_descents")
     other = shards / "shards" / "other.npz"
-    np.savez(other, **descents.solve(descents.Task(0, 3, 5, 10)))
+    np.savez(other, **descents.solve(descents.DescentShardTask(0, 3, 5, 10)))
     with pytest.raises(click.UsageError, match=r"\[10, 12\] intervals"):
-        study.Descents.load(sorted((shards / "shards").glob("*.npz")))
+        study.DescentNodes.load(sorted((shards / "shards").glob("*.npz")))
 
 
 @pytest.mark.parametrize(
-    ("text", "why"), [('{"max_tilt": 0.1}', "other limits"), ("{", "no limits")]
+    ("text", "why"), [('{"max_tilt": 0.1}', "other limits"), ("{", "not a valid file of limits")]
 )
-def test_shards_of_another_problem_are_not_taught_as_this_one(study, shards, text, why):
-    """The weights tell which problem they were taught: that of today's limits."""
+def test_shards_of_another_problem_are_rejected(study, shards, text, why):
+    """The weights store the problem of the current limits."""
     (shards / "shards" / "problem.json").write_text(text)
     done = CliRunner().invoke(study.main, [str(shards), "--out", str(shards / "w.npz")])
     assert done.exit_code == 2
@@ -103,7 +103,7 @@ def test_shards_of_another_problem_are_not_taught_as_this_one(study, shards, tex
 
 
 @pytest.mark.parametrize("given", [("--out", "none/w.npz"), ("--json", "none/w.json")])
-def test_what_cannot_be_written_is_told_before_anything_is_taught(study, shards, tmp_path, given):
+def test_invalid_output_is_rejected_before_training(study, shards, tmp_path, given):
     options = {"--out": str(tmp_path / "w.npz"), given[0]: str(tmp_path / given[1])}
     told = [text for pair in options.items() for text in pair]
     done = CliRunner().invoke(study.main, [str(shards), *told])

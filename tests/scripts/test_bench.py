@@ -1,4 +1,4 @@
-"""Scenarios that the bench makes of those that come along can be flown."""
+"""Scenarios of the benchmark are valid."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
-def test_the_flight_with_two_eyes_is_one(monkeypatch):
+def test_camera_and_lidar_scenario_is_valid(monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS)
-    scenario = importlib.import_module("bench_parts.navigation").two_eyes()
+    scenario = importlib.import_module("bench_parts.navigation").camera_and_lidar()
     assert set(scenario.mappers) == {"rocks"}
     assert scenario.prior_map is not None
 
 
 @pytest.mark.parametrize("both", [False, True])
-def test_the_flight_with_all_eyes_looks_as_often_as_it_says(monkeypatch, both):
+def test_all_sensor_scenario_has_the_stated_rates(monkeypatch, both):
     monkeypatch.syspath_prepend(SCRIPTS)
-    scenario = importlib.import_module("bench_parts.eyes").all_eyes(both)
+    scenario = importlib.import_module("bench_parts.eyes").all_sensors(both)
     looks = {name: part.make() for name, part in scenario.tasking.items()}
     assert {name: part.rate for name, part in looks.items()} == {
         "narrow": 10.0, "wide": 10.0, "flash": 2.0

@@ -1,4 +1,4 @@
-"""Digests of results find each changed quantity, and nothing else."""
+"""Digests of results detect exactly the changed quantities."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_one_changed_bit_is_found_and_named(folder):
+def test_one_changed_bit_is_detected(folder):
     before = digests_of_folder(folder)
     assert list(golden.changes("case", before, digests_of_folder(folder))) == []
     value = np.nextafter(600.0, 601.0)
@@ -51,7 +51,7 @@ def test_provenance_is_not_compared(folder):
     assert "flight.json:verdict.tilt" in line
 
 
-def test_a_renamed_quantity_is_no_change_of_a_result(folder):
+def test_renamed_quantity_is_not_a_changed_result(folder):
     before = digests_of_folder(folder)
     pq.write_table(pa.table({"t": [0.0, 1.0], "thrust_n": [600.0, np.nan]}), folder / "a.parquet")
     assert list(golden.changes("case", before, digests_of_folder(folder))) == [
@@ -62,7 +62,7 @@ def test_a_renamed_quantity_is_no_change_of_a_result(folder):
     assert [line.partition(":")[0] for line in lines] == ["removed", "removed"]
 
 
-def test_a_check_without_a_recording_says_what_to_run(tmp_path):
+def test_check_without_record_names_the_command(tmp_path):
     code = f"import golden; golden.OUT = golden.Path({str(tmp_path)!r}); golden.main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "check"],

@@ -1,4 +1,4 @@
-"""The tables of the page on LiDAR maps: made of what the study wrote."""
+"""Generated tables of the page on LiDAR maps."""
 
 from __future__ import annotations
 
@@ -51,34 +51,34 @@ def _world():
 
 
 def _page(pages):
-    out = [pages.mark("commands") + "\n\n- old: `x`. Short: nowhere.\n"]
+    out = [pages.mark("commands") + "\n\n- old: `x`. Shortfalls: none.\n"]
     for name, head in HEADS.items():
         out.append(f"{pages.mark(name)}\n\n{head}\n| --- |\n| kept | 1 |\n|  | 2 |\n| new | 3 |\n")
     return "Words.\n\n" + "\nMore.\n\n".join(out) + "\nEnd.\n"
 
 
-def test_the_page_is_what_is_kept(pages):
+def test_page_matches_the_stored_results(pages):
     shown = pages.PAGE.read_text(encoding="utf-8")
     kept = pages.load()
     assert kept
-    assert shown == pages.made(shown, kept)
+    assert shown == pages.update_page(shown, kept)
     for world, file in kept.items():
-        assert f"- {world}: `{file['command']}`. Short: " in shown
+        assert f"- {world}: `{file['command']}`. Shortfalls: " in shown
         assert len(file["figures"]["landings"]) == 4
         for rows in (f(file["figures"]) for f in pages.ROWS.values()):
             for row in rows:
                 assert " | ".join(row) in shown
 
 
-def test_another_figure_is_another_page(pages):
+def test_changed_metric_changes_the_page(pages):
     shown = pages.PAGE.read_text(encoding="utf-8")
     kept = copy.deepcopy(pages.load())
     world = next(iter(kept.values()))["figures"]
     next(iter(world["landings"].values()))["landed"] -= 1
-    assert pages.made(shown, kept) != shown
+    assert pages.update_page(shown, kept) != shown
 
 
-def test_rows_hold_figures_intervals_and_dashes(pages):
+def test_rows_contain_metrics_intervals_and_dashes(pages):
     world = pages.finite(_world())
     assert pages.ROWS["landings"](world) == [
         ["one", "10", "1.00 [0.50, 0.75]", "", "12.3", "40.1"],
@@ -97,7 +97,7 @@ def test_rows_hold_figures_intervals_and_dashes(pages):
     assert second[:3] == ["", "quadtree", ""]
 
 
-def test_where_a_world_falls_short_is_told(pages):
+def test_shortfalls_of_a_world_are_listed(pages):
     assert pages.shortfalls(pages.finite(_world())) == [
         "two: 3 of 10 not safe",
         "quadtree: claims with an error of 0.031",
@@ -111,8 +111,8 @@ def test_where_a_world_falls_short_is_told(pages):
     assert pages.shortfalls(claims_nothing) == []
 
 
-def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, monkeypatch):
-    monkeypatch.setattr(pages, "KEPT", tmp_path / "kept")
+def test_new_results_replace_only_the_rows_of_their_world(pages, tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "STORED", tmp_path / "kept")
     monkeypatch.setattr(pages, "PAGE", tmp_path / "page.md")
     pages.PAGE.write_text(_page(pages))
     (tmp_path / "figures.json").write_text(json.dumps({"new": _world()}))
@@ -123,7 +123,7 @@ def test_what_is_taken_replaces_the_rows_of_its_world_alone(pages, tmp_path, mon
     assert page.count("| kept | 1 |\n|  | 2 |\n") == 3
     assert "| new | 3 |" not in page
     assert "| new | one | 10 |" in page
-    assert "- new: `python a.py`. Short: two: 3 of 10 not safe; " in page
+    assert "- new: `python a.py`. Shortfalls: two: 3 of 10 not safe; " in page
     assert "- old" not in page
     assert page.startswith("Words.\n") and page.endswith("\nEnd.\n")
     pages.main([], standalone_mode=False)

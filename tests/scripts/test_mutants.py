@@ -1,4 +1,4 @@
-"""Faults put in on purpose: the machinery, on a toy package that compiles nothing."""
+"""Mutation testing on a toy package without compilation."""
 
 import importlib
 import json
@@ -32,7 +32,7 @@ def clipped(a, b, out):
 @pytest.fixture(autouse=True)
 def scripts_on_the_path(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # trials of the toy start sooner
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # faster start of the toy trials
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ CATCHES = "from lunarsim.a_kernels import room\n\n\ndef test_room():\n    assert
 LETS_PASS = CATCHES.replace("room(5, 3) == 2", "room(0, 0) == 0")
 
 
-def test_every_kind_of_fault_is_found_where_it_stands(faults):
+def test_every_kind_of_fault_is_generated_at_its_place(faults):
     found = {f.name: f.line_after(TOY) for f in faults.faults_of("toy.py", TOY)}
     assert found == {
         "toy.py:3:8:constant": "LIMIT = 3.0",
@@ -90,7 +90,7 @@ def test_every_kind_of_fault_is_found_where_it_stands(faults):
     }
 
 
-def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
+def test_every_fault_of_the_package_has_a_unique_name_and_is_valid_python(faults):
     mutants = importlib.import_module("mutants")
     files = mutants.kernel_files()
     assert len(files) >= 28
@@ -98,31 +98,31 @@ def test_every_fault_of_the_package_has_a_name_of_its_own_and_is_python(faults):
         found = faults.faults_of(path, text)
         assert len({f.name for f in found}) == len(found) > 0
         for fault in found[::20]:
-            compile(fault.applied(text), path, "exec")
+            compile(fault.apply(text), path, "exec")
         for test in mutants.tests_of(path):
             assert (ROOT / test).exists()
 
 
-def test_the_draw_is_of_every_kind_and_does_not_follow_changes_elsewhere(faults):
+def test_sample_covers_every_kind_and_ignores_changes_elsewhere(faults):
     path, text = "lunarsim/x.py", (ROOT / "lunarsim/rocks/_kernels.py").read_text()
     found = faults.faults_of(path, text)
-    drawn = faults.drawn(found, 15, seed=1)
+    drawn = faults.sample_faults(found, 15, seed=1)
     assert len(set(drawn)) == 15
     assert {f.operator for f in drawn} == {f.operator for f in found}
     lower = text.replace("@kernel", "# One more line.\n@kernel", 1)
-    again = faults.drawn(faults.faults_of(path, lower), 15, seed=1)
+    again = faults.sample_faults(faults.faults_of(path, lower), 15, seed=1)
     assert [(f.code, f.column, f.line - 1) for f in again] == [
         (f.code, f.column, f.line) for f in drawn
     ]
-    assert faults.drawn(found, 15, seed=2) != drawn
+    assert faults.sample_faults(found, 15, seed=2) != drawn
 
 
-def test_shares_go_by_lines_with_two_at_least():
+def test_faults_per_file_are_proportional_to_lines_with_a_minimum_of_two():
     mutants = importlib.import_module("mutants")
-    assert mutants.shares({"a": 300, "b": 99, "c": 1}, 40) == {"a": 30, "b": 10, "c": 2}
+    assert mutants.faults_per_file({"a": 300, "b": 99, "c": 1}, 40) == {"a": 30, "b": 10, "c": 2}
 
 
-def test_callers_of_a_file_are_found_at_any_hand(tmp_path):
+def test_direct_and_indirect_callers_are_found(tmp_path):
     trial = importlib.import_module("mutant_parts.trial")
     for name, text in (("a", ""), ("b", "from p.a import x"), ("c", "from p.b import y")):
         (tmp_path / "p").mkdir(exist_ok=True)
@@ -133,7 +133,7 @@ def test_callers_of_a_file_are_found_at_any_hand(tmp_path):
 
 
 @pytest.mark.parametrize(("test", "verdict"), [(CATCHES, "caught"), (LETS_PASS, "survived")])
-def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, verdict):
+def test_fault_is_tried_in_a_copy_and_its_result_stored(tmp_path, faults, test, verdict):
     run = importlib.import_module("mutant_parts.run")
     root = tmp_path / "tree"
     toy_package(root, test)
@@ -143,7 +143,7 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
     tests = {path: ["tests/test_room.py"]}
     kept = tmp_path / "kept.jsonl"
     told = []
-    run.Trials(root, kept, tests).run([fault], jobs=1, limit=60.0, tell=told.append)
+    run.MutationRun(root, kept, tests).run([fault], jobs=1, limit=60.0, tell=told.append)
     assert [r.verdict for r in told] == [verdict]
     assert (root / path).read_text() == text
     assert not list((root / "lunarsim").glob("__pycache__"))
@@ -151,16 +151,16 @@ def test_a_fault_is_tried_in_a_copy_and_its_result_kept(tmp_path, faults, test, 
         path,  # without a fault
         fault.name,
     ]
-    # The next run takes it from the file, until the source, or a survivor's test, has changed.
-    assert run.Trials(root, kept, tests).known(fault) == told[0]
+    # The next run uses the stored result until the source or a survivor's test changes.
+    assert run.MutationRun(root, kept, tests).known(fault) == told[0]
     (root / "tests" / "test_room.py").write_text(test + "\n")
-    again = run.Trials(root, kept, tests).known(fault)
+    again = run.MutationRun(root, kept, tests).known(fault)
     assert again == (told[0] if verdict == "caught" else None)
     (root / path).write_text(text + "\n")
-    assert run.Trials(root, kept, tests).known(fault) is None
+    assert run.MutationRun(root, kept, tests).known(fault) is None
 
 
-def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_path, faults):
+def test_stopped_trial_has_no_result_and_restores_the_file(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     sign = tmp_path / "under way"
     toy_package(
@@ -170,7 +170,7 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
     )
     path = "lunarsim/a_kernels.py"
     text = (tmp_path / "tree" / path).read_text()
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
 
     def stop():
         while not sign.exists():
@@ -181,7 +181,7 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
     stopper.start()
     fault = faults.faults_of(path, text)[0]
     for _ in range(2):
-        with pytest.raises(trial.Stopped):
+        with pytest.raises(trial.TrialStopped):
             space.trial(fault, ["tests/test_room.py"], 300.0)
     stopper.join()
     assert (tmp_path / "copy" / path).read_text() == text
@@ -190,12 +190,12 @@ def test_a_trial_that_is_stopped_tells_nothing_and_leaves_the_file_whole(tmp_pat
 def test_tests_that_fail_without_a_fault_end_the_run(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     toy_package(tmp_path / "tree", CATCHES.replace("== 2", "== 3"))
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
-    with pytest.raises(trial.BrokenTestsError, match=r"tests of \S+a_kernels.py fail"):
-        space.unchanged("lunarsim/a_kernels.py", ["tests/test_room.py"])
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
+    with pytest.raises(trial.BrokenTestsError, match=r"tests of \S+a_kernels.py: must pass"):
+        space.run_without_fault("lunarsim/a_kernels.py", ["tests/test_room.py"])
 
 
-def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path, faults):
+def test_kernels_compiled_without_the_fault_are_restored(tmp_path, faults):
     trial = importlib.import_module("mutant_parts.trial")
     toy_package(
         tmp_path / "tree",
@@ -208,10 +208,10 @@ def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path
     cache.mkdir()
     for name in "abc":
         (cache / f"{name}_kernels.f.nbi").write_text("good")
-    space = trial.Workspace(tmp_path / "tree", tmp_path / "copy")
+    space = trial.MutantWorkspace(tmp_path / "tree", tmp_path / "copy")
     path = "lunarsim/a_kernels.py"
     fault = faults.faults_of(path, (tmp_path / "tree" / path).read_text())[0]
-    # Of b the kernels hold those of a; c calls neither.
+    # The kernels of b contain those of a; c calls neither.
     assert space.trial(fault, ["tests/test_room.py"], 60.0) == ("survived", "")
     copied = tmp_path / "copy" / "lunarsim" / "__pycache__"
     assert {p.name: p.read_text() for p in copied.glob("*.nbi")} == {
@@ -219,7 +219,7 @@ def test_kernels_compiled_without_the_fault_are_set_aside_and_come_back(tmp_path
     }
 
 
-def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, faults):
+def test_equivalents_are_matched_by_code_and_stale_ones_reported(tmp_path, faults):
     equivalent = importlib.import_module("mutant_parts.equivalent")
     mutants = importlib.import_module("mutants")
     path = tmp_path / "list.toml"
@@ -234,7 +234,7 @@ def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, fault
         )
     )
     known = equivalent.load_equivalents(path)
-    tried, listed, stale = mutants.chosen({"toy.py": TOY}, "", 100, 1, known)
+    tried, listed, stale = mutants.select_faults({"toy.py": TOY}, "", 100, 1, known)
     assert [(f.name, reason) for f, reason in listed] == [("toy.py:14:9:boundary", "as it is")]
     assert stale == [known[1]]
     assert len(tried) == len(faults.faults_of("toy.py", TOY)) - 1
@@ -243,34 +243,37 @@ def test_equivalents_are_found_by_their_code_and_stale_ones_told(tmp_path, fault
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[[equivalent]]\nfault = 'a.py:1:2:sign'\ncode = 'x'", "entry 1 needs fault, code"),
-        ("[[equivalent]]\nfault = 'a.py:sign'\ncode = 'x'\nreason = 'y'", "entry 1: 'a.py:sign'"),
+        (
+            "[[equivalent]]\nfault = 'a.py:1:2:sign'\ncode = 'x'",
+            "entry 1: must have exactly",
+        ),
+        ("[[equivalent]]\nfault = 'a.py:sign'\ncode = 'x'\nreason = 'y'", "got 'a.py:sign'"),
         ("[[equivalent", "list.toml"),
     ],
 )
-def test_a_bad_list_is_refused(tmp_path, text, message):
+def test_invalid_list_is_rejected(tmp_path, text, message):
     equivalent = importlib.import_module("mutant_parts.equivalent")
     (tmp_path / "list.toml").write_text(text)
     with pytest.raises(equivalent.BrokenListError, match=message):
         equivalent.load_equivalents(tmp_path / "list.toml")
 
 
-def test_the_list_means_faults_that_exist():
+def test_listed_faults_exist():
     equivalent = importlib.import_module("mutant_parts.equivalent")
     mutants = importlib.import_module("mutants")
     known = equivalent.load_equivalents(mutants.EQUIVALENT)
-    assert not mutants.chosen(mutants.kernel_files(), "", 1, 1, known)[2]
+    assert not mutants.select_faults(mutants.kernel_files(), "", 1, 1, known)[2]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--count", "0"], "--count"),
-        (["--only", "no such file"], "no fault's name holds 'no such file'"),
-        (["--results", "RESULTS"], "line 1, is no result"),
+        (["--only", "no such file"], "must be part of a fault name, got 'no such file'"),
+        (["--results", "RESULTS"], "line 1: must be the result"),
     ],
 )
-def test_bad_input_ends_with_two(tmp_path, arguments, message):
+def test_invalid_input_exits_with_two(tmp_path, arguments, message):
     kept = tmp_path / "kept.jsonl"
     kept.write_text(json.dumps({"fault": "a"}) + "\n")
     arguments = [str(kept) if a == "RESULTS" else a for a in arguments]

@@ -1,4 +1,4 @@
-"""The page of results: made of what studies wrote, and of nothing else."""
+"""Results page, generated from the stored results."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def results(monkeypatch):
     return importlib.import_module("results_page")
 
 
-def test_the_page_is_made_of_the_kept_files(results):
+def test_page_is_generated_from_the_stored_files(results):
     shown = (ROOT / "docs" / "results-by-seed.md").read_text(encoding="utf-8")
     assert shown == results.page()
-    kept = sorted(results.KEPT.glob("*.json"))
+    kept = sorted(results.STORED.glob("*.json"))
     assert len(kept) >= 2
     for path in kept:
         report = results.load(path)
@@ -30,8 +30,8 @@ def test_the_page_is_made_of_the_kept_files(results):
         assert max(len(f.values) for f in report.figures) >= 2
 
 
-def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
-    figure = results.Figure("recall", "", [0.4, 0.6], 0.55, "higher")
+def test_metric_on_the_wrong_side_of_the_paper_falls_short(results):
+    figure = results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher")
     assert figure.mean == 0.5
     assert figure.falls_short
     assert not replace(figure, better="lower").falls_short
@@ -41,22 +41,22 @@ def test_a_figure_falls_short_on_the_wrong_side_of_the_papers(results):
     assert not replace(figure, better="").falls_short
 
 
-def test_a_section_tells_mean_spread_and_where_it_is_short(results):
+def test_section_has_mean_range_and_shortfalls(results):
     figures = [
-        results.Figure("recall", "", [0.4, 0.6], 0.55, "higher"),
-        results.Figure("error", "m", [1.0, 3.0, 2.0]),
+        results.SeedMetric("recall", "", [0.4, 0.6], 0.55, "higher"),
+        results.SeedMetric("error", "m", [1.0, 3.0, 2.0]),
     ]
-    text = results.section(results.Report("A map", "python a.py", "a", figures))
+    text = results.section(results.StudyReport("A map", "python a.py", "a", figures))
     assert "## A map\n\n`python a.py`; [more](a.md).\n" in text
     assert "| recall | 0.5 | 0.4 to 0.6 | 2 | 0.55 |" in text
     assert "| error (m) | 2 | 1 to 3 | 3 |  |" in text
-    assert "Short of the paper: recall (0.5 for 0.55)." in text
+    assert "Worse than the paper: recall (0.5 for 0.55)." in text
     good = replace(figures[0], paper=0.5)
-    text = results.section(results.Report("A map", "python a.py", "a", [good]))
-    assert "Short of the paper: nothing here." in text
+    text = results.section(results.StudyReport("A map", "python a.py", "a", [good]))
+    assert "Worse than the paper: none." in text
 
 
-def test_what_is_taken_of_the_tables_is_by_seed(results):
+def test_gaussian_dem_metrics_are_by_seed(results):
     row = {
         "c": 0.5,
         "precision": [1.0, 0.9],
@@ -73,8 +73,8 @@ def test_what_is_taken_of_the_tables_is_by_seed(results):
     by = {f.label: f for f in report.figures}
     assert by["Table 3, c = 0.5: recall"].values == [0.2, 0.3]
     assert by["Table 3, c = 0.5: recall"].paper == 0.28
-    assert by["Table 6, proposed slope, least precision of nine scans"].values == [0.9, 0.8]
-    assert by["Table 6, proposed slope, least recall of nine scans"].values == [0.5, 0.4]
+    assert by["Table 6, proposed slope, minimum precision of nine scans"].values == [0.9, 0.8]
+    assert by["Table 6, proposed slope, minimum recall of nine scans"].values == [0.5, 0.4]
 
 
 def _descent(path, fuel, recall=0.2):
@@ -83,19 +83,19 @@ def _descent(path, fuel, recall=0.2):
             "levels": {"50.0": {"rates": rates}}}  # fmt: skip
 
 
-def test_what_is_taken_of_two_descents_is_paired(results):
+def test_shadow_metrics_are_paired(results):
     flights = [
         _descent("nominal", 40.0, 0.1), _descent("modified", 41.0),
         _descent("nominal", 50.0, 0.3), _descent("modified", 53.0),
     ]  # fmt: skip
     report = results.take("shadows", {"flights": flights}, "")
     by = {f.label: f for f in report.figures}
-    assert by["propellant, modified less nominal"].values == [1.0, 3.0]
-    assert by["propellant, modified less nominal"].falls_short
-    assert by["duration, modified less nominal"].values == [0.0, 0.0]
-    assert by["clear ground called clear, nominal"].values == [0.1, 0.3]
-    assert not by["clear ground called clear, nominal"].falls_short
-    assert by["clear ground called clear, modified"].falls_short  # 0.2 for 0.29
+    assert by["propellant, modified minus nominal"].values == [1.0, 3.0]
+    assert by["propellant, modified minus nominal"].falls_short
+    assert by["duration, modified minus nominal"].values == [0.0, 0.0]
+    assert by["clear area classified as clear, nominal"].values == [0.1, 0.3]
+    assert not by["clear area classified as clear, nominal"].falls_short
+    assert by["clear area classified as clear, modified"].falls_short  # 0.2 for 0.29
 
 
 def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
@@ -104,7 +104,7 @@ def _look(rms, missed, hazard, sites, slope=2.0, false=0.5):
             "sites": [{"exactly_safe": s, "hazard_m2": h} for s, h in sites]}  # fmt: skip
 
 
-def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
+def test_quadtree_metrics_are_of_the_last_evaluation(results):
     first = _look(9.0, 9.0, 9.0, [])
     flights = [
         {"lock": 7.5, "looks": [first, _look(0.02, 1.0, 4.0, [(True, 0.0), (False, 0.3)])]},
@@ -113,81 +113,85 @@ def test_what_is_taken_of_the_hazard_field_is_its_last_look(results):
     by = {f.label: f for f in results.take("quadtree", {"flights": flights}, "").figures}
     assert {name: f.values for name, f in by.items()} == {
         "time of the lock": [7.5],
-        "map error, root mean square": [0.02, 0.06],
-        "slope error, greatest": [2.0, 7.0],
-        "share of the hazards' area missed": [0.25, 0.75],
-        "safe ground called hazardous": [0.5, 1.5],
-        "sites ranked": [2.0, 1.0],
-        "of them exactly safe": [1.0, 1.0],
+        "map error, RMS": [0.02, 0.06],
+        "slope error, maximum": [2.0, 7.0],
+        "missed fraction of the hazard area": [0.25, 0.75],
+        "false hazard area": [0.5, 1.5],
+        "ranked sites": [2.0, 1.0],
+        "exactly safe sites": [1.0, 1.0],
         "landing zones with a true hazard": [1.0, 0.0],
     }
     assert {name: f.unit for name, f in by.items() if f.unit} == {
-        "time of the lock": "s", "map error, root mean square": "m",
-        "slope error, greatest": "deg", "safe ground called hazardous": "m2",
+        "time of the lock": "s", "map error, RMS": "m",
+        "slope error, maximum": "deg", "false hazard area": "m2",
     }  # fmt: skip
     papers = {name: f.paper for name, f in by.items() if f.paper is not None}
-    assert papers == {"map error, root mean square": 0.5, "slope error, greatest": 6.0,
+    assert papers == {"map error, RMS": 0.5, "slope error, maximum": 6.0,
                       "landing zones with a true hazard": 0.0}  # fmt: skip
     assert {name for name, f in by.items() if f.falls_short} == {"landing zones with a true hazard"}
 
 
-def test_what_is_taken_of_the_laws_is_over_the_optimum_of_each_start(results):
+def test_guidance_metrics_are_relative_to_the_optimum_of_each_start(results):
     row = {"law": "apollo", "optimum": 30.0, "descent": 10.0, "whole": 50.0, "speed": 0.2}
     flown = [{**row, "safe": True}, {**row, "whole": 44.0, "safe": False},
              {**row, "law": "optimal", "whole": 38.0, "safe": True}]  # fmt: skip
     report = results.take("guidance", flown, "python g.py")
     by = {f.label: f for f in report.figures}
-    assert by["`apollo`: over the optimum, to the ground"].values == pytest.approx([25.0, 10.0])
-    assert by["`optimal`: over the optimum, to the ground"].values == pytest.approx([-5.0])
-    assert by["`apollo`: landed safe"].values == [1.0, 0.0]
+    assert by["`apollo`: excess propellant to touchdown"].values == pytest.approx([25.0, 10.0])
+    assert by["`optimal`: excess propellant to touchdown"].values == pytest.approx([-5.0])
+    assert by["`apollo`: safe landings"].values == [1.0, 0.0]
     text = results.section(report)
-    assert "| figure | mean | least to greatest | seeds | optimum |" in text
-    assert "Short of the optimum: `apollo`: over the optimum, to the ground (17.5 for 0)." in text
+    assert "| metric | mean | range | seeds | optimum |" in text
+    assert "Worse than the optimum: `apollo`: excess propellant to touchdown (17.5 for 0)." in text
 
 
-def test_what_is_taken_of_navigation_is_by_flight(results):
+def test_navigation_metrics_are_by_flight(results):
     flight = {"nees": {"all nine": 0.8, "position": None}, "nis": {"stars": 1.1},
               "start_error": 40.0, "map_error": 3.0, "lost": False, "safe": True}  # fmt: skip
     other = {**flight, "nees": {"all nine": 1.4, "position": 2.0}, "nis": {}, "safe": False}
     report = results.take("navigation", {"the scenario's": [flight, other]}, "python n.py")
     assert {f.label: f.values for f in report.figures} == {
-        "NEES over degrees of freedom, all nine (1)": [0.8, 1.4],
-        "NEES over degrees of freedom, position (1)": [2.0],
-        "NIS over degrees of freedom, stars (1)": [1.1],
-        "error of position at the start": [40.0, 40.0],
-        "at touchdown": [3.0, 3.0],
-        "lost at the end": [0.0, 0.0],
-        "landed safe": [1.0, 0.0],
+        "NEES / degrees of freedom, all nine (ideal 1)": [0.8, 1.4],
+        "NEES / degrees of freedom, position (ideal 1)": [2.0],
+        "NIS / degrees of freedom, stars (ideal 1)": [1.1],
+        "initial position error": [40.0, 40.0],
+        "position error at touchdown": [3.0, 3.0],
+        "navigation lost at the end": [0.0, 0.0],
+        "safe landings": [1.0, 0.0],
     }
-    assert "Short of the paper: no paper has these figures." in results.section(report)
+    assert "Worse than the paper: no reference values." in results.section(report)
 
 
-def test_what_is_taken_of_real_returns_is_by_split(results):
+def test_real_return_metrics_are_by_split(results):
     heights = {
         name: {"by split": [{"rmse": k + 0.1, "nees": k + 0.2, "beyond2": k + 0.3},
                             {"rmse": k + 0.4, "nees": k + 0.5, "beyond2": k + 0.6}]}
         for k, name in enumerate(("as flights do", "field of Table 6"))
     }  # fmt: skip
     report = results.take("real_returns", {"ground": {"heights": heights}}, "")
-    error, square, share = "RMSE", "mean square of error over stated sigma (1)", "share beyond 2"
+    error, square, share = (
+        "RMSE",
+        "mean square of error / predicted sigma (ideal 1)",
+        "fraction beyond 2",
+    )
     told = {f.label: f.values for f in report.figures}
     assert told == {
         f"as flights do: {error}": [0.1, 0.4],
         f"as flights do: {square}": [0.2, 0.5],
-        f"as flights do: {share} sigma (0.046)": [0.3, 0.6],
+        f"as flights do: {share} sigma (ideal 0.046)": [0.3, 0.6],
         f"field of Table 6: {error}": [1.1, 1.4],
         f"field of Table 6: {square}": [1.2, 1.5],
-        f"field of Table 6: {share} sigma (0.046)": [1.3, 1.6],
+        f"field of Table 6: {share} sigma (ideal 0.046)": [1.3, 1.6],
     }
-    assert "no paper has these figures" in results.section(report)
+    assert "no reference values" in results.section(report)
     assert [f.unit for f in report.figures] == ["m", "", ""] * 2
 
 
-def test_a_report_is_kept_whole(results, tmp_path, monkeypatch):
-    monkeypatch.setattr(results, "KEPT", tmp_path)
+def test_report_is_stored_completely(results, tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "STORED", tmp_path)
     found = {"flights": [_descent("nominal", 1.0), _descent("modified", 2.0)]}
     written = tmp_path / "raw"
     written.write_text(json.dumps(found))
     results.main(["--take", "shadows", str(written), "--command", "c"], standalone_mode=False)
     assert results.load(tmp_path / "shadows.json") == results.take("shadows", found, "c")
-    assert "## Rocks by their shadows" in results.page()
+    assert "## Shadow filter, two descents" in results.page()

@@ -71,7 +71,7 @@ def test_diverts_that_cannot_be_are_refused_and_told(law):
         assert not computer.apply(Decision(site, "try"))
         time, name, told = computer.telemetry[-1]
         assert (time, name, told["reason"]) == (computer.time, "divert-refused", "out of reach")
-    with pytest.raises(InputError, match="decide returned"):
+    with pytest.raises(InputError, match="decide must return"):
         computer.apply(Decision(np.array([np.nan, 0.0, 0.0]), "try"))
     flight = simulation.run()
     assert flight.verdict.touchdown is not None

@@ -145,5 +145,5 @@ def test_what_is_no_stretch_is_refused(stretch):
 
 
 def test_an_abort_has_no_stretch():
-    with pytest.raises(InputError, match=r"decision\.stretch = 1.1: None for an abort"):
+    with pytest.raises(InputError, match=r"decision\.stretch: must be None for an abort"):
         replace(Decision.climb_away("up"), stretch=1.1)

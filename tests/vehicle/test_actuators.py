@@ -9,13 +9,13 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.models.jet_lander import Engine, JetLander, com_of
+from lunarsim.models.jet_lander import DescentEngine, JetLander, com_of
 from lunarsim.models.lander import STANDARD_GRAVITY, Lander
 from lunarsim.models.thrusters import Thrusters
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _kernels as kernels
 from lunarsim.vehicle.actuators import Actuators
-from lunarsim.vehicle.dynamics import rig_of
+from lunarsim.vehicle.dynamics import build_rig
 from lunarsim.vehicle.faults import Faults
 from tests.reference import dynamics as plain
 
@@ -69,7 +69,7 @@ def test_rate_of_change_with_all_that_acts(seed):
         np.array([700.0, 800.0, 1100.0]), np.array([900.0, 1500.0, 1900.0]),
     )  # fmt: skip
     out = np.empty(15)
-    kernels.derivative(y, out, *args, rig_of(**rig))
+    kernels.derivative(y, out, *args, build_rig(**rig))
     wanted = plain.rigged_rate_of_change(y, *args, **rig)
     assert out == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
@@ -159,7 +159,7 @@ def test_main_tanks_run_dry_at_their_own_mass_whatever_thrusters_have_burnt():
 
 
 def test_the_gimbal_turns_at_its_rate_up_to_its_limit():
-    lander = replace(LANDER, engine=Engine(gimbal_limit=0.1, gimbal_rate=0.05))
+    lander = replace(LANDER, engine=DescentEngine(gimbal_limit=0.1, gimbal_rate=0.05))
     actuators = Actuators(lander, STEP)
     actuators.order(orders(lander), np.array([1.0, -0.03]))
     run(actuators, 40, start(lander))
@@ -170,7 +170,10 @@ def test_the_gimbal_turns_at_its_rate_up_to_its_limit():
 
 def test_a_swung_engine_turns_the_lander_by_force_times_arm():
     lander = replace(
-        LANDER, engine=Engine(gimbal_rate=1e3), com_dry=(0.0, 0.0, 0.2), com_full=(0.0, 0.0, 0.2)
+        LANDER,
+        engine=DescentEngine(gimbal_rate=1e3),
+        com_dry=(0.0, 0.0, 0.2),
+        com_full=(0.0, 0.0, 0.2),
     )
     actuators = Actuators(lander, STEP)
     actuators.order(orders(lander), np.array([0.05, 0.0]))
@@ -196,7 +199,7 @@ def test_the_centre_of_mass_moves_with_the_propellant():
 
 
 def test_throttle_steps_dead_band_and_gap():
-    engine = Engine(throttle_step=50.0, dead_band=30.0, gap_from=3600.0, gap_to=5500.0)
+    engine = DescentEngine(throttle_step=50.0, dead_band=30.0, gap_from=3600.0, gap_to=5500.0)
     actuators = Actuators(replace(LANDER, engine=engine), STEP)
     # An engine that does not run is started however little is asked for.
     assert actuators.throttled(20.0) == LANDER.thrust_min
@@ -209,7 +212,7 @@ def test_throttle_steps_dead_band_and_gap():
     assert actuators.throttled(1e9) == 5500.0
     assert actuators.throttled(0.0) == 0.0
     # No step leads into the gap: 3579 is nearer to 3600 than to 3500.
-    uneven = Engine(throttle_step=100.0, gap_from=3580.0, gap_to=5500.0)
+    uneven = DescentEngine(throttle_step=100.0, gap_from=3580.0, gap_to=5500.0)
     assert Actuators(replace(LANDER, engine=uneven), STEP).throttled(3579.0) == 3580.0
 
 
@@ -242,9 +245,9 @@ def test_what_fails_is_not_what_is_ordered():
             "thrusters.positions",
         ),
         (lambda: Thrusters(force=float("nan")), "thrusters.force"),
-        (lambda: Engine(gap_from=3000.0), "engine.gap_to"),
+        (lambda: DescentEngine(gap_from=3000.0), "engine.gap_to"),
         (
-            lambda: JetLander(engine=Engine(gap_from=3000.0, gap_to=9000.0)),
+            lambda: JetLander(engine=DescentEngine(gap_from=3000.0, gap_to=9000.0)),
             "vehicle.engine.gap_to_n",
         ),
         (

@@ -16,7 +16,7 @@ from lunarsim.rocks.field import RockField
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle import _leg_kernels as kernels
 from lunarsim.vehicle.dynamics import PLAIN_RIG
-from lunarsim.vehicle.legs import Legs, Patch, judge_motion, settle
+from lunarsim.vehicle.legs import Legs, TerrainPatch, judge_motion, settle
 from lunarsim.world.terrain import Terrain
 from tests.worlds import flat_terrain, sloped_terrain
 
@@ -271,9 +271,9 @@ def test_ground_beside_what_is_unknown_is_unknown_to_a_pad():
             x = np.asarray(xy)[..., 0]
             return np.where(x > 1.0, np.nan, 0.1 * x)
 
-    patch = Patch.of(LANDER, above(), Edge())
-    x = patch.frame[0] + patch.frame[2] * np.arange(patch.bare.shape[1])
-    row = patch.padded[len(patch.padded) // 2]
+    patch = TerrainPatch.of(LANDER, above(), Edge())
+    x = patch.frame[0] + patch.frame[2] * np.arange(patch.heights.shape[1])
+    row = patch.pad_heights[len(patch.pad_heights) // 2]
     radius = 0.5 * LANDER.pad_diameter
     assert np.isnan(row[x > 1.0 - radius + 0.01]).all()
     known = x < 1.0 - radius - 0.01
@@ -301,7 +301,7 @@ def test_ground_begins_at_its_first_post():
     for east, north, known in ((0.16, 5.0, True), (5.0, 0.16, True), (0.14, 5.0, False)):
         y = np.concatenate(([east, north, 1.59, 0.0, 0.0, -1.0], UP, np.zeros(3), [MASS, 0.0]))
         ground, frame = np.zeros((201, 201)), np.array([0.0, 0.0, 0.05])
-        assert kernels.touch(y, pad, leg, law, ground, frame, out) == known
+        assert kernels.compute_contact(y, pad, leg, law, ground, frame, out) == known
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -323,7 +323,7 @@ def test_a_pad_against_a_plain_reference(seed):
     hold = where + rng.normal(0.0, 0.01, 3)
     leg = np.array([0.004, 0.0, *hold])
     out = np.empty(12)
-    assert kernels.touch(y, pad, leg, law, ground, frame, out)
+    assert kernels.compute_contact(y, pad, leg, law, ground, frame, out)
     n = np.array([-gradient[0], -gradient[1], 1.0])
     n /= np.linalg.norm(n)
     moving = velocity + turn.apply(np.cross(rate, pad))

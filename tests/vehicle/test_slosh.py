@@ -16,8 +16,8 @@ from lunarsim.models.jet_lander import JetLander
 from lunarsim.models.slosh import FIRST_MODE, Slosh
 from lunarsim.vehicle import Dynamics, State
 from lunarsim.vehicle.actuators import Actuators
-from lunarsim.vehicle.dynamics import rig_of
-from lunarsim.vehicle.slosh import Liquid
+from lunarsim.vehicle.dynamics import build_rig
+from lunarsim.vehicle.slosh import SloshPendulums
 from tests.reference import slosh as plain
 
 TWO = Slosh(tanks=((0.5, 0.1, -0.3), (-0.4, 0.2, 0.2)), shares=(0.6, 0.4), radius=0.35, damping=0.0)
@@ -31,9 +31,9 @@ def start(lander: JetLander, fill: float = 0.7, **changes) -> State:
     return replace(State(np.zeros(3), np.zeros(3), upright, np.zeros(3), mass), **changes)
 
 
-def swung(liquid: Liquid, rng: np.random.Generator, angle: float = 0.5) -> None:
+def swung(liquid: SloshPendulums, rng: np.random.Generator, angle: float = 0.5) -> None:
     """Set rods and their rates anyhow."""
-    for row in liquid.swings:
+    for row in liquid.rod_states:
         u = Rotation.from_rotvec(angle * rng.standard_normal(3)).apply([0.0, 0.0, -1.0])
         row[:3], row[3:] = u, np.cross(rng.standard_normal(3), u)
 
@@ -52,7 +52,7 @@ def parts(lander: JetLander, mass: float):
     return (rest, inertia, middle), com, m, length, bobs + length[:, None] * [0.0, 0.0, 1.0]
 
 
-def absolute(lander: JetLander, state: State, swings):
+def absolute(lander: JetLander, state: State, rod_states):
     """Return centre, speed, quaternion, rate, bobs and their speeds, one array."""
     (_, _, middle), com, _, length, hinges = parts(lander, state.mass)
     turn, w = Rotation.from_quat(state.attitude), state.rate
@@ -65,15 +65,15 @@ def absolute(lander: JetLander, state: State, swings):
         )
 
     out = [*place(middle), state.attitude, w]
-    for row, one, hinge in zip(swings, length, hinges, strict=True):
+    for row, one, hinge in zip(rod_states, length, hinges, strict=True):
         out += place(hinge + one * row[:3], one * row[3:])
     return np.concatenate(out)
 
 
-def kept(lander: JetLander, state: State, swings, gravity: float = 0.0):
+def kept(lander: JetLander, state: State, rod_states, gravity: float = 0.0):
     """Return momentum, angular momentum about the origin and energy."""
     (rest, inertia, _), _, m, _, _ = parts(lander, state.mass)
-    y = absolute(lander, state, swings)
+    y = absolute(lander, state, rod_states)
     turn = Rotation.from_quat(state.attitude)
     momentum, spin = rest * y[3:6], rest * np.cross(y[:3], y[3:6])
     spin = spin + turn.apply(inertia @ state.rate)
@@ -100,20 +100,20 @@ def test_motion_is_that_of_bodies_joined_by_rods(seed):
     rng = np.random.default_rng(seed)
     damping = 0.05 * (seed % 2)
     lander = replace(LANDER, slosh=replace(TWO, damping=damping))
-    state, liquid = tossed(rng, lander), Liquid(lander)
+    state, liquid = tossed(rng, lander), SloshPendulums(lander)
     swung(liquid, rng)
     force, torque = rng.normal(0.0, 300.0, 3), rng.normal(0.0, 80.0, 3)
     body, _, m, length, hinges = parts(lander, state.mass)
     push = np.linalg.norm(force) / state.mass
     drag = 2.0 * damping * np.sqrt(push / length) * m
     rods = list(zip(m, hinges, length, drag, strict=True))
-    y = absolute(lander, state, liquid.swings)
+    y = absolute(lander, state, liquid.rod_states)
     wanted = plain.moved(y, 0.5, force, torque, 1.6, body, rods)
     dynamics = Dynamics(lander, 1.6, 0.0025)
-    rig = rig_of(force=force, com_dry=lander.com_dry, com_full=lander.com_full)
+    rig = build_rig(force=force, com_dry=lander.com_dry, com_full=lander.com_full)
     for _ in range(200):
         state = liquid.advance(dynamics, state, 0.0, torque, rig)
-    found = absolute(lander, state, liquid.swings)
+    found = absolute(lander, state, liquid.rod_states)
     # The same attitude has two quaternions.
     found[6:10] *= np.sign(found[6:10] @ wanted[6:10])
     assert np.abs(wanted[10:13] - y[10:13]).max() > 0.02
@@ -122,14 +122,14 @@ def test_motion_is_that_of_bodies_joined_by_rods(seed):
 
 def test_momentum_and_energy_are_kept_without_damping():
     rng = np.random.default_rng(7)
-    state, liquid = tossed(rng, LANDER), Liquid(LANDER)
+    state, liquid = tossed(rng, LANDER), SloshPendulums(LANDER)
     swung(liquid, rng)
     dynamics = Dynamics(LANDER, ALMOST_NOTHING, 0.005)
-    rig = rig_of(com_dry=LANDER.com_dry, com_full=LANDER.com_full)
-    first, before = kept(LANDER, state, liquid.swings), state
+    rig = build_rig(com_dry=LANDER.com_dry, com_full=LANDER.com_full)
+    first, before = kept(LANDER, state, liquid.rod_states), state
     for _ in range(4000):
         state = liquid.advance(dynamics, state, 0.0, np.zeros(3), rig)
-    last = kept(LANDER, state, liquid.swings)
+    last = kept(LANDER, state, liquid.rod_states)
     assert np.linalg.norm(state.rate - before.rate) > 0.05
     assert last[0] == pytest.approx(first[0], rel=1e-9, abs=1e-6)
     assert last[1] == pytest.approx(first[1], rel=1e-7, abs=1e-4)
@@ -138,14 +138,14 @@ def test_momentum_and_energy_are_kept_without_damping():
 
 def test_gravity_pulls_liquid_and_lander_alike():
     rng = np.random.default_rng(3)
-    state, liquid = tossed(rng, LANDER), Liquid(LANDER)
+    state, liquid = tossed(rng, LANDER), SloshPendulums(LANDER)
     swung(liquid, rng)
     dynamics = Dynamics(LANDER, 1.6, 0.005)
-    rig = rig_of(com_dry=LANDER.com_dry, com_full=LANDER.com_full)
-    first = kept(LANDER, state, liquid.swings, 1.6)
+    rig = build_rig(com_dry=LANDER.com_dry, com_full=LANDER.com_full)
+    first = kept(LANDER, state, liquid.rod_states, 1.6)
     for _ in range(1000):
         state = liquid.advance(dynamics, state, 0.0, np.zeros(3), rig)
-    momentum, _, energy = kept(LANDER, state, liquid.swings, 1.6)
+    momentum, _, energy = kept(LANDER, state, liquid.rod_states, 1.6)
     assert energy == pytest.approx(first[2], rel=1e-8)
     assert momentum - first[0] == pytest.approx([0.0, 0.0, -1.6 * 5.0 * state.mass], abs=1e-5)
 
@@ -154,19 +154,19 @@ def test_damping_takes_the_swing_and_no_momentum():
     force, ends = np.array([0.0, 0.0, 2500.0]), []
     for damping in (0.0, 0.05):
         lander = replace(LANDER, slosh=replace(TWO, damping=damping))
-        state, liquid = start(lander), Liquid(lander)
+        state, liquid = start(lander), SloshPendulums(lander)
         swung(liquid, np.random.default_rng(5), 0.2)
-        rig = rig_of(force=force, com_dry=lander.com_dry, com_full=lander.com_full)
+        rig = build_rig(force=force, com_dry=lander.com_dry, com_full=lander.com_full)
         dynamics = Dynamics(lander, ALMOST_NOTHING, 0.005)
-        gained, first = np.zeros(3), kept(lander, state, liquid.swings)[0]
+        gained, first = np.zeros(3), kept(lander, state, liquid.rod_states)[0]
         for _ in range(4000):
             before, state = state, liquid.advance(dynamics, state, 0.0, np.zeros(3), rig)
             both = Rotation.from_quat([before.attitude, state.attitude]).apply(force)
             gained += 0.0025 * both.sum(axis=0)
-        momentum = kept(lander, state, liquid.swings)[0] - first
+        momentum = kept(lander, state, liquid.rod_states)[0] - first
         assert np.linalg.norm(gained) > 1e4
         assert momentum == pytest.approx(gained, abs=0.05)
-        ends.append(np.abs(liquid.swings[:, 3:]).max())
+        ends.append(np.abs(liquid.rod_states[:, 3:]).max())
     assert ends[1] < 0.1 * ends[0]
 
 
@@ -181,19 +181,19 @@ def test_frequency_under_constant_acceleration(floor):
         thrust_lag=0.0, **moments(1800.0),
         slosh=Slosh(tanks=((0.0, 0.0, floor),), radius=0.5, height=0.4, damping=0.0),
     )  # fmt: skip
-    state, liquid = start(lander, fill=1.0), Liquid(lander)
+    state, liquid = start(lander, fill=1.0), SloshPendulums(lander)
     (rest, inertia, middle), _, m, length, hinges = parts(lander, state.mass)
     a = 3000.0 / state.mass
     p = hinges[0, 2] - middle[2]
     square = a / length[0] * (1.0 + m[0] / rest + m[0] * p * (p - length[0]) / inertia[1, 1])
     lean = 1e-3
-    liquid.swings[0, :3] = [np.sin(lean), 0.0, -np.cos(lean)]
-    rig = rig_of(force=(0.0, 0.0, 3000.0))
+    liquid.rod_states[0, :3] = [np.sin(lean), 0.0, -np.cos(lean)]
+    rig = build_rig(force=(0.0, 0.0, 3000.0))
     dynamics = Dynamics(lander, ALMOST_NOTHING, 0.002)
     seen = [lean]
     for _ in range(6000):
         state = liquid.advance(dynamics, state, 0.0, np.zeros(3), rig)
-        seen.append(float(liquid.swings[0, 0]))
+        seen.append(float(liquid.rod_states[0, 0]))
     x = np.array(seen)
     n = np.flatnonzero((x[:-1] > 0.0) != (x[1:] > 0.0))
     zeros = 0.002 * (n + x[n] / (x[n] - x[n + 1]))
@@ -209,16 +209,16 @@ def test_damping_is_a_share_of_the_critical_one():
         thrust_lag=0.0, dry_mass=1e6, propellant_mass=400.0, **moments(1e7), thrust_max=1e7,
         slosh=Slosh(tanks=((0.0, 0.0, 0.0),), radius=0.5, height=0.4, damping=0.03),
     )  # fmt: skip
-    state, liquid = start(lander, fill=1.0), Liquid(lander)
-    liquid.swings[0, :3] = [1e-3, 0.0, -np.sqrt(1.0 - 1e-6)]
+    state, liquid = start(lander, fill=1.0), SloshPendulums(lander)
+    liquid.rod_states[0, :3] = [1e-3, 0.0, -np.sqrt(1.0 - 1e-6)]
     _, length, _ = lander.slosh.pendulums(1.0, 400.0)
-    rig = rig_of(force=(0.0, 0.0, 2.0 * state.mass))
+    rig = build_rig(force=(0.0, 0.0, 2.0 * state.mass))
     turns = 5.0 * 2.0 * np.pi / np.sqrt(2.0 / length[0] * (1.0 - 0.03**2))
     step = turns / 2000
     for _ in range(2000):
         state = liquid.advance(Dynamics(lander, ALMOST_NOTHING, step), state, 0.0, np.zeros(3), rig)
     wanted = np.exp(-10.0 * np.pi * 0.03 / np.sqrt(1.0 - 0.03**2))
-    assert liquid.swings[0, 0] / 1e-3 == pytest.approx(wanted, rel=2e-3)
+    assert liquid.rod_states[0, 0] / 1e-3 == pytest.approx(wanted, rel=2e-3)
 
 
 @pytest.mark.parametrize("depth", [0.1, 0.7, 3.0])
@@ -273,11 +273,11 @@ def test_empty_tanks_swing_no_more():
         thrust_lag=0.0, propellant_mass=5.0, slosh=Slosh(tanks=((0.0, 0.0, 0.0),), height=0.1)
     )
     actuators, state = Actuators(lander, 0.01), start(lander, 1.0)
-    actuators.liquid.swings[0, :3] = [0.1, 0.0, -np.sqrt(0.99)]
+    actuators.liquid.rod_states[0, :3] = [0.1, 0.0, -np.sqrt(0.99)]
     for _ in range(800):
         state = actuators.advance(Dynamics(lander, 1.62, 0.01), state, 3000.0)
         assert np.all(np.isfinite(state.as_vector()))
-        assert np.all(np.isfinite(actuators.liquid.swings))
+        assert np.all(np.isfinite(actuators.liquid.rod_states))
     assert state.mass == pytest.approx(lander.dry_mass, abs=1e-6)
     dry = lander.exhaust_velocity * np.log(lander.wet_mass / lander.dry_mass)
     assert state.velocity[2] == pytest.approx(dry - 1.62 * 8.0, abs=0.05)
@@ -323,14 +323,14 @@ def test_what_thrusters_have_burnt_is_not_out_of_the_tanks():
         thrust_lag=0.0, dry_mass=1e6, **moments(1e7), thrust_max=1e7,
         slosh=Slosh(tanks=((0.0, 0.0, 0.0),), radius=0.5, height=0.2),
     )  # fmt: skip
-    liquid, dynamics = Liquid(lander), Dynamics(lander, 1.6, 1e-4)
-    liquid.swings[0, :3] = [1e-3, 0.0, -np.sqrt(1.0 - 1e-6)]
+    liquid, dynamics = SloshPendulums(lander), Dynamics(lander, 1.6, 1e-4)
+    liquid.rod_states[0, :3] = [1e-3, 0.0, -np.sqrt(1.0 - 1e-6)]
     state = start(lander, 1.0)
     state = replace(state, mass=state.mass - 300.0)
-    rig = rig_of(force=(0.0, 0.0, 2.0 * state.mass), spent=300.0)
+    rig = build_rig(force=(0.0, 0.0, 2.0 * state.mass), spent=300.0)
     liquid.advance(dynamics, state, 0.0, np.zeros(3), rig)
     _, length, _ = lander.slosh.pendulums(1.0, 400.0)
-    assert liquid.swings[0, 3] == pytest.approx(-1e-4 * 2.0 / length[0] * 1e-3, rel=1e-3)
+    assert liquid.rod_states[0, 3] == pytest.approx(-1e-4 * 2.0 / length[0] * 1e-3, rel=1e-3)
     # Below the dry mass, which counts what thrusters have burnt, the engine still runs.
     low = replace(state, mass=lander.dry_mass - 250.0)
     moved = liquid.advance(dynamics, low, 5000.0, np.zeros(3), rig)

@@ -1,1 +1,1 @@
-"""From a wanted thrust acceleration to throttle, attitude and torque."""
+"""Control: from a commanded acceleration to throttle, attitude and torque."""

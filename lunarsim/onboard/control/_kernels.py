@@ -1,4 +1,4 @@
-"""Compiled attitude control on gyroscopes.
+"""Compiled attitude control with gyroscopes.
 
 The state of the loop is (10,): estimated attitude (quaternion, scalar last), rate (3), torque (3).
 """
@@ -12,12 +12,12 @@ from lunarsim._jit import kernel
 
 
 @kernel(exact=True)
-def limited_torque(error, rate, inertia, frequency, damping, slew, most):
+def limited_torque(error, rate, inertia, frequency, damping, slew, max_torque):
     """Return the torque of the proportional-derivative law about an axis, N m."""
-    # Large errors saturate the rate asked for, not only the torque.
+    # Large errors saturate the commanded rate as well as the torque.
     wanted = min(max(frequency / (2.0 * damping) * error, -slew), slew)
     torque = inertia * 2.0 * damping * frequency * (wanted - rate)
-    return min(max(torque, -most), most)
+    return min(max(torque, -max_torque), max_torque)
 
 
 @kernel()
@@ -36,7 +36,7 @@ def demand(state, target, gains, inertia, torque_max):
 
 @kernel()
 def follow(state, increment, step):
-    """Take in the gyroscopes' increment (3,) over one step."""
+    """Propagate the attitude by the gyroscope increment (3,) of one step."""
     turned(state[:4], increment)
     for k in range(3):
         state[4 + k] = increment[k] / step
@@ -44,7 +44,7 @@ def follow(state, increment, step):
 
 @kernel()
 def replay(state, target, gains, inertia, torque_max, increments, step):
-    """Return the torques (n, 3) that the law asks for over recorded increments (n, 3)."""
+    """Return the torques (n, 3) of the law for recorded increments (n, 3)."""
     torques = np.empty((increments.shape[0], 3))
     for n in range(increments.shape[0]):
         demand(state, target, gains, inertia, torque_max)
@@ -55,15 +55,15 @@ def replay(state, target, gains, inertia, torque_max, increments, step):
 
 @kernel()
 def steer(acceleration, mass, thrust_min, thrust_max, heading, max_tilt, attitude):
-    """Write the attitude (4,) that gives a thrust acceleration (3,); return the thrust, N.
+    """Write the attitude (4,) for a thrust acceleration (3,); return the thrust, N.
 
-    See `thrust.thrust_to_command`.
+    The limits are those of `thrust.thrust_to_command`.
     """
-    most = thrust_max / mass
-    up = min(max(acceleration[2], 1e-3), most)
+    max_torque = thrust_max / mass
+    up = min(max(acceleration[2], 1e-3), max_torque)
     east, north = acceleration[0], acceleration[1]
     size = np.hypot(east, north)
-    limit = min(np.sqrt(max(most * most - up * up, 0.0)), up * np.tan(max_tilt))
+    limit = min(np.sqrt(max(max_torque * max_torque - up * up, 0.0)), up * np.tan(max_tilt))
     if size > limit:
         east *= limit / size
         north *= limit / size

@@ -1,9 +1,9 @@
-"""Which thrusters make a torque at the least propellant: a linear programme solved beforehand.
+"""Propellant-optimal thruster allocation by precomputed linear programs.
 
-Of all non-negative thrusts f with B f = tau the least sum is a corner of the programme: three
-thrusters, one basis. A basis is the best one for every torque in the cone of its columns if no
-other column costs less (its reduced costs are not negative), whatever the torque. All such bases
-are found once; a torque is then served by the first whose cone holds it.
+The minimum of the total thrust over non-negative thrusts f with B f = tau lies at a vertex of the
+linear program: three thrusters form a basis. A basis is optimal for every torque in the cone of its
+columns if no reduced cost is negative, independent of the torque. All such bases are found once;
+the first one whose cone contains the torque is then used.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from lunarsim.models.thrusters import Thrusters
 Array = NDArray[np.float64]
 
 
-class Allocation:
-    """Thrusters of a layout, and the bases that serve torques.
+class ThrusterAllocation:
+    """Thrusters of a layout, and the optimal bases of their torques.
 
-    Thrusters whose torques are the same form a group: they share a long firing, and one of them
-    does a short one.
+    Thrusters with equal torques form a group: they share a long firing, and one of them performs a
+    short one.
 
     Parameters
     ----------
     thrusters
-        The layout.
+        Thruster layout.
     without
-        Numbers of thrusters that are not to be used.
+        Indices of thrusters that must not be used.
 
     Attributes
     ----------
     authority
-        Torque about each axis alone that can be held (3,), N m, the lesser of both senses.
-    least_impulse
-        Angular impulse about each axis alone of the shortest pulses (3,), N m s, the greater of
+        Maximum sustained torque about each single axis (3,), N m, the smaller of both senses.
+    min_impulse
+        Angular impulse of the shortest pulses about each single axis (3,), N m s, the larger of
         both senses.
     """
 
@@ -53,51 +53,53 @@ class Allocation:
         self._groups = [used[group.ravel() == g] for g in range(len(first))]
         self._columns = torques[used[first]] / thrusters.force  # per newton, (groups, 3)
         self._sizes = np.array([len(g) for g in self._groups])
-        self._bases, self._inverses = self._best_bases()
-        self._turn = 0
+        self._bases, self._inverses = self._find_optimal_bases()
+        self._alternation = 0
         if len(self._bases) == 0:
-            self.authority = self.least_impulse = np.zeros(3)
+            self.authority = self.min_impulse = np.zeros(3)
             return
         both = np.array([[self._limits(s * axis) for axis in np.eye(3)] for s in (1.0, -1.0)])
         self.authority = both[:, :, 0].min(axis=0)
-        self.least_impulse = both[:, :, 1].max(axis=0)
+        self.min_impulse = both[:, :, 1].max(axis=0)
 
     @property
     def complete(self) -> bool:
-        """Whether every torque can be made."""
+        """Whether every torque can be produced."""
         if len(self._bases) == 0:
             return False
         axes = np.vstack((np.eye(3), -np.eye(3)))
         made = [self._columns.T @ self.group_thrust(axis) for axis in axes]
         return bool(np.allclose(made, axes, atol=1e-6))
 
-    def _best_bases(self) -> tuple[NDArray[np.int64], Array]:
+    def _find_optimal_bases(self) -> tuple[NDArray[np.int64], Array]:
         bases, inverses = [], []
         for chosen in combinations(range(len(self._columns)), 3):
             basis = self._columns[list(chosen)].T
             if abs(np.linalg.det(basis)) < 1e-9:
                 continue
             inverse = np.linalg.inv(basis)
-            price = np.ones(3) @ inverse
-            if np.all(1.0 - self._columns @ price > -1e-9):
+            dual_prices = np.ones(3) @ inverse
+            if np.all(1.0 - self._columns @ dual_prices > -1e-9):
                 bases.append(chosen)
                 inverses.append(inverse)
         return np.array(bases, dtype=np.int64), np.array(inverses)
 
     def _limits(self, axis: Array) -> tuple[float, float]:
-        """Return greatest torque and least impulse along a unit vector."""
-        share = self.group_thrust(axis)
-        used = share > 1e-12
+        """Return maximum torque and minimum impulse along a unit vector."""
+        thrust_per_torque = self.group_thrust(axis)
+        used = thrust_per_torque > 1e-12
         if not used.any():
             return 0.0, 0.0
-        most = float(np.min(self._sizes[used] * self.thrusters.force / share[used]))
-        least = float(self.thrusters.minimum_on * self.thrusters.force / share[used].min())
+        most = float(np.min(self._sizes[used] * self.thrusters.force / thrust_per_torque[used]))
+        least = float(
+            self.thrusters.minimum_on * self.thrusters.force / thrust_per_torque[used].min()
+        )
         return most, least
 
     def group_thrust(self, torque: Array) -> Array:
-        """Return the thrust of each group (groups,), N, that makes a torque (3,), N m.
+        """Return the thrust of each group (groups,), N, for a torque (3,), N m.
 
-        The least sum of thrusts; no group's limit is kept yet.
+        The sum of the thrusts is minimal; group limits are not applied.
 
         Raises
         ------
@@ -105,42 +107,42 @@ class Allocation:
             If the torque is not finite.
         """
         if not np.isfinite(torque).all():
-            raise InputError("control.torque", np.asarray(torque).tolist(), "a finite torque")
+            raise InputError("control.torque", np.asarray(torque).tolist(), "must be finite")
         thrust = self._inverses @ torque
-        # The first basis that serves; rounding may leave a share a little below zero.
+        # First basis whose cone holds the torque; rounding may leave small negative thrusts.
         best = int(np.argmax(thrust.min(axis=1) >= -1e-9 * max(1.0, float(np.abs(torque).max()))))
         out = np.zeros(len(self._columns))
         out[self._bases[best]] = np.maximum(thrust[best], 0.0)
         return out
 
     def on_times(self, torque: Array, period: float) -> Array:
-        """Return for how long each thruster is to fire in a period (n,), s.
+        """Return the on-time of each thruster in one period (n,), s.
 
-        A torque beyond what the thrusters can hold is made less, its direction kept. What is under
-        half of the least on-time is left out, what is under the least one raised to it.
+        A torque beyond the control authority is scaled down in its direction. On-times below half
+        of the minimum on-time are omitted; other on-times below the minimum are raised to it.
 
         Parameters
         ----------
         torque
-            Mean over the period (3,), N m.
+            Mean torque over the period (3,), N m.
         period
             s.
         """
         force, least = self.thrusters.force, self.thrusters.minimum_on
         thrust = self.group_thrust(torque)
-        over = float((thrust / (self._sizes * force)).max(initial=0.0))
-        total = thrust / max(over, 1.0) / force * period
+        overload = float((thrust / (self._sizes * force)).max(initial=0.0))
+        total = thrust / max(overload, 1.0) / force * period
         out = np.zeros(self.thrusters.count)
-        self._turn += 1
+        self._alternation += 1
         for jets, seconds in zip(self._groups, total, strict=True):
             if seconds < 0.5 * least:
                 continue
             if seconds >= len(jets) * least:
                 out[jets] = seconds / len(jets)
-            else:  # turn about, so that no thruster of a group is used up alone
-                out[jets[self._turn % len(jets)]] = max(seconds, least)
+            else:  # alternate, so that the thrusters of a group wear equally
+                out[jets[self._alternation % len(jets)]] = max(seconds, least)
         return np.minimum(out, period)
 
     def impulse(self, on_times: Array) -> Array:
-        """Return the angular impulse (3,), N m s, of on-times (n,), s."""
+        """Return the angular impulse (3,), N m s, for on-times (n,), s."""
         return np.asarray(on_times @ self.thrusters.torques)

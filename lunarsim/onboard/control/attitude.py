@@ -1,4 +1,4 @@
-"""Attitude control: a proportional-derivative law, and an ideal actuator that needs none."""
+"""Attitude control laws: proportional-derivative, and an ideal attitude actuator."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProportionalDerivative:
-    """Quaternion proportional-derivative torques, on gyroscopes.
+    """Quaternion proportional-derivative control with gyroscope feedback.
 
     Attributes
     ----------
     frequency, damping
         Natural frequency (rad/s) and damping ratio of the loop.
     slew_limit
-        Greatest rate asked for about each axis, rad/s.
+        Maximum commanded rate about each axis, rad/s.
     """
 
     frequency: float = quantity(4.0, "rad/s", gt=0, help="natural frequency of the loop")
     damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="greatest rate asked for")
+    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum commanded rate per axis")
 
     torques: ClassVar[bool] = True
 
     @property
     def response_time(self) -> float:
-        """Lag with which the attitude follows a slowly changing command, s."""
+        """Lag of the attitude behind a slowly changing command, s."""
         return 2.0 * self.damping / self.frequency
 
     @property
     def gains(self) -> Array:
-        """Frequency, damping and slew limit, as the compiled loop takes them (3,)."""
+        """Frequency, damping and slew limit for the compiled loop (3,)."""
         return np.array([self.frequency, self.damping, self.slew_limit])
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the wanted torque (3,), body axes, N m."""
+        """Return the commanded torque (3,), body axes, N m."""
         wanted = np.clip(
             self.frequency / (2.0 * self.damping) * error, -self.slew_limit, self.slew_limit
         )
@@ -51,23 +51,23 @@ class ProportionalDerivative:
 
 @dataclass(frozen=True)
 class IdealAttitude:
-    """The attitude follows the command along the shortest arc (section IV.A.3, shadow EKF paper).
+    """Ideal actuator on the shortest arc (shadow EKF paper, section IV.A.3).
 
     Attributes
     ----------
     slew_limit
-        Greatest rate, rad/s.
+        Maximum rate, rad/s.
     """
 
-    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="greatest rate")
+    slew_limit: float = quantity(15.0, "deg/s", gt=0, help="maximum rate")
 
     torques: ClassVar[bool] = False
 
     @property
     def response_time(self) -> float:
-        """No lag."""
+        """Zero: the ideal actuator has no lag."""
         return 0.0
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return no torque: the actuator turns the vehicle itself."""
+        """Return zero torque, because the ideal actuator turns the vehicle directly."""
         return np.zeros(3)

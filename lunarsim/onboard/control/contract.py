@@ -1,4 +1,4 @@
-"""The contract of attitude control."""
+"""Interface of attitude control laws."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ Array = NDArray[np.float64]
 
 
 class AttitudeControl(Protocol):
-    """A law that turns an attitude error into torques, at the rate of the gyroscopes.
+    """Law that converts an attitude error into torques, at the gyroscope rate.
 
     Attributes
     ----------
     torques
-        Whether it commands torques on gyroscopes; else the vehicle is asked to have an ideal
-        attitude actuator, and `slew_limit` (rad/s) is all that is used of the part.
+        Whether the law commands torques. If not, the vehicle must have an ideal attitude
+        actuator, and only `slew_limit` (rad/s) of the part is used.
     """
 
     torques: ClassVar[bool]
 
     @property
     def response_time(self) -> float:
-        """Lag with which the attitude follows a slowly changing command, s."""
+        """Lag of the attitude behind a slowly changing command, s."""
         ...
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the wanted torque (3,), body axes, N m; it is cut to the thrusters' range.
+        """Return the commanded torque (3,), body axes, N m, before clipping.
 
         Parameters
         ----------
         error
-            Rotation vector from the estimated to the wanted attitude (3,), body axes, rad.
+            Rotation vector from the estimated to the commanded attitude (3,), body axes, rad.
         rate
-            Of the gyroscopes (3,), rad/s.
+            Angular rate measured by the gyroscopes (3,), rad/s.
         inertia
             Principal moments at the estimated mass (3,), kg m^2.
         """

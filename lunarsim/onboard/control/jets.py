@@ -1,4 +1,4 @@
-"""The fast loop of a lander with on-off thrusters: firings and gimbal between control cycles."""
+"""Fast attitude loop of a lander with on-off thrusters and a gimballed engine."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from lunarsim._frame_kernels import rotation_between
 from lunarsim.frames import quat_multiply
 from lunarsim.messages.commands import Command
 from lunarsim.models.jet_lander import JetLander
-from lunarsim.onboard.control.allocation import Allocation
+from lunarsim.onboard.control.allocation import ThrusterAllocation
 from lunarsim.onboard.control.contract import AttitudeControl
 from lunarsim.onboard.control.loop import AttitudeLoop
-from lunarsim.onboard.control.thruster_watch import ThrusterWatch
+from lunarsim.onboard.control.thruster_watch import ThrusterFailureDetector
 from lunarsim.onboard.part_results import checked_vector
 
 Array = NDArray[np.float64]
 
-# Between new orders to the thrusters where the law does not say, s.
-_PERIOD = 0.1
-# Time in which the gimbal takes over a steady torque of the thrusters, s.
-_TRIM_TIME = 4.0
+# Default time between thruster commands for laws without a `period`, s.
+_DEFAULT_PERIOD_S = 0.1
+# Time constant with which the gimbal takes over a steady thruster torque, s.
+_TRIM_TIME_CONSTANT_S = 4.0
 
 
 class JetLoop(AttitudeLoop):
-    """Firings of thrusters by a law, and a gimbal that takes steady torques from them.
+    """Attitude loop that fires thrusters and trims steady torques with the gimbal.
 
-    Where the centre of mass lies beside the engine's line, the engine is swung from the start to
-    push through it, and the body leans by as much the other way.
+    If the centre of mass is off the engine's axis, the initial gimbal angle points the thrust
+    through it, and the body tilts by the same angle in the opposite direction.
 
-    A law that gives torques has them modulated into pulses: what a period's pulses could not give
-    is carried into the next, up to the shortest pulse. A law with `rate_change` orders firings.
+    The torques of a law are modulated into pulses; the remainder of a period, up to the shortest
+    pulse, is carried into the next. A law with `rate_change` commands firings directly.
 
     Parameters
     ----------
     law, lander, step
-        See `AttitudeLoop`.
+        Control law, lander model and gyroscope sample period (s).
 
     Attributes
     ----------
     on_times, gimbal
-        Orders of the present period: (n,), s, and (2,), rad.
+        Commands of the current period: (n,), s, and (2,), rad.
     spent
-        Propellant of the thrusters by what was ordered, kg.
+        Thruster propellant used by the commanded firings, kg.
     watch
-        What is known of the thrusters; one that does not push is no longer ordered.
+        Thruster failure detector; failed thrusters are no longer used.
     """
 
     def __init__(self, law: AttitudeControl, lander: JetLander, step: float) -> None:
         super().__init__(law, lander, step)
         self.vehicle = lander
-        self.allocation = Allocation(lander.thrusters)
-        self.period_steps = max(1, round(getattr(law, "period", _PERIOD) / step))
+        self.allocation = ThrusterAllocation(lander.thrusters)
+        self.period_steps = max(1, round(getattr(law, "period", _DEFAULT_PERIOD_S) / step))
         self.on_times = np.zeros(lander.thrusters.count)
         self.gimbal = np.zeros(2)
         self.spent = 0.0
@@ -61,49 +61,49 @@ class JetLoop(AttitudeLoop):
         self._step = 0
         self._thrust = 0.0
         self._arm = lander.engine.pivot_depth
-        self.watch = ThrusterWatch(lander.thrusters.count)
+        self.watch = ThrusterFailureDetector(lander.thrusters.count)
         self._com = np.zeros(3)
         self._rate: Array | None = None
-        self._begun = False
+        self._started = False
 
     @property
     def compiled(self) -> bool:
-        """No: the compiled loop knows torques alone."""
+        """False: the compiled loop supports only torques."""
         return False
 
     @property
     def period(self) -> float:
-        """Between new orders, s."""
+        """Time between thruster commands, s."""
         return self.period_steps * self.step
 
     @property
     def due(self) -> bool:
-        """Whether the next `torque` gives new orders."""
+        """Whether the next call of `torque` computes new thruster commands."""
         return self._step % self.period_steps == 0
 
     def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
+        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
         super().begin(command, attitude, mass)
         self._thrust = command.thrust
         self._com = self.vehicle.com(mass)
         self._arm = self.vehicle.engine.pivot_depth + float(self._com[2])
-        swing = self._through_com()
+        swing = self._gimbal_through_com()
         if swing.any():
-            # Swung so the engine does not push along body z: the body leans, the thrust does not.
-            self.target = quat_multiply(self.target, _upright(swing))
-            if not self._begun:
+            # The gimballed engine does not push along body z: tilt the body in return.
+            self.target = quat_multiply(self.target, _align_thrust(swing))
+            if not self._started:
                 self.gimbal = swing
-        self._begun = True
+        self._started = True
 
     def torque(self) -> Array:
-        """Return the mean torque of the present period's firings (3,), N m; order them if due."""
+        """Return the mean torque of the current firings (3,), N m; compute them if due."""
         if self.due:
-            self._order()
+            self._command_thrusters()
         self._step += 1
         return self.state[7:].copy()
 
-    def _through_com(self) -> Array:
-        """Return the swing (2,), rad, with which the engine pushes through the centre of mass."""
+    def _gimbal_through_com(self) -> Array:
+        """Return gimbal angles (2,), rad, for thrust through the centre of mass."""
         east, north = float(self._com[0]), float(self._com[1])
         if self.vehicle.engine.gimbal_limit == 0.0 or self._arm <= 0.0:
             return np.zeros(2)
@@ -113,8 +113,8 @@ class JetLoop(AttitudeLoop):
         limit = self.vehicle.engine.gimbal_limit
         return np.asarray(np.clip(swing, -limit, limit))
 
-    def _look(self) -> None:
-        """Set what has turned in the last period against what was ordered for it."""
+    def _detect_failures(self) -> None:
+        """Compare the measured rate change of the last period with the commanded one."""
         rate, before = self.state[4:7].copy(), self._rate
         self._rate = rate
         if before is None:
@@ -125,20 +125,20 @@ class JetLoop(AttitudeLoop):
         (x, y), (east, north, _) = self.gimbal, self._com
         engine += self._thrust * period * np.array([-north, east, east * x + north * y])
         turns = self.on_times[:, None] * about_com / inertia
-        if self.watch.see(rate - before, engine / inertia, turns, period):
-            left = Allocation(jets, self.watch.failed)
+        if self.watch.update(rate - before, engine / inertia, turns, period):
+            left = ThrusterAllocation(jets, self.watch.failed)
             if left.complete:
                 self.allocation = left
 
-    def _order(self) -> None:
-        self._look()
+    def _command_thrusters(self) -> None:
+        self._detect_failures()
         error = np.empty(3)
         rotation_between(self.state[:4], self.target, error)
         rate, inertia, period = self.state[4:7].copy(), self.inertia, self.period
         law: Any = self.law
         if hasattr(law, "rate_change"):
             a = self.allocation.authority / inertia
-            least = self.allocation.least_impulse / inertia
+            least = self.allocation.min_impulse / inertia
             change = law.rate_change(error, rate, a, least)
             impulse = inertia * checked_vector("control", law, "rate_change", change, "rad/s")
         else:
@@ -149,31 +149,31 @@ class JetLoop(AttitudeLoop):
         self.on_times = self.allocation.on_times(impulse / period, period)
         given = self.allocation.impulse(self.on_times)
         if not hasattr(law, "rate_change"):
-            most = self.allocation.least_impulse
+            most = self.allocation.min_impulse
             self._carry = np.clip(impulse - given, -most, most)
         self.spent += self.vehicle.thrusters.flow * float(self.on_times.sum())
         self.state[7:] = given / period
-        self._trim(given)
+        self._trim_gimbal(given)
 
-    def _trim(self, impulse: Array) -> None:
-        """Swing the engine so that it takes over what the thrusters are steadily asked for."""
+    def _trim_gimbal(self, impulse: Array) -> None:
+        """Move the gimbal to take over the steady part of the thruster torque."""
         engine = self.vehicle.engine
         pull = self._thrust * self._arm
         if engine.gimbal_limit == 0.0 or pull <= 0.0:
             return
         most = engine.gimbal_rate * self.period
-        swing = np.clip(-impulse[:2] / (pull * _TRIM_TIME), -most, most)
+        swing = np.clip(-impulse[:2] / (pull * _TRIM_TIME_CONSTANT_S), -most, most)
         self.gimbal = np.clip(self.gimbal + swing, -engine.gimbal_limit, engine.gimbal_limit)
 
 
-def _upright(swing: Array) -> Array:
-    """Return the turn (4,) that brings a swung engine's push, body axes, onto body z."""
+def _align_thrust(swing: Array) -> Array:
+    """Return the rotation (4,) from a gimballed engine's thrust onto body z."""
     x, y = swing
     push = np.array([np.sin(y) * np.cos(x), -np.sin(x), np.cos(y) * np.cos(x)])
-    turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # push x z, and half the angle
+    turn = np.array([push[1], -push[0], 0.0, 1.0 + push[2]])  # axis push x z, half the angle
     return np.asarray(turn / np.linalg.norm(turn))
 
 
 def attitude_loop(law: AttitudeControl, lander: Any, step: float) -> AttitudeLoop:
-    """Return the fast loop that a lander needs."""
+    """Return the fast attitude loop for a lander."""
     return (JetLoop if isinstance(lander, JetLander) else AttitudeLoop)(law, lander, step)

@@ -1,4 +1,4 @@
-"""The fast loop of the onboard computer: attitude held on gyroscopes between control cycles."""
+"""Fast attitude loop on gyroscopes between control cycles."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ Array = NDArray[np.float64]
 
 
 class AttitudeLoop:
-    """Estimated attitude carried by gyroscopes, and the torques asked for.
+    """Propagate the estimated attitude with gyroscopes and compute torques.
 
     Parameters
     ----------
     law
-        What turns errors into torques.
+        Attitude control law.
     lander
-        Inertia and thrusters, as the mission knows them.
+        Nominal inertia and thrusters.
     step
-        Between samples of the gyroscopes, s.
+        Sample period of the gyroscopes, s.
 
     Attributes
     ----------
     state
         Attitude (4), rate (3), torque (3): (10,).
     inertia
-        At the mass of the last command (3,), kg m^2.
+        Principal moments at the mass of the last command (3,), kg m^2.
     """
 
     def __init__(self, law: AttitudeControl, lander: Lander, step: float) -> None:
@@ -48,17 +48,17 @@ class AttitudeLoop:
 
     @property
     def compiled(self) -> bool:
-        """Whether the law is one that the compiled loop knows."""
+        """Whether the compiled loop supports the law."""
         return type(self.law) is ProportionalDerivative
 
     @property
     def gains(self) -> Array:
-        """Of the compiled law (3,)."""
+        """Gains of the compiled law (3,)."""
         assert isinstance(self.law, ProportionalDerivative)
         return self.law.gains
 
     def begin(self, command: Command, attitude: Array, mass: float) -> None:
-        """Take over a command, and what navigation knows now: attitude (4,) and mass (kg)."""
+        """Start a control cycle from a command, estimated attitude (4,) and mass (kg)."""
         self.state[:4] = attitude
         self.inertia = self.lander.inertia(mass)
         self.target = np.ascontiguousarray(command.attitude, dtype=np.float64)
@@ -76,11 +76,11 @@ class AttitudeLoop:
         return self.state[7:].copy()
 
     def take(self, increment: Array) -> None:
-        """Take in the gyroscopes' increment over a step (3,), rad."""
+        """Propagate the attitude by the gyroscope increment of one step (3,), rad."""
         k.follow(self.state, increment, self.step)
 
     def replay(self, increments: Array) -> Array:
-        """Return the torques (n, 3) over recorded increments (n, 3), bit for bit as flown."""
+        """Return torques (n, 3) for recorded increments (n, 3), bit-identical."""
         if self.compiled:
             return np.asarray(
                 k.replay(

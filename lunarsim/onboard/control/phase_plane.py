@@ -1,12 +1,12 @@
 """Phase-plane logic for on-off thrusters.
 
-Angle and rate about each axis are a point in a plane. Inside a dead band the vehicle coasts; a
-point that would leave it, or is outside and does not come back fast enough, asks for one firing
-that puts the rate right (as TJETLAW of the lunar module's autopilot does, Luminary 099).
+Angle and rate about each axis define a point in the phase plane. Inside the dead band the vehicle
+coasts. A point that would leave the band, or lies outside and does not return fast enough, causes
+one firing that corrects the rate (as TJETLAW of the lunar module's autopilot does, Luminary 099).
 
-Without disturbance the limit cycle goes from one edge of the dead band to the other at half the
-rate that the shortest pulse changes, d/2: its period is 8 DB / d. Under a steady angular
-acceleration a it bounces on one edge: period d / a, swing d^2 / (8 a).
+Without disturbance the limit cycle moves between the edges of the dead band at d/2, half of the
+rate change d of the shortest pulse; its period is 8 DB / d. Under a steady angular acceleration a
+it bounces on one edge: period d / a, amplitude d^2 / (8 a).
 """
 
 from __future__ import annotations
@@ -24,86 +24,88 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PhasePlane:
-    """On-off thrusters by dead band, switching parabola and shortest pulse, axis by axis.
+    """Phase-plane law per axis: dead band, switching parabola and shortest pulse.
 
     Attributes
     ----------
     dead_band
-        Angle within which it coasts, rad.
+        Attitude error within which the vehicle coasts, rad.
     rate_band
-        Rate above which it brakes even within the dead band, rad/s.
+        Rate above which the law brakes even within the dead band, rad/s.
     slew_limit
-        Greatest rate of a turn, rad/s.
+        Maximum rate of a slew, rad/s.
     period
-        Between looks at angle and rate, s.
+        Time between evaluations of the law, s.
     """
 
-    dead_band: float = quantity(0.3, "deg", gt=0, help="angle within which it coasts")
-    rate_band: float = quantity(0.5, "deg/s", gt=0, help="rate that is left alone in the dead band")
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="greatest rate of a turn")
-    period: float = quantity(0.1, "s", gt=0, le=1, help="between looks at angle and rate")
+    dead_band: float = quantity(0.3, "deg", gt=0, help="attitude error within which it coasts")
+    rate_band: float = quantity(0.5, "deg/s", gt=0, help="tolerated rate within the dead band")
+    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum rate of a slew")
+    period: float = quantity(0.1, "s", gt=0, le=1, help="time between evaluations of the law")
 
     torques: ClassVar[bool] = True
 
     @property
     def response_time(self) -> float:
-        """Lag with which the attitude follows a slowly changing command, s.
+        """Lag of the attitude behind a slowly changing command, s.
 
-        It acts when the angle leaves the dead band; counted is the time that the band takes at
-        the rate that it leaves alone, at most 1 s.
+        The law acts when the angle leaves the dead band. The lag is the time to cross half of the
+        band at `rate_band`, at most 1 s.
         """
         return min(self.dead_band / self.rate_band, 1.0)
 
     def turning_time(self, angle: float) -> float:
-        """Return how long a turn by an angle (rad) takes at the greatest rate, s.
+        """Return the time of a slew by an angle (rad) at the maximum rate, s.
 
-        A position loop that leans to and fro faster than this has the attitude saturated, and
-        swings itself up.
+        A position loop that oscillates faster than this saturates the attitude and becomes
+        unstable.
         """
         return angle / self.slew_limit
 
-    def rate_change(self, error: Array, rate: Array, authority: Array, least: Array) -> Array:
-        """Return by how much the rate is to be changed about each axis now (3,), rad/s.
+    def rate_change(self, error: Array, rate: Array, authority: Array, min_change: Array) -> Array:
+        """Return the commanded rate change about each axis (3,), rad/s.
 
         Parameters
         ----------
         error
-            Rotation vector from the estimated to the wanted attitude (3,), body axes, rad.
+            Rotation vector from the estimated to the commanded attitude (3,), body axes, rad.
         rate
-            Of the gyroscopes (3,), rad/s.
+            Angular rate measured by the gyroscopes (3,), rad/s.
         authority
-            Angular acceleration that can be held (3,), rad/s^2.
-        least
+            Maximum sustained angular acceleration (3,), rad/s^2.
+        min_change
             Rate change of the shortest pulse (3,), rad/s.
         """
         return np.array(
             [
-                self._axis(-float(e), *map(float, rest))
-                for e, *rest in zip(error, rate, authority, least, strict=True)
+                self._axis_rate_change(-float(e), *map(float, rest))
+                for e, *rest in zip(error, rate, authority, min_change, strict=True)
             ]
         )
 
-    def _axis(self, angle: float, rate: float, a: float, least: float) -> float:
-        """Return the rate change about one axis; `angle` is how far it is off."""
+    def _axis_rate_change(self, angle: float, rate: float, a: float, min_change: float) -> float:
+        """Return the rate change about one axis for an attitude error `angle`."""
         if angle < 0.0 or (angle == 0.0 and rate < 0.0):
-            return -self._axis(-angle, -rate, a, least)
+            return -self._axis_rate_change(-angle, -rate, a, min_change)
         band = self.dead_band
-        stop = angle + rate * abs(rate) / (2.0 * a)
+        stopping_angle = angle + rate * abs(rate) / (2.0 * a)
         if angle <= band:
-            if rate > 0.0 and stop > band and rate > 0.5 * least:
-                return -max(rate + 0.5 * least, least)  # it leaves the band: turn it round
+            if rate > 0.0 and stopping_angle > band and rate > 0.5 * min_change:
+                return -max(
+                    rate + 0.5 * min_change, min_change
+                )  # the point leaves the band: reverse the rate
             if abs(rate) > self.rate_band:
-                return -float(np.sign(rate)) * max(abs(rate) - 0.5 * least, least)
+                return -float(np.sign(rate)) * max(abs(rate) - 0.5 * min_change, min_change)
             return 0.0
-        # Half of the acceleration is kept back for what is not known. Just outside the band one
-        # shortest pulse is enough.
-        back = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
-        if rate > -max(back, 0.1 * least):
-            return -max(rate + back + 0.5 * least, least)
-        if -rate > back + self.rate_band:
-            return max(-rate - back - 0.5 * least, least)
+        # Plan with half of the authority, to allow for model errors. Just outside the band one
+        # shortest pulse suffices.
+        return_rate = min(self.slew_limit, float(np.sqrt(a * max(angle - 1.25 * band, 0.0))))
+        if rate > -max(return_rate, 0.1 * min_change):
+            return -max(rate + return_rate + 0.5 * min_change, min_change)
+        if -rate > return_rate + self.rate_band:
+            return max(-rate - return_rate - 0.5 * min_change, min_change)
         return 0.0
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return no torque: it orders firings, not torques."""
+        """Return zero torque, because the law commands firings through `rate_change`."""
         return np.zeros(3)

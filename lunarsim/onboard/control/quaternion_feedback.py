@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class QuaternionFeedback:
-    """Quaternion feedback: one turn about the eigenaxis, its rate limited, gyroscopic torque out.
+    """Rate-limited eigenaxis quaternion feedback with gyroscopic compensation.
 
-    The rate asked for points along the error's rotation vector and is the least of three: what the
-    linear loop asks for, the slew limit, and the rate from which `braking` still stops the turn.
-    Its size is limited, not its parts, so that a large turn stays about one axis. Small errors see
+    The commanded rate points along the rotation vector of the error. Its magnitude is the minimum
+    of the linear feedback, the slew limit, and the rate from which `braking` can still stop the
+    rotation. Limiting the magnitude keeps large rotations about one axis. Small errors follow
     ``e'' + 2 damping frequency e' + frequency^2 e = 0``.
 
     Attributes
@@ -31,34 +31,36 @@ class QuaternionFeedback:
     frequency, damping
         Natural frequency (rad/s) and damping ratio of the loop.
     slew_limit
-        Greatest rate asked for, rad/s.
+        Maximum commanded rate, rad/s.
     braking
-        Angular acceleration that may be counted on to stop a turn, rad/s^2.
+        Angular acceleration assumed available to stop a rotation, rad/s^2.
     period
-        Between new orders to thrusters, s.
+        Time between thruster commands, s.
     """
 
     frequency: float = quantity(2.0, "rad/s", gt=0, help="natural frequency of the loop")
     damping: float = quantity(0.9, ge=0.3, le=3, help="damping ratio of the loop")
-    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="greatest rate asked for")
-    braking: float = quantity(0.08, "rad/s^2", gt=0, help="acceleration counted on to stop a turn")
-    period: float = quantity(0.1, "s", gt=0, le=1, help="between new orders to thrusters")
+    slew_limit: float = quantity(10.0, "deg/s", gt=0, help="maximum commanded rate")
+    braking: float = quantity(
+        0.08, "rad/s^2", gt=0, help="angular acceleration available to stop a rotation"
+    )
+    period: float = quantity(0.1, "s", gt=0, le=1, help="time between thruster commands")
 
     torques: ClassVar[bool] = True
 
     @property
     def response_time(self) -> float:
-        """Lag with which the attitude follows a slowly changing command, s."""
+        """Lag of the attitude behind a slowly changing command, s."""
         return 2.0 * self.damping / self.frequency
 
     def torque(self, error: Array, rate: Array, inertia: Array) -> Array:
-        """Return the wanted torque (3,), body axes, N m."""
+        """Return the commanded torque (3,), body axes, N m."""
         size = float(np.linalg.norm(error))
         wanted = self.frequency / (2.0 * self.damping) * error
-        most = min(self.slew_limit, np.sqrt(2.0 * self.braking * size))
-        asked = float(np.linalg.norm(wanted))
-        if asked > most:
-            wanted = wanted * (most / asked)
+        max_rate = min(self.slew_limit, np.sqrt(2.0 * self.braking * size))
+        commanded = float(np.linalg.norm(wanted))
+        if commanded > max_rate:
+            wanted = wanted * (max_rate / commanded)
         gyroscopic = np.cross(rate, inertia * rate)
         return np.asarray(
             inertia * 2.0 * self.damping * self.frequency * (wanted - rate) + gyroscopic

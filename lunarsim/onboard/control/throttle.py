@@ -1,34 +1,34 @@
-"""Throttle regions: what the engine may be asked for where part of its range is forbidden."""
+"""Throttle limits of an engine with a forbidden gap in its throttle range."""
 
 from __future__ import annotations
 
-from lunarsim.models.jet_lander import Engine
+from lunarsim.models.jet_lander import DescentEngine
 
-# Share of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 11
-# switches to full above 63 % and back below 57 %, about an end of 60 %.
+# Fraction of the gap's lower end by which a command must pass it to switch. Luminary of Apollo 11
+# switches to full above 63 % and back below 57 %, around a gap end of 60 %.
 _HYSTERESIS = 0.05
 
 
 class ThrottleRegions:
-    """Fixed point above the gap, or the range below it; no chatter between the two.
+    """Choose the fixed point above the gap or the range below it, with hysteresis.
 
     Parameters
     ----------
     engine
-        Whose gap.
+        Engine with the throttle gap.
 
     Attributes
     ----------
     full
-        Whether the engine runs at its fixed point.
+        Whether the engine runs at its fixed throttle point.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: DescentEngine) -> None:
         self.engine = engine
         self.full = False
 
     def allowed(self, wanted: float) -> float:
-        """Return the thrust to command for a wanted one, N."""
+        """Return the thrust command for a desired thrust, N."""
         e = self.engine
         if not e.has_gap:
             return wanted

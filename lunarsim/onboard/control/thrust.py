@@ -1,4 +1,4 @@
-"""From a wanted thrust acceleration to a throttle and an attitude."""
+"""Conversion of a commanded thrust acceleration to throttle and attitude."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ def thrust_to_command(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command that gives a thrust acceleration within the vehicle's limits.
+    """Return the command for a thrust acceleration within the vehicle's limits.
 
-    The direction is kept to `max_tilt` from the vertical. Where the engine cannot give the whole
-    vector the vertical part comes first, and the horizontal part takes what thrust is left: a
-    lander that falls short sideways corrects later, one that falls short upwards does not.
+    The tilt is limited to `max_tilt`. If the engine cannot produce the complete vector, the
+    vertical component has priority and the horizontal component gets the remaining thrust: a
+    horizontal error can be corrected later, a vertical one cannot.
 
     Parameters
     ----------
     acceleration
-        Wanted thrust acceleration (3,), ENU, m/s^2.
+        Commanded thrust acceleration (3,), ENU, m/s^2.
     mass
         Estimated mass, kg.
     lander
-        Throttle range.
+        Lander with the throttle range.
     heading
         Azimuth of body x, rad.
     max_tilt
-        Largest tilt of the thrust from the vertical, rad.
+        Maximum tilt of the thrust from the vertical, rad.
     """
     attitude = np.empty(4)
     thrust = k.steer(
@@ -52,23 +52,25 @@ def thrust_along(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command that thrusts along an acceleration, whatever the engine can give of it.
+    """Return the command that keeps the direction of a thrust acceleration.
 
-    The direction is kept, the size held in the throttle range. A direction more than `max_tilt`
-    (which may be over a quarter turn) from the vertical is turned towards it, one straight down
-    over the heading. For the parameters see `thrust_to_command`.
+    The magnitude is clipped to the throttle range. A direction with a tilt above `max_tilt` (which
+    may exceed 90 deg) is rotated to that tilt; a direction straight down is rotated towards the
+    heading. The parameters are those of `thrust_to_command`.
     """
     size = float(np.linalg.norm(acceleration))
     if size == 0.0:
         return Command(lander.thrust_min, attitude_from_thrust([0.0, 0.0, 1.0], heading))
-    along = acceleration / size
-    aside = float(np.hypot(along[0], along[1]))
-    if np.arctan2(aside, along[2]) > max_tilt:
-        ahead = np.array([np.sin(heading), np.cos(heading)])
-        east, north = np.sin(max_tilt) * (along[:2] / aside if aside > 0.0 else ahead)
-        along = np.array([east, north, np.cos(max_tilt)])
+    direction = acceleration / size
+    lateral = float(np.hypot(direction[0], direction[1]))
+    if np.arctan2(lateral, direction[2]) > max_tilt:
+        heading_direction = np.array([np.sin(heading), np.cos(heading)])
+        east, north = np.sin(max_tilt) * (
+            direction[:2] / lateral if lateral > 0.0 else heading_direction
+        )
+        direction = np.array([east, north, np.cos(max_tilt)])
     thrust = min(max(size * mass, lander.thrust_min), lander.thrust_max)
-    return Command(thrust, attitude_from_thrust(along, heading))
+    return Command(thrust, attitude_from_thrust(direction, heading))
 
 
 def thrust_lift_first(
@@ -78,18 +80,18 @@ def thrust_lift_first(
     heading: float,
     max_tilt: float,
 ) -> Command:
-    """Return the command that keeps the vertical part, up or down, where the engine falls short.
+    """Return the command that keeps the vertical component, up or down.
 
-    As the lunar module's computer did in braking (Luminary 099, AFCCALC2): the vertical part stays,
-    the horizontal part takes what thrust is left. There the part across the track stays too and
-    only the downrange one gives way; here both give way alike, which is the same in the plane.
-    Unlike `thrust_to_command` it may lean more than a quarter turn from the site's vertical, as it
-    must beyond the horizon. For the parameters see there.
+    As in braking by the lunar module's computer (Luminary 099, AFCCALC2), the horizontal component
+    gets the remaining thrust. There only the downrange part is reduced; here downrange and
+    crossrange parts are reduced alike, which is equivalent for planar descents. Unlike
+    `thrust_to_command` the tilt from the site's vertical may exceed 90 deg, which is necessary
+    beyond the horizon. The parameters are those of `thrust_to_command`.
     """
-    most = lander.thrust_max / mass
-    up = min(max(float(acceleration[2]), -most), most)
-    # However little is left aside, it says where a pull down beyond `max_tilt` is turned to.
-    left = max(float(np.sqrt(most**2 - up**2)), 1e-15 * most)
+    max_acceleration = lander.thrust_max / mass
+    up = min(max(float(acceleration[2]), -max_acceleration), max_acceleration)
+    # A small horizontal part remains to define the azimuth if `max_tilt` rotates the thrust.
+    horizontal_limit = max(float(np.sqrt(max_acceleration**2 - up**2)), 1e-15 * max_acceleration)
     size = float(np.hypot(*acceleration[:2]))
-    kept = acceleration[:2] * min(1.0, left / max(size, 1e-12))
+    kept = acceleration[:2] * min(1.0, horizontal_limit / max(size, 1e-12))
     return thrust_along(np.array([*kept, up]), mass, lander, heading, max_tilt)

@@ -1,13 +1,13 @@
-"""A thruster that does not push is noticed by what turns, and left out of the allocation.
+"""Detection of failed thrusters from the measured rotation.
 
-Each period the gyroscopes tell what angular impulse the lander has had; what it should have had
-follows from the orders. A Kalman filter keeps an effectiveness e of each thruster, and a steady
-torque b besides:
+In each period the gyroscopes measure the angular impulse, and the commands predict it. A Kalman
+filter estimates an effectiveness e of each thruster and a steady torque b:
 
     H = sum_j e_j tau_j t_j + (engine) + b T,
 
-with e_j = 1 at first and all free to wander, so that a valve that fails in flight is seen as well.
-A thruster is given up once its effectiveness is below a half by three standard deviations.
+with the initial value e_j = 1 and process noise on all e_j, so that failures in flight are also
+detected. A thruster is declared failed if its effectiveness is below 0.5 by three standard
+deviations.
 """
 
 from __future__ import annotations
@@ -17,40 +17,49 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SPREAD = 0.5  # of an effectiveness before anything is known
-_WANDER = 0.004  # of it in a period
-_HALF, _SURE = 0.5, 3.0
-_GYRO = 2e-4  # of a rate told by one sample, rad/s
-_RATIO = 0.05  # of an expected impulse: moments of inertia, pulses that rise and decay
-_STEADY = 0.02  # steady angular acceleration before anything is known, rad/s^2
-_DRIFT = 0.001  # of it in a period
+_INITIAL_SIGMA = 0.5  # initial standard deviation of an effectiveness
+_PROCESS_SIGMA = 0.004  # its process noise per period
+_FAILURE_THRESHOLD, _CONFIDENCE_SIGMAS = (
+    0.5,
+    3.0,
+)  # threshold of effectiveness, and confidence in standard deviations
+_RATE_NOISE_RAD_S = 2e-4  # noise of the angular rate from one sample, rad/s
+_IMPULSE_RELATIVE_ERROR = (
+    0.05  # relative error of a predicted impulse: inertia, rise and decay of pulses
+)
+_INITIAL_DISTURBANCE_RAD_S2 = (
+    0.02  # initial standard deviation of the steady angular acceleration, rad/s^2
+)
+_DISTURBANCE_PROCESS_RAD_S2 = 0.001  # its process noise per period, rad/s^2
 
 
-class ThrusterWatch:
-    """Effectiveness of thrusters by what the gyroscopes tell.
+class ThrusterFailureDetector:
+    """Estimate the effectiveness of thrusters from gyroscope data.
 
     Parameters
     ----------
     count
-        Of the thrusters.
+        Number of thrusters.
 
     Attributes
     ----------
     effectiveness
-        Estimates (n,): 1 pushes, 0 does not.
+        Estimates (n,): 1 for nominal, 0 for no thrust.
     failed
-        Numbers of those that were given up, in the order of it.
+        Indices of the failed thrusters, in order of detection.
     """
 
     def __init__(self, count: int) -> None:
         self.count = count
         self._x = np.concatenate((np.ones(count), np.zeros(3)))
-        self._p = np.diag(np.repeat([_SPREAD**2, _STEADY**2], (count, 3)))
+        self._p = np.diag(
+            np.repeat([_INITIAL_SIGMA**2, _INITIAL_DISTURBANCE_RAD_S2**2], (count, 3))
+        )
         self.failed: list[int] = []
 
     @property
     def effectiveness(self) -> Array:
-        """Estimates (n,)."""
+        """Estimated effectiveness (n,)."""
         return self._x[: self.count].copy()
 
     @property
@@ -58,41 +67,43 @@ class ThrusterWatch:
         """Standard deviations of the estimates (n,)."""
         return np.asarray(np.sqrt(np.diag(self._p)[: self.count]))
 
-    def see(self, change: Array, known: Array, turns: Array, period: float) -> list[int]:
-        """Take in a period; return the thrusters that are given up now.
+    def update(
+        self, rate_change: Array, engine_change: Array, thruster_changes: Array, period: float
+    ) -> list[int]:
+        """Update the estimates with one period; return the newly failed thrusters.
 
         Parameters
         ----------
-        change
-            Of the rate over the period (3,), rad/s.
-        known
-            What of it the engine was to do (3,), rad/s.
-        turns
-            What each thruster was ordered to do (n, 3), rad/s.
+        rate_change
+            Change of the angular rate over the period (3,), rad/s.
+        engine_change
+            Predicted rate change by the engine (3,), rad/s.
+        thruster_changes
+            Predicted rate change by each thruster (n, 3), rad/s.
         period
             s.
         """
         n = self.count
-        self._p[np.arange(n), np.arange(n)] += _WANDER**2
+        self._p[np.arange(n), np.arange(n)] += _PROCESS_SIGMA**2
         steady = np.arange(n, n + 3)
-        self._p[steady, steady] += _DRIFT**2
-        h = np.hstack((turns.T, period * np.eye(3)))
-        expected = np.abs(turns).sum(axis=0)
-        noise = np.diag(2.0 * _GYRO**2 + (_RATIO * expected) ** 2)
+        self._p[steady, steady] += _DISTURBANCE_PROCESS_RAD_S2**2
+        h = np.hstack((thruster_changes.T, period * np.eye(3)))
+        expected = np.abs(thruster_changes).sum(axis=0)
+        noise = np.diag(2.0 * _RATE_NOISE_RAD_S**2 + (_IMPULSE_RELATIVE_ERROR * expected) ** 2)
         gain = self._p @ h.T @ np.linalg.inv(h @ self._p @ h.T + noise)
-        self._x += gain @ (change - known - h @ self._x)
+        self._x += gain @ (rate_change - engine_change - h @ self._x)
         self._p -= gain @ h @ self._p
         self._p = 0.5 * (self._p + self._p.T)
-        self._held()
-        low = self._x[:n] + _SURE * self.sigma < _HALF
+        self._limit_variance()
+        low = self._x[:n] + _CONFIDENCE_SIGMAS * self.sigma < _FAILURE_THRESHOLD
         new = [int(j) for j in np.flatnonzero(low) if int(j) not in self.failed]
         self.failed += new
         return new
 
-    def _held(self) -> None:
-        """Keep what is not seen for long from growing beyond what is known of any thruster."""
+    def _limit_variance(self) -> None:
+        """Limit the variance of unused thrusters to its initial value."""
         n = self.count
-        over = np.sqrt(np.diag(self._p)[:n]) / _SPREAD
+        over = np.sqrt(np.diag(self._p)[:n]) / _INITIAL_SIGMA
         shrink = np.ones(n + 3)
         shrink[:n] = 1.0 / np.maximum(over, 1.0)
         self._p *= shrink[:, None] * shrink[None, :]

@@ -1,4 +1,4 @@
-"""How to fly to a site: laws, where phases end, what a divert costs."""
+"""Guidance: guidance laws, ends of phases, and divert costs."""
 
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 

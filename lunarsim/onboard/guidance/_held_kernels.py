@@ -1,4 +1,4 @@
-"""Compiled measure of paths whose times-to-go are given: no other time is tried."""
+"""Compiled evaluation of paths with given times-to-go."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from lunarsim.onboard.guidance._kernels import measure
 
 
 @kernel(shared=True)
-def measured(share, state, targets, asked, times, table, powers, figures, out):
-    """Write what the path to each target (n, 3) takes that lasts so long (n,), s.
+def measured(share, state, targets, final, times, table, powers, params, out):
+    """Evaluate the path of a given time (n,), s, to each target (n, 3).
 
-    As `_reach_kernels.survey` writes it (n, 4): the increment (inf where a limit is broken, or the
-    time is NaN), the time, the greatest thrust (N) and the greatest tangent of its lean.
+    Writes (n, 4) as `_reach_kernels.survey`: delta-v (inf if a limit is violated or the time is
+    NaN), time, maximum thrust (N) and maximum tangent of the tilt.
     """
     x = np.empty((2, 3))
     for n in range(share[0], len(targets), share[1]):
         good = times[n] > 0.0 and measure(
-            state, targets[n], asked, times[n], table, powers, figures, x, out[n]
+            state, targets[n], final, times[n], table, powers, params, x, out[n]
         )
         if not good:
             out[n, 0] = np.inf

@@ -1,9 +1,9 @@
-"""Compiled search for the least times-to-go whose quartic paths keep limits on jerk and snap.
+"""Compiled search for the minimum time-to-go within limits on jerk and snap.
 
-With u = 1 / T and d the way to the target, a quartic path's jerk at its start and end and its snap
-are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
-``12 u^2 (a_f - (4 v_f + 2 v) u + 6 d u^2)``. Jerk is linear in time, so it is greatest at an end;
-snap is constant. Their squares are polynomials of u, of which targets change three coefficients.
+With u = 1 / T and d the displacement to the target, a quartic path's jerk at its start and end and
+its snap are ``6 u (a_f - (5 v_f + 3 v) u + 8 d u^2)``, ``6 u (-a_f + (3 v_f + v) u - 4 d u^2)`` and
+``12 u^2 (a_f - (4 v_f + 2 v) u + 6 d u^2)``. Jerk is linear in time, so its maximum is at an end;
+snap is constant. Their squares are polynomials of u; three coefficients depend on the target.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-_SIDE = 16  # targets that are refined side by side, so that it is done many at a time
-_HALVINGS = 40  # of a bracket
+_BLOCK = 16  # number of targets that are refined together, for SIMD
+_HALVINGS = 40  # bisections of a bracket
 
 
 @kernel(inner=True)
@@ -23,7 +23,7 @@ def _dot(a, b):
 
 @kernel(inner=True)
 def _squared(a, b, c, way, out, k):
-    """Write the coefficients of ``|a + b u + c way u^2|^2`` into column k (5, 16), u^0 first."""
+    """Write coefficients of ``|a + b u + c way u^2|^2`` to (5, 16), u^0 first."""
     out[0, k] = _dot(a, a)
     out[1, k] = 2.0 * _dot(a, b)
     out[2, k] = _dot(b, b) + 2.0 * c * _dot(a, way)
@@ -32,59 +32,59 @@ def _squared(a, b, c, way, out, k):
 
 
 @kernel(inline=True)
-def _at(c, k, u):
+def _polynomial(c, k, u):
     return c[0, k] + u * (c[1, k] + u * (c[2, k] + u * (c[3, k] + u * c[4, k])))
 
 
 @kernel(inline=True)
-def _keeps(terms, k, u, most):
-    """Tell whether target k keeps both limits; what is no number keeps none.
+def _is_within_limits(terms, k, u, most):
+    """Return whether target k is within both limits; false for NaN.
 
     `most` (2,): ``(jerk / 6)^2`` and ``(snap / 12)^2``.
     """
     square = u * u
-    start, end = _at(terms[0], k, u) * square, _at(terms[1], k, u) * square
-    snap = _at(terms[2], k, u) * square * square
+    start, end = _polynomial(terms[0], k, u) * square, _polynomial(terms[1], k, u) * square
+    snap = _polynomial(terms[2], k, u) * square * square
     return (start <= most[0]) & (end <= most[0]) & (snap <= most[1])
 
 
 @kernel(inner=True)
 def _refine(terms, low, high, most):
-    """Halve brackets (16,) whose lower ends break a limit and whose upper ends keep both."""
+    """Bisect brackets (16,) of which only the lower ends violate a limit."""
     for _ in range(_HALVINGS):
-        for k in range(_SIDE):
+        for k in range(_BLOCK):
             middle = 0.5 * (low[k] + high[k])
-            good = _keeps(terms, k, 1.0 / middle, most)
+            good = _is_within_limits(terms, k, 1.0 / middle, most)
             low[k] = low[k] if good else middle
             high[k] = middle if good else high[k]
 
 
 @kernel(shared=True)
-def limited_times(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
-    """Find for each target (n, 3) the least time-to-go that keeps both limits (n,), else NaN.
+def min_times_to_go(share, r, v, targets, v_f, a_f, times, jerk, snap, out):
+    """Find the minimum time-to-go within both limits for each target (n, 3), else NaN.
 
-    Times (m,) ascend; the least is bracketed by them and halved 40 times.
+    Times (m,) ascend; the minimum is bracketed by them and bisected 40 times.
     """
     count, inverse, good = targets.shape[0], 1.0 / times, np.empty(len(times), np.bool_)
-    terms, way, still = np.empty((3, 5, _SIDE)), np.empty(3), -a_f
+    terms, way, still = np.empty((3, 5, _BLOCK)), np.empty(3), -a_f
     start, end, fourth = -(5.0 * v_f + 3.0 * v), 3.0 * v_f + v, -(4.0 * v_f + 2.0 * v)
     most = np.array([(jerk / 6.0) ** 2, (snap / 12.0) ** 2])
-    low, high = np.empty(_SIDE), np.empty(_SIDE)
-    for block in range(share[0], (count + _SIDE - 1) // _SIDE, share[1]):
-        here = block * _SIDE
-        for k in range(_SIDE):
+    low, high = np.empty(_BLOCK), np.empty(_BLOCK)
+    for block in range(share[0], (count + _BLOCK - 1) // _BLOCK, share[1]):
+        here = block * _BLOCK
+        for k in range(_BLOCK):
             for x in range(3):
                 way[x] = targets[min(here + k, count - 1), x] - r[x]
             _squared(a_f, start, 8.0, way, terms[0], k)
             _squared(still, end, -4.0, way, terms[1], k)
             _squared(a_f, fourth, 6.0, way, terms[2], k)
             for m in range(len(times)):
-                good[m] = _keeps(terms, k, inverse[m], most)
+                good[m] = _is_within_limits(terms, k, inverse[m], most)
             m = 0
             while m < len(times) and not good[m]:
                 m += 1
             high[k] = times[m] if m < len(times) else np.nan
             low[k] = times[max(m - 1, 0)]
         _refine(terms, low, high, most)
-        for k in range(min(_SIDE, count - here)):
+        for k in range(min(_BLOCK, count - here)):
             out[here + k] = high[k]

@@ -1,4 +1,4 @@
-"""Compiled measures of the paths of a law."""
+"""Compiled evaluation of the paths of a guidance law."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Columns of a table of samples; rows of `state` and `asked`; places in `figures`.
+# Columns of a sample table; rows of `state` and `final`; indices of `params`.
 SHARE, LOW, HIGH = 0, 1, 2
 POSITION, VELOCITY = 0, 1
 SPEED, ACCELERATION = 0, 1
@@ -15,11 +15,11 @@ HALVINGS = 5
 
 
 @kernel(inline=True, inner=True)
-def terms(state, target, asked, big_t, powers, out):
-    """Write what each power gives to the mean acceleration (2, 3): see `paths.PathShape`."""
+def terms(state, target, final, big_t, powers, out):
+    """Write each power's part of the mean acceleration (2, 3), as `PathShape`."""
     low, high = powers[0], powers[1]
     for k in range(3):
-        r, v, v_f, a_f = state[0, k], state[1, k], asked[0, k], asked[1, k]
+        r, v, v_f, a_f = state[0, k], state[1, k], final[0, k], final[1, k]
         p = (v_f - v) / big_t - a_f
         q = (v_f * big_t - target[k] + r) / big_t**2 - 0.5 * a_f
         out[0, k] = (low + 2.0) / (high - low) * ((high + 2.0) * q - p)
@@ -27,102 +27,103 @@ def terms(state, target, asked, big_t, powers, out):
 
 
 @kernel(inline=True, inner=True)
-def above_cone(target, asked, big_t, share, low, high, powers, x, glide):
-    """Return whether a sample keeps above the cone of slope `glide` half a metre under its end."""
+def above_cone(target, final, big_t, share, low, high, powers, x, glide):
+    """Return whether a sample is above the glideslope, apex 0.5 m below the end."""
     left = share * big_t
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
-    east = left * (left * (0.5 * asked[1, 0] + x[0, 0] * f + x[1, 0] * g) - asked[0, 0])
-    north = left * (left * (0.5 * asked[1, 1] + x[0, 1] * f + x[1, 1] * g) - asked[0, 1])
-    up = left * (left * (0.5 * asked[1, 2] + x[0, 2] * f + x[1, 2] * g) - asked[0, 2]) + 0.5
+    east = left * (left * (0.5 * final[1, 0] + x[0, 0] * f + x[1, 0] * g) - final[0, 0])
+    north = left * (left * (0.5 * final[1, 1] + x[0, 1] * f + x[1, 1] * g) - final[0, 1])
+    up = left * (left * (0.5 * final[1, 2] + x[0, 2] * f + x[1, 2] * g) - final[0, 2]) + 0.5
     if glide > 0.0:
         return up >= 0.0 and up * up >= glide * glide * (east * east + north * north)
     return up >= glide * np.sqrt(east * east + north * north)
 
 
 @kernel(inline=True, inner=True)
-def measure(state, target, asked, big_t, table, powers, figures, x, out):
-    """Follow one path; return whether it is admissible, and write what it takes.
+def measure(state, target, final, big_t, table, powers, params, x, out):
+    """Evaluate one path; return whether it is admissible, and write its cost.
 
-    Writes increment, time, greatest thrust (N) and greatest tangent of the lean into `out` (4,);
-    `x` (2, 3) is scratch. `state` and `asked` (2, 3): position and velocity now, velocity and
-    acceleration at the end. `table` (samples + 1, 3): share of the time that is left, from 1 to 0,
-    and its two powers. `figures` (7,): gravity, mass, exhaust velocity, least and greatest thrust,
-    tangents of tilt and glideslope.
+    Writes delta-v (m/s), time (s), maximum thrust (N) and maximum tangent of the tilt into `out`
+    (4,); `x` (2, 3) is scratch. `state` and `final` (2, 3): current position and velocity,
+    final velocity and acceleration. `table` (samples + 1, 3): fraction of time-to-go, from 1 to 0,
+    and its two powers. `params` (7,): gravity, mass, exhaust velocity, minimum and maximum thrust,
+    tangents of maximum tilt and glideslope.
     """
-    terms(state, target, asked, big_t, powers, x)
+    terms(state, target, final, big_t, powers, x)
     d, e = powers[0] + 1.0, powers[1] + 1.0
     samples = table.shape[0] - 1
     step = big_t / samples
-    mass = figures[MASS]
-    before, total, peak, lean = 0.0, 0.0, 0.0, 0.0
+    mass = params[MASS]
+    before, total, peak, tilt_squared = 0.0, 0.0, 0.0, 0.0
     for s in range(samples + 1):
         f, g = table[s, LOW], table[s, HIGH]
-        ax = asked[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
-        ay = asked[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
-        az = asked[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + figures[GRAVITY]
+        ax = final[1, 0] + d * x[0, 0] * f + e * x[1, 0] * g
+        ay = final[1, 1] + d * x[0, 1] * f + e * x[1, 1] * g
+        az = final[1, 2] + d * x[0, 2] * f + e * x[1, 2] * g + params[GRAVITY]
         side = ax * ax + ay * ay
         size = np.sqrt(side + az * az)
         if s > 0:
-            # Trapezia are enough for the mass; the increment below is Simpson's. A step burns a
-            # small share of the mass: three terms of the exponential leave 1e-9 of it.
-            burnt = 0.5 * (before + size) * step / figures[EXHAUST]
+            # The trapezoidal rule suffices for the mass; the delta-v uses Simpson's rule. A step
+            # uses a small fraction of the mass: three terms of the exponential leave an error of
+            # 1e-9.
+            burnt = 0.5 * (before + size) * step / params[EXHAUST]
             if burnt < 0.02:
                 mass *= 1.0 - burnt * (1.0 - burnt * (0.5 - burnt / 6.0))
             else:
                 mass *= np.exp(-burnt)
         before = size
         thrust = mass * size
-        bound = figures[TAN_TILT] * az
-        if thrust > figures[MOST] or thrust < figures[LEAST] or az <= 0.0 or side > bound * bound:
+        bound = params[TAN_TILT] * az
+        if thrust > params[MOST] or thrust < params[LEAST] or az <= 0.0 or side > bound * bound:
             return False
-        if not above_cone(target, asked, big_t, table[s, SHARE], f, g, powers, x, figures[GLIDE]):
+        if not above_cone(target, final, big_t, table[s, SHARE], f, g, powers, x, params[GLIDE]):
             return False
         peak = max(peak, thrust)
-        lean = max(lean, side / (az * az))
+        tilt_squared = max(tilt_squared, side / (az * az))
         # Simpson's rule over an even number of intervals.
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total += weight * size
     out[0] = total * step / 3.0
     out[1] = big_t
     out[2] = peak
-    out[3] = np.sqrt(lean)
+    out[3] = np.sqrt(tilt_squared)
     return True
 
 
 @kernel(inner=True)
-def first_look(state, target, asked, first, step, count, skip, table, powers, figures, x, found):
-    """Return the best of so many geometric steps from `first`, -1 without one; some are skipped."""
+def search_coarse(state, target, final, first, step, count, skip, table, powers, params, x, found):
+    """Return the best of `count` geometric steps from `first`, or -1."""
     best, least = -1, np.inf
     for m in range(count):
         if skip > 0 and m % skip == 0:
             continue
         time = first * np.exp(m * step)
-        good = measure(state, target, asked, time, table, powers, figures, x, found)
+        good = measure(state, target, final, time, table, powers, params, x, found)
         if good and found[0] < least:
             best, least = m, found[0]
     return best
 
 
 @kernel(inline=True)
-def _keep(found, out):
-    """Write one path's figures (4,) over another's."""
+def _copy_result(found, out):
+    """Copy the result of a path (4,)."""
     for k in range(4):
         out[k] = found[k]
 
 
 @kernel(inner=True)
-def close_in(state, target, asked, first, at, step, span, table, powers, figures, x, found, out):
-    """Write the best path (4,) about a time ``first exp(at)``, halving the steps about it."""
+def refine_time(state, target, final, first, at, step, span, table, powers, params, x, found, out):
+    """Write the best path (4,) around time ``first exp(at)`` by halving steps."""
     time = first * np.exp(at)
-    if measure(state, target, asked, time, table, powers, figures, x, found):
-        _keep(found, out)
+    if measure(state, target, final, time, table, powers, params, x, found):
+        _copy_result(found, out)
     for _ in range(HALVINGS if step > 0.0 else 0):
         step *= 0.5
         middle = at
         for near in (middle - step, middle + step):
             if 0.0 <= near <= span:
                 time = first * np.exp(near)
-                good = measure(state, target, asked, time, table, powers, figures, x, found)
+                good = measure(state, target, final, time, table, powers, params, x, found)
                 if good and found[0] < out[0]:
-                    _keep(found, out)
+                    _copy_result(found, out)
                     at = near

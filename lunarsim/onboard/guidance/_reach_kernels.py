@@ -1,7 +1,7 @@
-"""Compiled survey of many sites: times-to-go are tried for sixteen of them side by side.
+"""Compiled search over many sites, sixteen at once by SIMD.
 
-What is tried is told from what is not by single precision; what is kept is measured again in double
-precision, so that only which of two equally good times is taken can depend on the rounding.
+Trials use single precision; the selected path is evaluated again in double precision. Rounding can
+therefore only affect the choice between two equally good times.
 """
 
 from __future__ import annotations
@@ -22,54 +22,54 @@ from lunarsim.onboard.guidance._kernels import (
     MOST,
     SHARE,
     TAN_TILT,
-    close_in,
-    first_look,
     measure,
+    refine_time,
+    search_coarse,
 )
 
-# Places of lanes in scratch: east, north and up of the sites, times, what they cost.
+# Scratch indices of the lanes: east, north and up of the sites, times, costs.
 _EAST, _NORTH, _UP, _TIME, _COST = 0, LANES, 2 * LANES, 3 * LANES, 4 * LANES
 _SCRATCH = 5 * LANES
-_NOTHING = 1e30  # stands for an infinite cost
+_NOTHING = 1e30  # represents an infinite cost
 
 
 @kernel(inline=True)
-def along(w, place, state, asked, axis, powers, inverse):
-    """Return what the lower power gives to the mean acceleration, and what both do."""
-    p = (asked[0, axis] - state[1, axis]) * inverse - asked[1, axis]
-    q = ((state[0, axis] - load(w, place)) * inverse + asked[0, axis]) * inverse
-    q = q - 0.5 * asked[1, axis]
+def acceleration_terms(w, place, state, final, axis, powers, inverse):
+    """Return the lower power's part of the mean acceleration, and both parts' sum."""
+    p = (final[0, axis] - state[1, axis]) * inverse - final[1, axis]
+    q = ((state[0, axis] - load(w, place)) * inverse + final[0, axis]) * inverse
+    q = q - 0.5 * final[1, axis]
     return (powers[0] + 2.0) / (powers[1] - powers[0]) * ((powers[1] + 2.0) * q - p), p
 
 
 @kernel(inline=True)
-def sixteen(w, state, asked, table, powers, figures):
-    """Write what sixteen paths cost, the times of which stand in scratch; see `measure`.
+def evaluate_lanes(w, state, final, table, powers, params):
+    """Write the costs of sixteen paths whose times are in scratch, as `measure`.
 
-    Those that break a limit cost `_NOTHING`.
+    Inadmissible paths cost `_NOTHING`.
     """
     time = load(w, _TIME)
     inverse = 1.0 / time
-    ux, p = along(w, _EAST, state, asked, 0, powers, inverse)
+    ux, p = acceleration_terms(w, _EAST, state, final, 0, powers, inverse)
     vx = p - ux
-    uy, p = along(w, _NORTH, state, asked, 1, powers, inverse)
+    uy, p = acceleration_terms(w, _NORTH, state, final, 1, powers, inverse)
     vy = p - uy
-    uz, p = along(w, _UP, state, asked, 2, powers, inverse)
+    uz, p = acceleration_terms(w, _UP, state, final, 2, powers, inverse)
     vz = p - uz
     samples = table.shape[0] - 1
-    half = time * (0.5 / samples / figures[EXHAUST])
-    tilt, glide = figures[TAN_TILT] * figures[TAN_TILT], figures[GLIDE] * figures[GLIDE]
-    steep = figures[GLIDE] > 0.0
+    half = time * (0.5 / samples / params[EXHAUST])
+    tilt, glide = params[TAN_TILT] * params[TAN_TILT], params[GLIDE] * params[GLIDE]
+    steep = params[GLIDE] > 0.0
     d, e = powers[0] + 1.0, powers[1] + 1.0
-    nought = spread(0.0)
-    mass, before, total = spread(figures[MASS]), nought, nought
-    worst = spread(-1.0)  # above nought once a limit is broken
+    zero = spread(0.0)
+    mass, before, total = spread(params[MASS]), zero, zero
+    violation = spread(-1.0)  # positive once a limit is violated
     for s in range(samples + 1):
         low, high = table[s, LOW], table[s, HIGH]
         f, g = d * low, e * high
-        ax = ux * f + vx * g + asked[1, 0]
-        ay = uy * f + vy * g + asked[1, 1]
-        az = uz * f + vz * g + (asked[1, 2] + figures[GRAVITY])
+        ax = ux * f + vx * g + final[1, 0]
+        ay = uy * f + vy * g + final[1, 1]
+        az = uz * f + vz * g + (final[1, 2] + params[GRAVITY])
         side, lift = ax * ax + ay * ay, az * az
         size = root(side + lift)
         if s > 0:
@@ -78,29 +78,29 @@ def sixteen(w, state, asked, table, powers, figures):
             mass = mass * (over - 6.0 * burnt) / (over + 6.0 * burnt)
         before = size
         thrust = mass * size
-        worst = larger(worst, larger(thrust - figures[MOST], figures[LEAST] - thrust))
-        worst = larger(worst, larger(0.0 - az, side - tilt * lift))
+        violation = larger(violation, larger(thrust - params[MOST], params[LEAST] - thrust))
+        violation = larger(violation, larger(0.0 - az, side - tilt * lift))
         left = time * table[s, SHARE]
         f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
-        x = left * (left * (ux * f + vx * g + 0.5 * asked[1, 0]) - asked[0, 0])
-        y = left * (left * (uy * f + vy * g + 0.5 * asked[1, 1]) - asked[0, 1])
-        up = left * (left * (uz * f + vz * g + 0.5 * asked[1, 2]) - asked[0, 2]) + 0.5
+        x = left * (left * (ux * f + vx * g + 0.5 * final[1, 0]) - final[0, 0])
+        y = left * (left * (uy * f + vy * g + 0.5 * final[1, 1]) - final[0, 1])
+        up = left * (left * (uz * f + vz * g + 0.5 * final[1, 2]) - final[0, 2]) + 0.5
         rim = glide * (x * x + y * y)
         if steep:
-            worst = larger(worst, larger(0.0 - up, rim - up * up))
+            violation = larger(violation, larger(0.0 - up, rim - up * up))
         else:
-            worst = larger(worst, where_above(up, nought, spread(-1.0), up * up - rim))
-        if s % 3 == 2 and not any_above(nought, worst):
+            violation = larger(violation, where_above(up, zero, spread(-1.0), up * up - rim))
+        if s % 3 == 2 and not any_above(zero, violation):
             break
         weight = 1.0 if s in (0, samples) else (4.0 if s % 2 == 1 else 2.0)
         total = total + weight * size
     cost = total * time * (1.0 / (3.0 * samples))
-    store(w, _COST, where_above(nought, worst, cost, spread(_NOTHING)))
+    store(w, _COST, where_above(zero, violation, cost, spread(_NOTHING)))
 
 
 @kernel(inner=True)
-def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
-    """Write the best of so many geometric steps (16,), -1 without one, where none is found yet.
+def search_lanes(w, state, final, spans, count, skip, table, powers, params, best):
+    """Write the best of `count` geometric steps (16,) for lanes without one yet.
 
     `spans` (3, 16): first time, its logarithmic span, step.
     """
@@ -111,19 +111,19 @@ def looked(w, state, asked, spans, count, skip, table, powers, figures, best):
             continue
         for k in range(LANES):
             w[_TIME + k] = spans[0, k] * np.exp(m * spans[2, k])
-        sixteen(w, state, asked, table, powers, figures)
+        evaluate_lanes(w, state, final, table, powers, params)
         for k in range(LANES):
             if open_[k] and w[_COST + k] < least[k]:
                 best[k], least[k] = m, w[_COST + k]
 
 
 @kernel(inner=True)
-def closed_in(w, state, asked, spans, table, powers, figures, at):
-    """Move places on the logarithm of time (16,) to the best about them, halving the steps."""
+def refine_lanes(w, state, final, spans, table, powers, params, at):
+    """Move logarithmic times (16,) to the best nearby, halving the steps."""
     least = np.empty(LANES)
     for k in range(LANES):
         w[_TIME + k] = spans[0, k] * np.exp(at[k])
-    sixteen(w, state, asked, table, powers, figures)
+    evaluate_lanes(w, state, final, table, powers, params)
     for k in range(LANES):
         least[k] = w[_COST + k]
     step, middle, near = np.empty(LANES), np.empty(LANES), np.empty(LANES)
@@ -137,7 +137,7 @@ def closed_in(w, state, asked, spans, table, powers, figures, at):
             for k in range(LANES):
                 near[k] = middle[k] + sense * step[k]
                 w[_TIME + k] = spans[0, k] * np.exp(min(max(near[k], 0.0), spans[1, k]))
-            sixteen(w, state, asked, table, powers, figures)
+            evaluate_lanes(w, state, final, table, powers, params)
             for k in range(LANES):
                 inside = 0.0 <= near[k] <= spans[1, k]
                 if inside and step[k] > 0.0 and w[_COST + k] < least[k]:
@@ -145,35 +145,35 @@ def closed_in(w, state, asked, spans, table, powers, figures, at):
 
 
 @kernel(inner=True)
-def one(state, target, asked, start, span, coarse, rough, table, powers, figures, out):
-    """Search for one target in double precision, and write what the best takes (4,)."""
+def search_one(state, target, final, start, span, coarse, rough, table, powers, params, out):
+    """Search for one target in double precision, and write the best result (4,)."""
     found, x = np.empty(4), np.empty((2, 3))
     step = span / max(coarse - 1, 1)
-    best = first_look(
-        state, target, asked, start, step, coarse, 0, rough, powers, figures, x, found
+    best = search_coarse(
+        state, target, final, start, step, coarse, 0, rough, powers, params, x, found
     )
     if best < 0 and step > 0.0:
         step /= 3.0
         count = 3 * (coarse - 1)
-        best = first_look(
-            state, target, asked, start, step, count, 3, rough, powers, figures, x, found
+        best = search_coarse(
+            state, target, final, start, step, count, 3, rough, powers, params, x, found
         )
     if best >= 0:
-        close_in(
-            state, target, asked, start, best * step, step, span, table, powers, figures, x, found,
-            out,
+        refine_time(
+            state, target, final, start, best * step, step, span, table, powers, params, x,
+            found, out,
         )  # fmt: skip
 
 
 @kernel(shared=True)
-def survey(share, state, targets, asked, first, last, coarse, rough, table, powers, figures, out):
-    """Find for each target the admissible time-to-go that takes the least velocity increment.
+def survey(share, state, targets, final, first, last, coarse, rough, table, powers, params, out):
+    """Find the admissible time-to-go with minimum delta-v for each target.
 
-    Writes (n, 4): the increment (inf where no time is admissible), the time, the greatest thrust
-    (N) and the greatest tangent of its lean (see `measure`). `coarse` times a target are tried in
-    geometric steps from `first` to `last` (n,) on the samples of `rough`, and where none of them
-    will do those between, three to a step. Then the steps about the best are halved on the samples
-    of `table`, which finds an edge of what is admissible as well as a dip. NaN for no time.
+    Writes (n, 4): delta-v (inf if no time is admissible), time, maximum thrust (N) and maximum
+    tangent of the tilt, as `measure`; NaN if no time. Per target, `coarse` times in geometric steps
+    from `first` to `last` (n,) are tried with the samples of `rough`; if none is admissible, two
+    more between each pair. Then the steps around the best time are halved with the samples of
+    `table`, which finds a limit of admissibility as well as a minimum.
     """
     count = targets.shape[0]
     blocks = (count + LANES - 1) // LANES
@@ -195,7 +195,7 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
             spans[1, k] = np.log(last[n] / first[n]) if good else 0.0
             spans[2, k] = spans[1, k] / max(coarse - 1, 1)
             w[_EAST + k], w[_NORTH + k], w[_UP + k] = targets[n, 0], targets[n, 1], targets[n, 2]
-        looked(w, state, asked, spans, coarse, 0, rough, powers, figures, best)
+        search_lanes(w, state, final, spans, coarse, 0, rough, powers, params, best)
         for k in range(LANES):
             if best[k] < 0 and valid[k] and spans[2, k] > 0.0:
                 wanted = True
@@ -203,24 +203,24 @@ def survey(share, state, targets, asked, first, last, coarse, rough, table, powe
             elif best[k] < 0:
                 valid[k] = False
         if wanted:
-            looked(w, state, asked, spans, 3 * (coarse - 1), 3, rough, powers, figures, best)
+            search_lanes(w, state, final, spans, 3 * (coarse - 1), 3, rough, powers, params, best)
         some = False
         for k in range(LANES):
             at[k] = max(best[k], 0) * spans[2, k]
             some = some or (valid[k] and best[k] >= 0)
         if not some:
             continue
-        closed_in(w, state, asked, spans, table, powers, figures, at)
+        refine_lanes(w, state, final, spans, table, powers, params, at)
         for k in range(LANES):
             if not (valid[k] and best[k] >= 0):
                 continue
             n = here + k
             time = spans[0, k] * np.exp(at[k])
-            if not measure(state, targets[n], asked, time, table, powers, figures, x, out[n]):
-                # Within rounding of a limit.
+            if not measure(state, targets[n], final, time, table, powers, params, x, out[n]):
+                # Rounding changed the admissibility: repeat the search in double precision.
                 out[n, 0] = np.inf
                 out[n, 1:] = np.nan
-                one(
-                    state, targets[n], asked, spans[0, k], spans[1, k], coarse, rough, table,
-                    powers, figures, out[n],
+                search_one(
+                    state, targets[n], final, spans[0, k], spans[1, k], coarse, rough, table,
+                    powers, params, out[n],
                 )  # fmt: skip

@@ -1,8 +1,10 @@
-"""The Apollo polynomial law (Klumpp, "Apollo lunar descent guidance", Automatica 10, 1974).
+"""Apollo polynomial guidance.
 
-The two-point boundary value problem of position and velocity now, and position, velocity and
-acceleration at the target a time-to-go T later, has one solution with an acceleration quadratic
-in time. It is solved afresh every cycle, which closes the loop.
+Klumpp, "Apollo lunar descent guidance", Automatica 10, 1974.
+
+Given current position and velocity, and position, velocity and acceleration at the target after a
+time-to-go T, exactly one acceleration quadratic in time solves the boundary value problem. The law
+solves it in every cycle, which closes the loop.
 """
 
 from __future__ import annotations
@@ -20,11 +22,11 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 @dataclass(frozen=True)
 class ApolloLaw(PathLaw):
-    """The Apollo polynomial law (Klumpp 1974)."""
+    """Apollo polynomial guidance law (Klumpp 1974)."""
 
     @property
     def shape(self) -> PathShape:
-        """Linear and quadratic in the time that is left."""
+        """Acceleration profile: linear and quadratic in time-to-go."""
         return APOLLO
 
 
@@ -36,31 +38,31 @@ def jerk_time_to_go(
     *,
     guess: float,
 ) -> float:
-    """Return the time-to-go (s) whose quartic ends with a given jerk along one axis.
+    """Return the time-to-go (s) of a quartic path with a given final jerk.
 
-    The root of ``J T^3 - 6 A T^2 + (18 V_f + 6 V) T - 24 (R_f - R) = 0`` that is nearest to the
+    It is the root of ``J T^3 - 6 A T^2 + (18 V_f + 6 V) T - 24 (R_f - R) = 0`` nearest to the
     guess (Klumpp's cubic, which counts T negative); NaN if no root is positive.
 
     Parameters
     ----------
     position, velocity
-        Downrange now, m and m/s.
+        Current downrange position and velocity, m and m/s.
     end
         Downrange position, velocity and acceleration at the target, m, m/s, m/s^2.
     jerk
-        Downrange at the target, m/s^3.
+        Downrange jerk at the target, m/s^3.
     guess
-        Time-to-go of the last cycle, s.
+        Time-to-go of the previous cycle, s.
 
     Raises
     ------
     InputError
-        If something is not finite.
+        If an argument is not finite.
     """
     r_f, v_f, a_f = end
     c = np.array([jerk, -6.0 * a_f, 18.0 * v_f + 6.0 * velocity, -24.0 * (r_f - position)])
     if not (np.isfinite(c).all() and np.isfinite(guess)):
-        raise InputError("guidance.time_to_go", (c.tolist(), guess), "finite figures")
+        raise InputError("guidance.time_to_go", (c.tolist(), guess), "must have finite parameters")
     roots = np.roots(c)
     real = roots.real[np.abs(roots.imag) <= 1e-9 * np.maximum(1.0, np.abs(roots))]
     real = real[real > 0.0]
@@ -70,21 +72,21 @@ def jerk_time_to_go(
 def followed_time(
     estimate: Estimate, end: PhaseEnd, jerk: float, guess: float, *, share: float = 1.0 / 3.0
 ) -> float:
-    """Return the time-to-go (s) of a jerk wanted downrange at an end, or the guess itself.
+    """Return the time-to-go (s) for a downrange jerk at the phase end, or the guess.
 
-    Downrange is along the end's velocity over ground. Where that is nought, or the cubic has no
-    root within a share of the guess, the guess stays.
+    Downrange is along the horizontal velocity at the end. The guess is returned if that velocity
+    is zero or the cubic has no root near the guess.
 
     Parameters
     ----------
     estimate, end
-        Where the lander is, and where the phase ends.
+        Estimated state, and end of the phase.
     jerk
-        Downrange at the end, m/s^3.
+        Downrange jerk at the end, m/s^3.
     guess
-        Time-to-go of the last cycle, s.
+        Time-to-go of the previous cycle, s.
     share
-        Of the guess, by which the time-to-go may differ from it.
+        Maximum relative difference between the time-to-go and the guess.
     """
     along = end.velocity[:2]
     speed = float(np.hypot(*along))

@@ -1,4 +1,4 @@
-"""How long the approach is to take when it begins, and who decides on that."""
+"""Choice of the time-to-go at the start of the approach."""
 
 from __future__ import annotations
 
@@ -9,36 +9,35 @@ from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd, PlansArrival
 from lunarsim.onboard.navigation.estimate import Estimate
 
-# A lander for which nothing is admissible takes so many times its way over its speed, at least so
-# long, s, and is taken to be no slower than this, m/s.
-_TIMES, _LEAST, _SLOWEST = 2.0, 5.0, 1.0
+# Fallback time-to-go if none is admissible: this multiple of distance over speed, at least this
+# time (s); the speed is taken as at least the last value (m/s).
+_FALLBACK_TIME_FACTOR, _MIN_FALLBACK_TIME_S, _MIN_SPEED_M_S = 2.0, 5.0, 1.0
 
 
 def time_at_gate(
     approach: Approach, estimate: Estimate, end: PhaseEnd, admissible: float
 ) -> tuple[float, bool]:
-    """Return the time-to-go with which the approach begins, s, and whether it is within limits.
+    """Return the initial time-to-go of the approach, s, and whether it is admissible.
 
-    By the jerk that the mission wants, the time that it fixes, or else that which is admissible,
-    s: not finite where none is. Then the lander flies there all the same, as long as way and speed
-    want.
+    It follows from the jerk or the time that the mission sets, else it is `admissible`, s. If that
+    is not finite, no time is admissible, and a fallback from distance and speed is returned.
     """
     if approach.jerk is not None:
-        guess = approach.time_to_go or plain_time(estimate, end)
+        guess = approach.time_to_go or fallback_time(estimate, end)
         return followed_time(estimate, end, approach.jerk, guess, share=np.inf), True
     left = approach.time_to_go or admissible
-    return (left, True) if np.isfinite(left) else (plain_time(estimate, end), False)
+    return (left, True) if np.isfinite(left) else (fallback_time(estimate, end), False)
 
 
 def set_by_others(approach: Approach, law: GuidanceLaw) -> str:
-    """Return why the computer does not choose the time-to-go; empty where it does."""
+    """Return why the computer does not choose the time-to-go; empty if it does."""
     if not approach.free:
         return "the mission sets the time-to-go"
     return "the law plans its own arrival" if isinstance(law, PlansArrival) else ""
 
 
-def plain_time(estimate: Estimate, end: PhaseEnd) -> float:
-    """Return a time-to-go by way and speed alone, s."""
-    way = float(np.linalg.norm(end.position - estimate.position))
+def fallback_time(estimate: Estimate, end: PhaseEnd) -> float:
+    """Return a time-to-go from distance and speed only, s."""
+    distance = float(np.linalg.norm(end.position - estimate.position))
     speed = float(np.linalg.norm(estimate.velocity))
-    return max(_TIMES * way / max(speed, _SLOWEST), _LEAST)
+    return max(_FALLBACK_TIME_FACTOR * distance / max(speed, _MIN_SPEED_M_S), _MIN_FALLBACK_TIME_S)

@@ -1,6 +1,7 @@
-"""Augmented Apollo guidance (Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019).
+"""Augmented Apollo guidance.
 
-One gain moves the path between E-guidance (6) and the Apollo law (12) and beyond.
+Lu, "Augmented Apollo powered descent guidance", JGCD 42(3), 2019. One gain varies the path from
+E-guidance (6) over the Apollo law (12) to larger values.
 """
 
 from __future__ import annotations
@@ -13,15 +14,15 @@ from lunarsim.parts.quantity import quantity
 
 @dataclass(frozen=True)
 class AugmentedApolloLaw(FractionalPolynomialLaw):
-    """Augmented Apollo guidance (Lu 2019): the fractional polynomial with gamma = 1.
+    """Augmented Apollo guidance (Lu 2019): fractional-polynomial law with gamma = 1.
 
     Attributes
     ----------
     gamma
-        1.
+        Fixed at 1.
     gain
         k_r: 6 is E-guidance, 12 the Apollo law.
     """
 
-    gamma: float = quantity(1.0, ge=1, le=1, help="1 is what makes it the augmented Apollo law")
+    gamma: float = quantity(1.0, ge=1, le=1, help="fixed at 1 for augmented Apollo guidance")
     gain: float = quantity(8.0, ge=6, le=200, help="k_r: 6 is E-guidance, 12 the Apollo law")

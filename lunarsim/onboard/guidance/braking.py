@@ -1,4 +1,4 @@
-"""Braking: the phase before the approach, with a law and an end of its own (as P63)."""
+"""Braking: the phase before the approach, with its own law and end (as P63)."""
 
 from __future__ import annotations
 
@@ -28,60 +28,67 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Braking:
-    """Braking to a point before the site, from which the approach begins.
+    """Braking to a point before the site, where the approach begins.
 
     Attributes
     ----------
     law
-        Kind of guidance law, with its own defaults.
+        Kind of guidance law; it uses its defaults.
     end_position, end_velocity, end_acceleration
-        Where it aims (3,), ENU, m from the site, m/s, m/s^2; the approach begins sooner.
+        Aim point (3,), ENU, m from the site, m/s, m/s^2; the approach begins before it.
     time_to_go
-        At the start, s.
+        Initial time-to-go, s.
     jerk
-        Downrange at the end, m/s^3: the time-to-go follows from it every cycle by Klumpp's cubic.
-        None: the time-to-go of the start runs down.
+        Downrange jerk at the end, m/s^3; the time-to-go follows from it in every cycle by Klumpp's
+        cubic. None: the initial time-to-go counts down.
     ends_at
         Time-to-go at which the approach begins, s.
     max_tilt
-        Of the thrust from the site's vertical, rad.
+        Maximum tilt of the thrust from the site's vertical, rad.
     direction_first
-        Where the engine falls short the thrust keeps its direction; else its vertical part.
+        Whether saturated thrust keeps its direction; otherwise it keeps its vertical component.
     trim
-        For so long the engine stays at its least thrust after the start, s.
+        Time at minimum thrust after the start, s.
     """
 
-    law: str = quantity("apollo", help="kind of guidance")
+    law: str = quantity("apollo", help="kind of guidance law")
     end_position: tuple[float, float, float] = quantity(
-        (-600.0, 0.0, 500.0), "m", help="aimed at, from the site"
+        (-600.0, 0.0, 500.0), "m", help="aim point of braking, from the site (ENU)"
     )
-    end_velocity: tuple[float, float, float] = quantity((28.0, 0.0, -18.0), "m/s", help="there")
+    end_velocity: tuple[float, float, float] = quantity(
+        (28.0, 0.0, -18.0), "m/s", help="velocity at the end of braking (ENU)"
+    )
     end_acceleration: tuple[float, float, float] = quantity(
-        (0.0, 0.0, 0.0), "m/s^2", help="there; gravity included"
+        (0.0, 0.0, 0.0), "m/s^2", help="total acceleration at the end of braking (ENU)"
     )
-    time_to_go: float = quantity(60.0, "s", gt=0, le=10_000, help="at the start")
+    time_to_go: float = quantity(60.0, "s", gt=0, le=10_000, help="initial time-to-go of braking")
     jerk: float | None = quantity(
-        None, "m/s^3", help="downrange at the end, sets the time-to-go; left out: it runs down"
+        None, "m/s^3", help="downrange jerk at the end, sets time-to-go; omitted: countdown"
     )
     ends_at: float = quantity(2.0, "s", ge=0, help="time-to-go at which the approach begins")
-    max_tilt: float = quantity(80.0, "deg", gt=0, lt=180, help="of the thrust at the site")
-    direction_first: bool = quantity(
-        False, help="where the engine falls short, keep the thrust's direction, not its lift"
+    max_tilt: float = quantity(
+        80.0, "deg", gt=0, lt=180, help="maximum tilt of the thrust from the site's vertical"
     )
-    trim: float = quantity(0.0, "s", ge=0, help="at the least thrust after the start")
+    direction_first: bool = quantity(
+        False, help="whether saturated thrust keeps its direction instead of its lift"
+    )
+    trim: float = quantity(0.0, "s", ge=0, help="time at minimum thrust after the start")
 
     def __post_init__(self) -> None:
         check_bounds(self, "braking")
         if self.ends_at >= self.time_to_go:
-            raise InputError("braking.ends_at", self.ends_at, f"less than {self.time_to_go} s")
+            raise InputError(
+                "braking.ends_at", self.ends_at,
+                f"must be less than time_to_go, which is {self.time_to_go} s",
+            )  # fmt: skip
         self.part()
 
     def part(self) -> Any:
-        """Return the law's part, with its defaults."""
+        """Return the guidance law with its defaults."""
         return settings_of(resolve("guidance", self.law, "braking.law"))().make()
 
     def end(self, site: ArrayLike) -> PhaseEnd:
-        """Return where it aims for a site (3,), local frame."""
+        """Return the aim point of braking for a site (3,), local frame."""
         return PhaseEnd(
             np.asarray(site, dtype=np.float64) + np.asarray(self.end_position),
             np.asarray(self.end_velocity, dtype=np.float64),
@@ -89,9 +96,9 @@ class Braking:
         )
 
     def time_left(self, estimate: Estimate, end: PhaseEnd, guess: float) -> float:
-        """Return the time-to-go (s) by the jerk wanted at the end, or the guess itself.
+        """Return the time-to-go (s) for the jerk at the end, or the guess.
 
-        Where the cubic has no root within a third of the guess the guess stays.
+        The guess is returned if the cubic has no root within a third of it.
         """
         if self.jerk is None or guess <= self.ends_at:
             return guess
@@ -100,14 +107,14 @@ class Braking:
     def ask(
         self, wanted: Array, mass: float, lander: Lander, heading: float, time: float
     ) -> Command:
-        """Return the command for a thrust acceleration (3,), m/s^2; see `thrust_to_command`.
+        """Return the command for a thrust acceleration (3,), m/s^2.
 
-        A `max_tilt` of a quarter turn and more lets it push downwards too: `thrust_lift_first`.
+        If `max_tilt` is 90 deg or more, the thrust may point downward (`thrust_lift_first`).
 
         Raises
         ------
         InputError
-            If the law has commanded anything else than three finite numbers.
+            If the law's command is not three finite numbers.
         """
         wanted = checked_command("braking.law", self.part(), wanted, time)
         give = thrust_to_command if self.max_tilt < 0.5 * np.pi else thrust_lift_first

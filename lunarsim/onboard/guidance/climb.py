@@ -1,4 +1,4 @@
-"""Climbing away from a landing that is given up."""
+"""Climb after an abort of the landing."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ from numpy.typing import NDArray
 from lunarsim.onboard.guidance.contract import refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
-# Share of the sideways speed that is taken out in a second.
-_DAMPING = 0.2
+# Fraction of the horizontal velocity removed per second.
+_DAMPING_PER_S = 0.2
 
 
 def climb(estimate: Estimate, most: float) -> NDArray[np.float64]:
-    """Return the thrust acceleration (3,), ENU, m/s^2, of a climb: full thrust, sideways speed out.
+    """Return the thrust acceleration (3,), ENU, m/s^2, of a full-thrust climb.
+
+    A part of the thrust removes the horizontal velocity.
 
     Parameters
     ----------
     estimate
-        Where the lander is.
+        Estimated state.
     most
-        Thrust over mass at full throttle, m/s^2.
+        Maximum thrust over mass, m/s^2.
     """
     refuse_unknown(estimate)
-    sideways = -_DAMPING * estimate.velocity[:2]
-    size = float(np.hypot(*sideways))
+    horizontal = -_DAMPING_PER_S * estimate.velocity[:2]
+    size = float(np.hypot(*horizontal))
     if size > 0.5 * most:
-        sideways = sideways * (0.5 * most / size)
-    up = np.sqrt(most**2 - float(sideways @ sideways))
-    return np.array([sideways[0], sideways[1], up])
+        horizontal = horizontal * (0.5 * most / size)
+    up = np.sqrt(most**2 - float(horizontal @ horizontal))
+    return np.array([horizontal[0], horizontal[1], up])

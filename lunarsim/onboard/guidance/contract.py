@@ -1,4 +1,4 @@
-"""The contract of guidance laws, and the one object that says where a phase of flight ends."""
+"""Interfaces of guidance laws, and the definition of a phase's end."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PhaseEnd:
-    """Where a phase of flight ends, for one site or for many.
+    """End state of a flight phase, for one site or for many.
 
-    What plans a path, what surveys paths to many sites and what flies one all take this object, so
-    that the path flown is the one surveyed.
+    Path planning, surveys of many sites and guidance use the same object, so that the flown path is
+    the surveyed one.
 
     Attributes
     ----------
     position
-        Of the centre of mass (3,) or (n, 3), m.
+        Position of the centre of mass (3,) or (n, 3), m.
     velocity, acceleration
-        Wanted there (3,), m/s and m/s^2.
+        Required velocity and acceleration (3,), m/s and m/s^2.
     frame
-        Of all three: "local", where control lives; what is given in the site frame is moved by
-        navigation's `site_to_local` first.
+        Frame of all three: "local", the frame of guidance and control. Navigation's
+        `site_to_local` converts from the site frame.
 
     Raises
     ------
     InputError
-        If the frame is another.
+        If the frame is not "local".
     """
 
     position: Array
@@ -46,53 +46,58 @@ class PhaseEnd:
 
     def __post_init__(self) -> None:
         if self.frame != "local":
-            raise InputError("end.frame", self.frame, "'local'; navigation moves points to it")
+            raise InputError(
+                "end.frame",
+                self.frame,
+                "must be 'local'",
+                "Convert with navigation's site_to_local.",
+            )
 
 
 def refuse_unknown(estimate: Estimate, end: PhaseEnd | None = None) -> None:
-    """Refuse a state or an end that is no number.
+    """Reject a state or a phase end that is not finite.
 
     Raises
     ------
     InputError
-        If position, velocity or mass, or the end's position or velocity is not finite.
+        If the state's position, velocity or mass, or the end's position or velocity is not finite.
     """
-    told = [estimate.position, estimate.velocity]
+    values = [estimate.position, estimate.velocity]
     if end is not None:
-        told += [end.position, end.velocity]
-    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in told)):
-        here = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
-        raise InputError("guidance.estimate", here, "finite coordinates and mass")
+        values += [end.position, end.velocity]
+    if not (np.isfinite(estimate.mass) and all(np.isfinite(x).all() for x in values)):
+        state = (estimate.position.tolist(), estimate.velocity.tolist(), estimate.mass)
+        raise InputError("guidance.estimate", state, "must have finite coordinates and mass")
 
 
 class GuidanceLaw(Protocol):
-    """Anything that turns an estimate and the end of a phase into a thrust acceleration."""
+    """Law that computes a thrust acceleration from a state estimate and a phase end."""
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
-        """Return the thrust acceleration (3,), ENU, m/s^2 (gravity already made up for).
+        """Return the thrust acceleration (3,), ENU, m/s^2, gravity compensation included.
 
         Parameters
         ----------
         estimate
-            Where the lander is.
+            Estimated state.
         end
-            Of the phase, for one site.
+            Phase end for one site.
         time, time_to_go
-            Now, and what is left until the end is to be reached, s.
+            Current time, and time until the phase end, s.
         """
         ...
 
 
 @runtime_checkable
 class PlansArrival(Protocol):
-    """A law that chooses when it arrives, and reports what happens to it.
+    """Law that plans its own arrival time and reports events.
 
     Attributes
     ----------
     arrival
-        When it means to be at the end of the phase, s; None: not known yet.
+        Planned time of arrival at the phase end, s; None: not known yet.
     events
-        What happened so far: time (s), name, details.
+        Events so far: time (s), name, details.
     """
 
     arrival: float | None
@@ -101,12 +106,13 @@ class PlansArrival(Protocol):
 
 @runtime_checkable
 class SeesByMap(Protocol):
-    """A law that plans by what is known of the ground.
+    """Law that plans with the current hazard map.
 
     Attributes
     ----------
     belief
-        Gives the map that decides as it stands, None for a lander without one: set by the computer.
+        Function that the onboard computer sets; it returns the current decision map, or None if
+        the lander has no map.
     """
 
     belief: Callable[[], HazardMap | None] | None

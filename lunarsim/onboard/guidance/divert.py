@@ -1,4 +1,4 @@
-"""What it costs to fly to a site, and whether it can be done."""
+"""Propellant cost and feasibility of a divert to each site."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 24  # Simpson intervals along a path: fuel to better than 0.1 %
-_TIMES = 14  # first looked at, with fewer samples
-_ROUGH = 8
-# Seldom is anything admissible slower than this over the time at the present speed: it is looked
-# for there only where nothing faster will do.
-_SLOWNESS = 8.0
+_SAMPLES = 24  # Simpson intervals along a path: propellant error below 0.1 %
+_COARSE_TIMES = 14  # times-to-go of the coarse search
+_COARSE_SAMPLES = 8  # Simpson intervals of the coarse search
+# Upper time-to-go of the first search, as a multiple of the time at the current speed. Slower paths
+# are rarely admissible; they are searched only if no faster one is.
+_FIRST_SEARCH_TIME_RATIO = 8.0
 
 
 @dataclass(frozen=True)
 class PathLimits:
-    """What a trajectory must respect.
+    """Constraints on a trajectory.
 
     Attributes
     ----------
     max_tilt
-        Largest tilt of the thrust from the vertical, rad.
+        Maximum tilt of the thrust from the vertical, rad.
     glideslope
-        Least elevation of the path as seen from the target, rad.
+        Minimum elevation of the path, seen from the target, rad.
     reserve
-        Propellant that must be left at the target, kg.
+        Propellant reserve at the target, kg.
     throttle_margin
-        Share of the thrust range kept back at either end for feedback.
+        Fraction of the thrust range reserved for feedback at each end.
     """
 
     max_tilt: float = np.deg2rad(40.0)
@@ -56,12 +56,12 @@ class DivertCost:
     Attributes
     ----------
     propellant
-        kg (n,); inf where no admissible trajectory exists or the tanks do not hold it.
+        kg (n,); inf if no admissible trajectory exists or the propellant does not suffice.
     time_to_go
-        Best time-to-go (n,), s; NaN where infeasible.
+        Optimal time-to-go (n,), s; NaN if infeasible.
     peak_thrust, peak_tilt
-        Greatest thrust (N) and lean of the thrust from the vertical (rad) on the way (n,); NaN
-        where infeasible.
+        Maximum thrust (N) and tilt of the thrust from the vertical (rad) on the path (n,); NaN
+        if infeasible.
     """
 
     propellant: Array
@@ -71,13 +71,13 @@ class DivertCost:
 
     @property
     def feasible(self) -> NDArray[np.bool_]:
-        """Tell which sites can be reached (n,)."""
+        """Whether each site can be reached (n,)."""
         return np.isfinite(self.propellant)
 
 
 @lru_cache(maxsize=32)
 def _table(shape: PathShape, samples: int) -> Array:
-    """Return share of the time that is left and its powers along a path, as the kernel takes it."""
+    """Return the fraction of time-to-go and its powers along a path, for the kernel."""
     left = 1.0 - np.arange(samples + 1) / samples
     return np.column_stack((left, left**shape.low, left**shape.high))
 
@@ -85,27 +85,29 @@ def _table(shape: PathShape, samples: int) -> Array:
 def admissible_times(
     estimate: Estimate, end: PhaseEnd, targets: Array, lander: Lander, gravity: float
 ) -> tuple[Array, Array]:
-    """Return bounds of the time-to-go to each target (n,), s: no path is faster or slower.
+    """Return bounds of the time-to-go to each target (n,), s.
 
-    Faster is none than the one that thrusts straight there all the time; slower none than what
-    hovering leaves of the velocity increment that the tanks hold. Each target has bounds of its
-    own: its answer does not depend on what else is asked for.
+    The minimum is the time of constant maximum thrust straight towards the target. The maximum is
+    the time for which the delta-v in the tanks can compensate gravity. The bounds of a target are
+    independent of the other targets.
     """
-    gap = np.linalg.norm(targets - estimate.position, axis=1)
+    distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
     most = lander.thrust_max / lander.dry_mass + gravity
-    fastest = 2.0 * gap / (speed + np.sqrt(speed**2 + 2.0 * most * gap) + 1e-12)
+    fastest = 2.0 * distance / (speed + np.sqrt(speed**2 + 2.0 * most * distance) + 1e-12)
     held = lander.exhaust_velocity * np.log(max(estimate.mass / lander.dry_mass, 1.0))
     slowest = (held + speed + float(np.linalg.norm(end.velocity))) / gravity
     first = np.maximum(fastest, 1.0)
     return first, np.maximum(slowest, first)
 
 
-def _likely_last(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
-    """Return the times up to which a path is looked for first (n,), s."""
-    gap = np.linalg.norm(targets - estimate.position, axis=1)
+def _first_search_limit(estimate: Estimate, targets: Array, first: Array, last: Array) -> Array:
+    """Return the upper time-to-go of the first search (n,), s."""
+    distance = np.linalg.norm(targets - estimate.position, axis=1)
     speed = float(np.linalg.norm(estimate.velocity))
-    return np.asarray(np.minimum(last, _SLOWNESS * np.maximum(gap / max(speed, 5.0), first)))
+    return np.asarray(
+        np.minimum(last, _FIRST_SEARCH_TIME_RATIO * np.maximum(distance / max(speed, 5.0), first))
+    )
 
 
 def divert_cost(
@@ -119,27 +121,27 @@ def divert_cost(
     least_times: Array | None = None,
     times: Array | None = None,
 ) -> DivertCost:
-    """Find the cheapest admissible path of a law to each end of an approach.
+    """Find the minimum-propellant admissible path of a law to each end of an approach.
 
-    The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over a
-    range of times-to-go, or measured at one that is given.
+    The integral of the thrust acceleration (Eq. 10 of the quadtree paper) is minimised over
+    times-to-go, or evaluated at a given one.
 
     Parameters
     ----------
     estimate
-        Where the lander is.
+        Estimated state.
     end
-        Of the approach, for n sites.
+        End of the approach for n sites.
     lander, gravity
-        Thrust range, propellant, weight.
+        Lander, and downward gravitational acceleration, m/s^2.
     limits
-        What the trajectory must respect.
+        Constraints on the trajectory.
     shape
-        Of the law's paths.
+        Shape of the law's paths.
     least_times
-        Below which no time-to-go is tried for a site (n,), s; NaN: the site is out of reach.
+        Minimum time-to-go of each site (n,), s; NaN: the site is out of reach.
     times
-        The only time-to-go that is tried for a site (n,), s; None: the cheapest is looked for.
+        Fixed time-to-go of each site (n,), s; None: search for the optimal one.
 
     Raises
     ------
@@ -148,57 +150,63 @@ def divert_cost(
     """
     limits = limits or PathLimits()
     targets = np.ascontiguousarray(np.atleast_2d(end.position), dtype=np.float64)
-    _check(estimate, end, gravity)
+    _check_inputs(estimate, end, gravity)
     first, last = admissible_times(estimate, end, targets, lander, gravity)
     if least_times is not None:
         first = np.maximum(first, least_times)
-    figures = _figures(estimate, lander, gravity, limits)
-    asked = np.array([end.velocity, end.acceleration], dtype=np.float64)
+    params = _kernel_params(estimate, lander, gravity, limits)
+    end_motion = np.array([end.velocity, end.acceleration], dtype=np.float64)
     if times is not None:
         given = np.where(times >= first, times, np.nan)
-        found = _measured(estimate, targets, asked, given, shape, figures)
-        return _cost_of(found, estimate, lander, limits.reserve)
-    likely = _likely_last(estimate, targets, first, last)
-    found = _searched(estimate, targets, asked, first, likely, shape, figures)
-    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (likely < last))
+        found = _evaluate_paths(estimate, targets, end_motion, given, shape, params)
+        return _convert_costs(found, estimate, lander, limits.reserve)
+    search_limit = _first_search_limit(estimate, targets, first, last)
+    found = _search_paths(estimate, targets, end_motion, first, search_limit, shape, params)
+    slow = np.flatnonzero(~np.isfinite(found[:, 0]) & (search_limit < last))
     if len(slow):
-        found[slow] = _searched(
-            estimate, targets[slow], asked, np.maximum(first, likely)[slow], last[slow], shape,
-            figures,
+        found[slow] = _search_paths(
+            estimate, targets[slow], end_motion, np.maximum(first, search_limit)[slow], last[slow],
+            shape, params,
         )  # fmt: skip
-    return _cost_of(found, estimate, lander, limits.reserve)
+    return _convert_costs(found, estimate, lander, limits.reserve)
 
 
-def _searched(
-    estimate: Estimate, targets: Array, asked: Array, first: Array, last: Array, shape: PathShape,
-    figures: Array,
+def _search_paths(
+    estimate: Estimate, targets: Array, end_motion: Array, first: Array, last: Array,
+    shape: PathShape, params: Array,
 ) -> Array:  # fmt: skip
-    """Return what the best path between two times to each target takes (n, 4); see the kernel."""
+    """Return kernel results for the best path to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(1.0 * len(targets)):
         k.survey(
             np.array([estimate.position, estimate.velocity], dtype=np.float64),
-            np.ascontiguousarray(targets), asked, first, last, _TIMES, _table(shape, _ROUGH),
-            _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+            np.ascontiguousarray(targets), end_motion, first, last, _COARSE_TIMES,
+            _table(shape, _COARSE_SAMPLES), _table(shape, _SAMPLES), np.array(shape.powers),
+            params, found,
         )  # fmt: skip
     return found
 
 
-def _measured(
-    estimate: Estimate, targets: Array, asked: Array, times: Array, shape: PathShape, figures: Array
+def _evaluate_paths(
+    estimate: Estimate,
+    targets: Array,
+    end_motion: Array,
+    times: Array,
+    shape: PathShape,
+    params: Array,
 ) -> Array:
-    """Return what the path of a given time to each target takes (n, 4); see the kernel."""
+    """Return the kernel's result for the path of a given time to each target (n, 4)."""
     found = np.empty((len(targets), 4))
     with threads_for(0.1 * len(targets)):
         held.measured(
-            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, asked,
-            times, _table(shape, _SAMPLES), np.array(shape.powers), figures, found,
+            np.array([estimate.position, estimate.velocity], dtype=np.float64), targets, end_motion,
+            times, _table(shape, _SAMPLES), np.array(shape.powers), params, found,
         )  # fmt: skip
     return found
 
 
-def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
-    """Return costs from increments, times, thrusts and leans (n, 4); dry tanks are out of reach."""
+def _convert_costs(found: Array, estimate: Estimate, lander: Lander, reserve: float) -> DivertCost:
+    """Convert kernel results (n, 4) to costs."""
     propellant = estimate.mass * -np.expm1(-found[:, 0] / lander.exhaust_velocity)
     good = propellant <= estimate.mass - lander.dry_mass - reserve
     return DivertCost(
@@ -209,8 +217,8 @@ def _cost_of(found: Array, estimate: Estimate, lander: Lander, reserve: float) -
     )
 
 
-def _figures(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
-    """Return vehicle and limits as the kernel takes them (7,)."""
+def _kernel_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
+    """Return parameters of vehicle and limits for the kernel (7,)."""
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array(
         [
@@ -225,7 +233,7 @@ def _figures(estimate: Estimate, lander: Lander, gravity: float, limits: PathLim
     )
 
 
-def _check(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
+def _check_inputs(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
     for name, value in (
         ("estimate.position", estimate.position),
         ("estimate.velocity", estimate.velocity),
@@ -235,6 +243,6 @@ def _check(estimate: Estimate, end: PhaseEnd, gravity: float) -> None:
         ("end.acceleration", end.acceleration),
     ):
         if not np.isfinite(value).all():
-            raise InputError(f"guidance.{name}", np.asarray(value).tolist(), "finite figures")
+            raise InputError(f"guidance.{name}", np.asarray(value).tolist(), "must be finite")
     if not (np.isfinite(gravity) and gravity > 0.0):
-        raise InputError("guidance.gravity", gravity, "a positive number in m/s^2")
+        raise InputError("guidance.gravity", gravity, "must be positive and finite")

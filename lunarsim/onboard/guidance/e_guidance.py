@@ -1,9 +1,9 @@
-"""E-guidance: the acceleration is linear in time.
+"""E-guidance: acceleration linear in time.
 
 Cherry, "A general, explicit, optimizing guidance law for rocket-propelled spaceflight", AIAA paper
-64-638, 1964. That meets position and velocity at the target and, under constant gravity and a fixed
-time-to-go, has the least integral of the squared thrust acceleration. The acceleration at the
-target is what comes out.
+64-638, 1964. It meets position and velocity at the target. Under uniform gravity and a fixed
+time-to-go it minimises the integral of the squared thrust acceleration. The acceleration at the
+target is free.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
 
 @dataclass(frozen=True)
 class EGuidanceLaw(PathLaw):
-    """E-guidance (Cherry 1964): acceleration linear in time."""
+    """E-guidance law (Cherry 1964): acceleration linear in time."""
 
     @property
     def shape(self) -> PathShape:
-        """Constant and linear in the time that is left."""
+        """Acceleration profile: constant and linear in time-to-go."""
         return E_GUIDANCE

@@ -1,4 +1,4 @@
-"""A law in flight: lag made up for, the end flown out, and an answer to whatever it is asked."""
+"""Guidance along paths of one shape, with lag compensation and an open-loop end."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError
 from lunarsim.models.gravity import GravityModel
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.paths import Path, PathShape
+from lunarsim.onboard.guidance.paths import PathShape, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# From position, velocity, end and time-to-go to the acceleration wanted now, gravity included.
-Feedback = Callable[[Array, Array, PhaseEnd, float], Array]
+# Maps position, velocity, end and time-to-go to the required acceleration, gravity included.
+FeedbackLaw = Callable[[Array, Array, PhaseEnd, float], Array]
 
 
 class Answering:
-    """How the vehicle answers commands: through a first-order lag, as far as guidance knows.
+    """First-order model of the vehicle's response to acceleration commands.
 
     Parameters
     ----------
     lead
-        The lag, s.
+        Time constant, s.
     """
 
     def __init__(self, lead: float) -> None:
@@ -35,47 +35,47 @@ class Answering:
         self._time: float | None = None
 
     def follow(self, time: float) -> None:
-        """Let the modelled acceleration follow the last command up to `time`."""
+        """Propagate the modelled acceleration to `time`, s."""
         if self.lead > 0.0 and self._time is not None:
             keep = np.exp(-(time - self._time) / self.lead)
             self._lagged = self._command + keep * (self._lagged - self._command)
         self._time = time
 
     def ask(self, acceleration: Array) -> None:
-        """Note what the vehicle is asked for (3,), gravity included, m/s^2."""
+        """Store the commanded acceleration (3,), gravity included, m/s^2."""
         self._command = acceleration
 
     def ahead(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Return position and velocity (3,) a lag from now, when the next command takes effect."""
+        """Predict position and velocity (3,) one lag ahead."""
         a, lead = self._lagged, self.lead
         position = estimate.position + lead * (estimate.velocity + 0.5 * lead * a)
         return position, estimate.velocity + lead * a
 
 
 class PathGuidance:
-    """A law whose paths are of one shape, in flight.
+    """Guidance law whose paths have one shape.
 
-    The vehicle answers a command with a lag, so the boundary value problem is solved from where
-    the lander will be a `lead` from now. The acceleration until then is that of the commands so
-    far through a first-order lag. Near the target the gains would grow without bound; below
-    `least_time_to_go` the last path is flown out open loop.
+    The vehicle responds to a command with a lag. The boundary value problem is therefore solved
+    from the state predicted a `lead` ahead with a first-order model of the past commands. Near the
+    target the gains would grow without bound; below `least_time_to_go` the last path is flown open
+    loop.
 
     Parameters
     ----------
     shape
-        Of its paths.
+        Shape of the paths.
     gravity
         Downward acceleration, m/s^2.
     lead
-        Lag of attitude and engine that is made up for, s.
+        Lag of attitude and engine that is compensated, s.
     least_time_to_go
-        Below this time-to-go the loop is open, s.
+        Time-to-go below which the loop is open, s.
     feedback
-        The law's own formula; None: the start of the path.
+        Feedback formula of the law; None: initial acceleration of the path.
     answering
-        How the vehicle answers, where another law flies it as well; it has the lead then.
+        Response model shared with another law; it replaces `lead`.
     field
-        Gravity by place, and a turning frame, to be made up for; None: `gravity` everywhere.
+        Non-uniform gravity and rotating frame to compensate; None: uniform `gravity`.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class PathGuidance:
         *,
         lead: float = 0.0,
         least_time_to_go: float = 1.5,
-        feedback: Feedback | None = None,
+        feedback: FeedbackLaw | None = None,
         answering: Answering | None = None,
         field: GravityModel | None = None,
     ) -> None:
@@ -101,17 +101,17 @@ class PathGuidance:
         self.feedback = feedback
         self._answering = answering or Answering(lead)
         self.lead = self._answering.lead
-        self._last: tuple[float, Path] | None = None
+        self._last: tuple[float, PolynomialPath] | None = None
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        While there is no path to fly out, a time-to-go under the least one is taken for that.
+        If no path exists yet, time-to-go is raised to the minimum.
         """
         self._answering.follow(time)
         left = time_to_go - self.lead
         if not np.isfinite(left):
-            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
         if left >= self.least_time_to_go or self._last is None:
             position, velocity = self._answering.ahead(estimate)
             left = max(left, self.least_time_to_go)

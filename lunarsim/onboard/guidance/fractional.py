@@ -1,10 +1,10 @@
 """Fractional-polynomial powered descent guidance.
 
 Lu, "Theory of fractional-polynomial powered descent guidance", Journal of Guidance, Control, and
-Dynamics 43(3), 2020. Two parameters shape the path between E-guidance and laws that come close to
-their end acceleration early: `gamma`, one power of the time that is left, and the gain
-``k_r >= 2 (gamma + 2)``, which makes the other one ``k_r / (gamma + 2) - 2``. With gamma = 1 and
-k_r = 12 it is the Apollo law, with k_r = 6 E-guidance.
+Dynamics 43(3), 2020. Two parameters shape the path, from E-guidance to laws that approach their
+final acceleration early. `gamma` is one power of time-to-go; the gain ``k_r >= 2 (gamma + 2)``
+gives the other power, ``k_r / (gamma + 2) - 2``. With gamma = 1, k_r = 12 gives the Apollo law and
+k_r = 6 gives E-guidance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.following import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.parts.quantity import quantity
@@ -24,30 +24,31 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 
-def shape_of(gamma: float, gain: float) -> PathShape:
-    """Return the powers of the time that is left, `gamma` and ``gain / (gamma + 2) - 2``.
+def fractional_shape(gamma: float, gain: float) -> PathShape:
+    """Return the shape with powers `gamma` and ``gain / (gamma + 2) - 2``.
 
-    They may come in either order; where they meet the family has a logarithm, which is refused.
+    The powers may come in either order. Equal powers need a logarithm and are rejected.
 
     Raises
     ------
     InputError
-        If gamma is negative, or the gain is too small or makes both powers equal.
+        If gamma is negative, or the gain is too small or makes the powers equal.
     """
     least = 2.0 * (gamma + 2.0)
     if not gamma >= 0.0:
-        raise InputError("guidance.gamma", gamma, "0 or more")
+        raise InputError("guidance.gamma", gamma, "must be 0 or more")
     if not least <= gain < np.inf:
-        raise InputError("guidance.gain", gain, f"at least 2 (gamma + 2) = {least:g}")
+        raise InputError("guidance.gain", gain, f"must be at least 2 (gamma + 2) = {least:g}")
     other = gain / (gamma + 2.0) - 2.0
     if abs(other - gamma) < 1e-6:
         raise InputError(
-            "guidance.gain", gain, f"not (gamma + 2)^2 = {(gamma + 2.0) ** 2:g}: equal powers"
-        )
+            "guidance.gain", gain,
+            f"must not be (gamma + 2)^2 = {(gamma + 2.0) ** 2:g}, which makes both powers equal",
+        )  # fmt: skip
     return PathShape(min(gamma, other), max(gamma, other))
 
 
-def feedback_of(
+def fractional_feedback(
     position: Array,
     velocity: Array,
     end: PhaseEnd,
@@ -57,7 +58,7 @@ def feedback_of(
     gamma: float,
     gain: float,
 ) -> Array:
-    """Return the thrust acceleration (3,), m/s^2, by Lu's feedback law.
+    """Return the thrust acceleration (3,), m/s^2, of Lu's feedback law.
 
     ``a_T = gamma (k / (2 (gamma + 2)) - 1) a_Tf + (gamma k / (2 (gamma + 2)) - gamma - 1) g
     + (gamma + 1) / T (1 - k / (gamma + 2)) (V_f - V) + k / T^2 (r_f - r - V T)``; a_Tf is the
@@ -66,22 +67,22 @@ def feedback_of(
     Parameters
     ----------
     position, velocity
-        Now (3,), m and m/s.
+        Current state (3,), m and m/s.
     end
-        Where it ends; its acceleration includes gravity.
+        Phase end; its acceleration includes gravity.
     time_to_go
         T, s.
     gravity
         Downward acceleration, m/s^2.
     gamma, gain
-        The law's.
+        Parameters of the law; gain is k.
     """
     g = np.array([0.0, 0.0, -gravity])
     half = 0.5 * gain / (gamma + 2.0)
-    slip = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
+    velocity_error = (gamma + 1.0) / time_to_go * (1.0 - 2.0 * half) * (end.velocity - velocity)
     miss = gain / time_to_go**2 * (end.position - position - time_to_go * velocity)
     thrust = gamma * (half - 1.0) * (end.acceleration - g)
-    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + slip + miss)
+    return np.asarray(thrust + (gamma * half - gamma - 1.0) * g + velocity_error + miss)
 
 
 @dataclass(frozen=True)
@@ -91,37 +92,39 @@ class FractionalPolynomialLaw(PathLaw):
     Attributes
     ----------
     gamma
-        Lower power of the time that is left.
+        One power of time-to-go.
     gain
         k_r.
     """
 
-    gamma: float = quantity(0.5, ge=0, le=10, help="a power of the time that is left")
+    gamma: float = quantity(0.5, ge=0, le=10, help="one power of time-to-go")
     gain: float = quantity(
         8.0,
         gt=0,
         le=200,
-        help="k_r, at least 2 (gamma + 2); other power: k_r / (gamma + 2) - 2",
+        help="k_r, at least 2 (gamma + 2); the other power is k_r / (gamma + 2) - 2",
     )
 
     def __post_init__(self) -> None:
         try:
-            shape_of(self.gamma, self.gain)
+            fractional_shape(self.gamma, self.gain)
         except InputError as error:
             raise error.renamed(error.field.rpartition(".")[2]) from None
 
     @property
     def shape(self) -> PathShape:
-        """Of its paths under perfect actuation."""
-        return shape_of(self.gamma, self.gain)
+        """Shape of the paths under perfect actuation."""
+        return fractional_shape(self.gamma, self.gain)
 
-    def feedback(self, gravity: float) -> Feedback:
-        """Return `feedback_of` with the law's parameters, gravity included."""
+    def feedback(self, gravity: float) -> FeedbackLaw:
+        """Return `fractional_feedback` with the law's parameters, gravity included."""
         gamma, gain = self.gamma, self.gain
         down = np.array([0.0, 0.0, -gravity])
 
         def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:
-            thrust = feedback_of(position, velocity, end, left, gravity, gamma=gamma, gain=gain)
+            thrust = fractional_feedback(
+                position, velocity, end, left, gravity, gamma=gamma, gain=gain
+            )
             return np.asarray(thrust + down)
 
         return wanted

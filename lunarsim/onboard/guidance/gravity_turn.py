@@ -1,13 +1,13 @@
-"""Gravity turn: thrust against the velocity, so large that speed and height end together.
+"""Gravity turn: thrust opposes velocity; speed and height vanish together.
 
-With thrust acceleration N g against the velocity, c the cosine of the angle between velocity and
-down, and g uniform, the height that is lost until the lander stands still is
+With thrust acceleration N g opposite to the velocity, c the cosine of the angle between velocity
+and down, and uniform g, the height loss until the lander stops is
 
     h = v^2 (1 + 2 N c + c^2) / (4 g (N^2 - 1))
 
 (Citron, Dunin and Meissinger, "A terminal guidance technique for lunar landing", AIAA Journal 2(3),
-1964): it solves ``dh/dt = -v c`` along ``v' = g c - N g``, ``v psi' = -g sin psi``. N is found from
-it afresh every cycle. Where the lander stands in the end is not steered.
+1964). It solves ``dh/dt = -v c`` along ``v' = g c - N g``, ``v psi' = -g sin psi``. N is computed
+from it in every cycle. The horizontal position of the stop is not controlled.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from lunarsim.parts.quantity import quantity
 Array = NDArray[np.float64]
 
 
-def turn_thrust(height: float, velocity: Array, gravity: float) -> float:
-    """Return N, the thrust acceleration over gravity, that ends speed and height together.
+def gravity_turn_thrust(height: float, velocity: Array, gravity: float) -> float:
+    """Return N, the thrust acceleration over gravity of a gravity turn.
 
     Parameters
     ----------
     height
-        To be lost, m.
+        Height to lose, m.
     velocity
         ENU (3,), m/s.
     gravity
@@ -42,11 +42,11 @@ def turn_thrust(height: float, velocity: Array, gravity: float) -> float:
     Raises
     ------
     InputError
-        If there is no height to be lost or something is not finite.
+        If the height is not positive or an argument is not finite.
     """
     speed = float(np.linalg.norm(velocity))
     if not (np.isfinite(speed) and np.isfinite(height) and height > 0.0):
-        raise InputError("guidance.height", height, "a height above the end, and finite figures")
+        raise InputError("guidance.height", height, "must be positive, and all values finite")
     if speed == 0.0:
         return 1.0
     c = -float(velocity[2]) / speed
@@ -56,30 +56,34 @@ def turn_thrust(height: float, velocity: Array, gravity: float) -> float:
 
 @dataclass(frozen=True)
 class GravityTurn:
-    """Thrust against the velocity until the last speed, then straight down at it.
+    """Gravity turn down to a low speed, then vertical descent at that speed.
 
     Attributes
     ----------
     last_speed
-        At which the turn is over; straight down from there, m/s.
+        Speed at which the turn ends and the vertical descent continues, m/s.
     stop_height
-        Above the ground, at which the turn aims to have no speed, m.
+        Height above the terrain at which the turn aims for zero speed, m.
     max_lean
-        Greatest lean of the thrust, rad.
+        Maximum tilt of the thrust, rad.
     """
 
-    last_speed: float = quantity(1.5, "m/s", gt=0, help="straight down after the turn")
-    stop_height: float = quantity(3.0, "m", ge=0, help="above ground, where the turn aims to stop")
-    max_lean: float = quantity(60.0, "deg", gt=0, lt=85, help="of the thrust")
+    last_speed: float = quantity(
+        1.5, "m/s", gt=0, help="speed of the vertical descent after the turn"
+    )
+    stop_height: float = quantity(
+        3.0, "m", ge=0, help="height above terrain at which the turn aims to stop"
+    )
+    max_lean: float = quantity(60.0, "deg", gt=0, lt=85, help="maximum tilt of the thrust")
 
     def build(self, briefing: Briefing, lag: float) -> GravityTurnLaw:
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         last = VerticalDescent.behind(lag, briefing.weight)
         return GravityTurnLaw(self, briefing.weight, last)
 
 
 class GravityTurnLaw:
-    """A gravity turn in flight; see `GravityTurn`."""
+    """Gravity turn for one flight, with the settings of `GravityTurn`."""
 
     def __init__(self, settings: GravityTurn, gravity: float, last: VerticalDescent) -> None:
         self.settings = settings
@@ -89,7 +93,7 @@ class GravityTurnLaw:
 
     @property
     def lean(self) -> float:
-        """Greatest lean of the thrust, rad."""
+        """Current maximum tilt of the thrust, rad."""
         return self.last.lean if self._turned else self.settings.max_lean
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
@@ -99,11 +103,11 @@ class GravityTurnLaw:
         speed = float(np.linalg.norm(estimate.velocity))
         self._turned |= height <= 0.0 or speed <= self.settings.last_speed
         if self._turned:
-            # Over the ground that it has come to: it has no site to hold.
+            # The horizontal position is not controlled: descend at the current position.
             here = PhaseEnd(
                 np.array([*estimate.position[:2], end.position[2]]),
                 np.array([0.0, 0.0, -self.settings.last_speed]),
             )
             return self.last.command(estimate, here, time)
-        pull = turn_thrust(height, estimate.velocity, self.gravity) * self.gravity
+        pull = gravity_turn_thrust(height, estimate.velocity, self.gravity) * self.gravity
         return np.asarray(-pull / speed * estimate.velocity)

@@ -1,4 +1,4 @@
-"""What it takes to fly to a ranked site, by a polynomial of bounded jerk and snap (Eq. 10)."""
+"""Cost of flying to ranked sites by polynomials of bounded jerk and snap (Eq. 10)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.onboard.guidance import _jerk_kernels as k
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.paths import APOLLO, Path
+from lunarsim.onboard.guidance.paths import APOLLO, PolynomialPath
 from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# The integrand is the norm of a quadratic: smooth but for near-zeros of the thrust.
+# The integrand is the norm of a quadratic: smooth except near zeros of the thrust.
 _NODES, _WEIGHTS = leggauss(48)
 _TIMES = np.geomspace(1.0, 1000.0, 120)
 
@@ -29,11 +29,11 @@ class SiteCost:
     Attributes
     ----------
     increment
-        F of Eq. 10: integral of the thrust acceleration (n,), m/s; inf where no time is found.
+            F of Eq. 10: integral of the thrust acceleration (n,), m/s; inf if no time is found.
     propellant
         kg (n,).
     time_to_go
-        s (n,); NaN where none is found.
+            s (n,); NaN if no time is found.
     """
 
     increment: Array
@@ -41,35 +41,37 @@ class SiteCost:
     time_to_go: Array
 
 
-def steepest(path: Path) -> tuple[float, float]:
-    """Return the greatest jerk (m/s^3) and snap (m/s^4) along a quartic path.
+def max_jerk_and_snap(path: PolynomialPath) -> tuple[float, float]:
+    """Return the maximum jerk (m/s^3) and snap (m/s^4) along a quartic path.
 
-    Jerk is linear in time, so it is greatest at an end; snap is constant.
+    Jerk is linear in time, so its maximum is at an end; snap is constant.
 
     Raises
     ------
     InputError
-        If the path is of another shape.
+        If the path is not quartic.
     """
     if path.powers != APOLLO.powers:
-        raise InputError("guidance.powers", path.powers, f"{APOLLO.powers}, a quartic path")
+        raise InputError(
+            "guidance.powers", path.powers, f"must be {APOLLO.powers}, those of a quartic path"
+        )
     first, second = path.terms
     ends = (first, first + 2.0 * second)
     most = max(float(np.linalg.norm(j)) for j in ends) / path.time_to_go
     return most, 2.0 * float(np.linalg.norm(second)) / path.time_to_go**2
 
 
-def limited_times(
+def min_times_to_go(
     position: ArrayLike, velocity: ArrayLike, ends: PhaseEnd, *, jerk: float, snap: float
 ) -> Array:
-    """Return the least times-to-go (n,), s, whose quartics keep both limits; NaN above 1000 s.
+    """Return the minimum times-to-go (n,), s, within both limits; NaN above 1000 s.
 
     Parameters
     ----------
     position, velocity
-        Now (3,), m and m/s.
+        Current state (3,), m and m/s.
     ends
-        Where paths end, for one site or for n.
+        Phase ends for one site or for n.
     jerk, snap
         Limits, m/s^3 and m/s^4.
 
@@ -80,11 +82,11 @@ def limited_times(
     """
     for name, value in (("jerk", jerk), ("snap", snap)):
         if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"guidance.{name}", value, "a positive limit")
+            raise InputError(f"guidance.{name}", value, "must be positive and finite")
     targets = np.ascontiguousarray(np.atleast_2d(ends.position), dtype=np.float64)
     out = np.empty(len(targets))
     with threads_for(0.1 * len(targets)):
-        k.limited_times(
+        k.min_times_to_go(
             np.ascontiguousarray(position, dtype=np.float64),
             np.ascontiguousarray(velocity, dtype=np.float64),
             targets,
@@ -98,7 +100,7 @@ def limited_times(
     return out
 
 
-def increment(path: Path, gravity: float) -> float:
+def increment(path: PolynomialPath, gravity: float) -> float:
     """Return the integral of the thrust acceleration along a path (Eq. 10), m/s."""
     half = 0.5 * path.time_to_go
     acceleration = path.at(half * (_NODES + 1.0))[2] + np.array([0.0, 0.0, gravity])
@@ -115,28 +117,28 @@ def site_cost(
     snap: float,
     arrival_velocity: ArrayLike = (0.0, 0.0, -1.0),
 ) -> SiteCost:
-    """Return what it takes to reach sites (n, 3), estimated ENU.
+    """Return the cost of reaching sites (n, 3), estimated ENU.
 
-    The time-to-go is the least that keeps jerk and snap, as with Apollo. Thrust and glideslope are
-    not looked at: `lunarsim.onboard.guidance.divert` does so before a site is flown to.
+    Time-to-go is the minimum within the limits of jerk and snap, on Apollo paths. Thrust and
+    glideslope are not checked here: `lunarsim.onboard.guidance.divert` does it before a divert.
 
     Parameters
     ----------
     estimate
-        The lander now.
+        Estimated state.
     sites
-        Where the trajectories end, m.
+        Ends of the trajectories, m.
     gravity, exhaust_velocity
         m/s^2, m/s.
     jerk, snap
         Limits, m/s^3 and m/s^4.
     arrival_velocity
-        At the site (3,), m/s.
+        Velocity at the site (3,), m/s.
 
     Raises
     ------
     InputError
-        If a site, the estimate or a figure is not finite, or a figure or limit is not positive.
+        If an argument is not finite, or one that must be positive is not.
     """
     sites = np.atleast_2d(np.asarray(sites, dtype=np.float64)).reshape(-1, 3)
     for name, value in (
@@ -144,15 +146,15 @@ def site_cost(
         ("arrival_velocity", np.asarray(arrival_velocity, dtype=np.float64)),
     ):  # fmt: skip
         if not np.isfinite(value).all():
-            raise InputError(f"guidance.{name}", value.tolist(), "finite coordinates")
+            raise InputError(f"guidance.{name}", value.tolist(), "must be finite")
     for name, number in (
         ("gravity", gravity), ("exhaust_velocity", exhaust_velocity),
         ("mass", estimate.mass),
     ):  # fmt: skip
         if not (np.isfinite(number) and number > 0.0):
-            raise InputError(f"guidance.{name}", number, "a positive number")
+            raise InputError(f"guidance.{name}", number, "must be positive and finite")
     ends = PhaseEnd(sites, np.asarray(arrival_velocity, dtype=np.float64))
-    times = limited_times(estimate.position, estimate.velocity, ends, jerk=jerk, snap=snap)
+    times = min_times_to_go(estimate.position, estimate.velocity, ends, jerk=jerk, snap=snap)
     totals = np.full(len(sites), np.inf)
     for n in np.flatnonzero(np.isfinite(times)):
         end = PhaseEnd(sites[n], ends.velocity)

@@ -1,8 +1,7 @@
-"""The modified Apollo law: the time-to-go respects limits on jerk and snap.
+"""Modified Apollo law: time-to-go respects limits on jerk and snap.
 
-The paths are Klumpp's. The quadtree paper ranks sites by their increments at the least such time
-(its Eq. 10). A lander that flies them has limits of thrust and tilt besides, which may ask for more
-time.
+The paths are Klumpp's. The quadtree paper ranks sites by their delta-v at the minimum time-to-go
+within these limits (its Eq. 10). Limits on thrust and tilt may require a longer time.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.apollo import ApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.jerk_limited import limited_times
+from lunarsim.onboard.guidance.jerk_limited import min_times_to_go
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
 
@@ -25,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ModifiedApolloLaw(ApolloLaw):
-    """The Apollo law with its time-to-go by limits on jerk and snap.
+    """Apollo law with a minimum time-to-go from limits on jerk and snap.
 
     Attributes
     ----------
@@ -33,8 +32,8 @@ class ModifiedApolloLaw(ApolloLaw):
         Limits, m/s^3 and m/s^4.
     """
 
-    jerk: float = quantity(0.25, "m/s^3", gt=0, help="greatest along the path")
-    snap: float = quantity(0.05, "m/s^4", gt=0, help="greatest along the path")
+    jerk: float = quantity(0.25, "m/s^3", gt=0, help="maximum jerk along the path")
+    snap: float = quantity(0.05, "m/s^4", gt=0, help="maximum snap along the path")
 
     def cost(
         self,
@@ -45,11 +44,11 @@ class ModifiedApolloLaw(ApolloLaw):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return what it takes to reach each end without breaking either limit.
+        """Return the cost of reaching each end within the limits on jerk and snap.
 
-        The time-to-go is the cheapest that is admissible from the least one on that keeps both.
+        Time-to-go is the optimal admissible one above the minimum of the two limits.
         """
-        least = limited_times(
+        least = min_times_to_go(
             estimate.position, estimate.velocity, end, jerk=self.jerk, snap=self.snap
         )
         return divert_cost(

@@ -1,12 +1,12 @@
-"""The law of least propellant as a network has learnt it: no solver on board.
+"""Minimum-propellant guidance by a trained network; no onboard solver.
 
-What it was taught are descents of `lunarsim.optimal` under the limits of the default lander and
-approach, begun 15 deg or more over their end, up to 800 m above it, up to 10 m/s across. Each cycle
-it tells thrust and time-to-go from where the lander will be once attitude and engine have answered.
-Where it is asked what it was not taught, or its answer breaks the limits of thrust or tilt, the
-Apollo law flies, and the network is asked again an interval later. The last seconds are flown by
-E-guidance, whose thrust may be anything at the end, as an optimal descent's is: a network ends near
-the place, a path at it.
+The training data are descents from `lunarsim.optimal` under the limits of the default lander and
+approach. They begin at an elevation of 15 deg or more over their end, up to 800 m above it, with
+crossrange speeds up to 10 m/s. In each cycle the network gives thrust and time-to-go for the state
+predicted at the response of attitude and engine. If the state is outside the training domain, or
+the output violates the limits of thrust or tilt, the Apollo law flies, and the network is tried
+again after an interval. E-guidance flies the last seconds, because its final thrust is free like
+that of an optimal descent: a network ends near the target, a path exactly at it.
 """
 
 from __future__ import annotations
@@ -33,63 +33,68 @@ from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
-_MOVED = 1.0  # of the end, m: a divert
-# Where descents that it was taught begin: over the end, rad and m, and speed across the way, m/s.
-LEAST_ELEVATION, MOST_HEIGHT, MOST_ACROSS = np.deg2rad(15.0), 800.0, 10.0
-_SAME = 1e-3  # share by which figures of the problem may differ from those it was taught
+_DIVERT_DISTANCE_M = 1.0  # horizontal move of the end that counts as a divert, m
+# Domain of the initial states of training: elevation over the end, rad; height, m; crossrange
+# speed, m/s.
+MIN_ELEVATION_RAD, MAX_HEIGHT_M, MAX_CROSSRANGE_SPEED_M_S = np.deg2rad(15.0), 800.0, 10.0
+_PARAM_TOLERANCE = 1e-3  # maximum relative difference of problem parameters from those of training
 
 
 @cache
 def shipped() -> OptimalNetwork:
-    """Return the network that comes along."""
+    """Return the network that is part of the package."""
     return OptimalNetwork.load()
 
 
 @dataclass(frozen=True)
 class NeuralOptimalLaw(PathLaw):
-    """Least propellant as a network tells it; the Apollo law where it cannot.
+    """Minimum propellant by a trained network, with the Apollo law as fallback.
 
-    What it costs to reach a site is told by the paths of the Apollo law, which it falls back to.
+    The cost of reaching a site is that of the Apollo law's paths.
 
     Attributes
     ----------
     least_time_to_go
-        Below this time-to-go the last path of E-guidance is flown out open loop, s.
+        Time-to-go below which the last path of E-guidance is flown open loop, s.
     handover
-        Below this time-to-go E-guidance flies to the end, s.
+        Time-to-go below which E-guidance flies to the end, s.
     interval
-        After which a network that was left is asked again, s.
+        Time after a fallback until the network is tried again, s.
     thrust_slack, tilt_slack
-        By how much its answer may break the limits and be cut back: a share of the greatest thrust,
-        and rad. Beyond, it is not feasible.
+        Limit violations that are clipped instead of rejected: fraction of the maximum thrust,
+        and tilt, rad.
     """
 
     handover: float = quantity(3.0, "s", gt=0, help="time-to-go below which E-guidance flies")
-    interval: float = quantity(1.0, "s", gt=0, le=60, help="until the network is asked again")
-    thrust_slack: float = quantity(0.05, ge=0, le=1, help="of the greatest thrust, cut back")
-    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="over the greatest tilt, cut back")
+    interval: float = quantity(
+        1.0, "s", gt=0, le=60, help="time after a fallback until the network is tried again"
+    )
+    thrust_slack: float = quantity(
+        0.05, ge=0, le=1, help="thrust violation that is clipped, fraction of the maximum"
+    )
+    tilt_slack: float = quantity(3.0, "deg", ge=0, lt=45, help="tilt violation that is clipped")
 
     @property
     def shape(self) -> PathShape:
-        """Of the paths that reach is told by."""
+        """Shape of the paths that give the cost of a site."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> NeuralGuidance:  # type: ignore[override]
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         return NeuralGuidance(self, briefing, lag, shipped())
 
 
 class NeuralGuidance:
-    """The law in flight; see `NeuralOptimalLaw`.
+    """Network guidance for one flight, with the settings of `NeuralOptimalLaw`.
 
     Attributes
     ----------
     arrival
-        When it means to be at the end, s; None before the first command.
+        Planned time of arrival at the end, s; None before the first command.
     events
-        What happened: time (s), name ("guidance-fallback", "guidance-planned"), details.
+        Events: time (s), name ("guidance-fallback", "guidance-planned"), details.
     asked, infeasible
-        How often the network was asked, and answered with what breaks the limits.
+        Number of network evaluations, and of outputs that violate the limits.
     """
 
     def __init__(
@@ -103,7 +108,7 @@ class NeuralGuidance:
         self.asked = self.infeasible = 0
         self._field = briefing.field
         self._answering = Answering(lag)
-        self._apollo, self._last = (
+        self._apollo, self._terminal_law = (
             PathGuidance(
                 shape, self.gravity, answering=self._answering,
                 least_time_to_go=least, field=briefing.field,
@@ -114,8 +119,8 @@ class NeuralGuidance:
             )
         )  # fmt: skip
         self._end: PhaseEnd | None = None
-        self._next = -np.inf
-        self._fallen = self._ending = self._followed = False
+        self._next_attempt = -np.inf
+        self._is_fallback = self._is_terminal = self._is_following = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2.
@@ -127,113 +132,122 @@ class NeuralGuidance:
         """
         refuse_unknown(estimate, end)
         if not np.isfinite(time_to_go):
-            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be finite")
         self._answering.follow(time)
-        if self._end is None or _apart(self._end, end) > _MOVED:
-            self._end, self._next, self._ending = end, -np.inf, False
-            self._followed = False
+        if self._end is None or _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M:
+            self._end, self._next_attempt, self._is_terminal = end, -np.inf, False
+            self._is_following = False
             self.arrival = time + time_to_go
         assert self.arrival is not None
-        push = None
-        if not self._ending and time >= self._next - 1e-9:
-            push = self._told(estimate, end, time)
-        if push is None:
-            law = self._last if self._ending else self._apollo
+        thrust = None
+        if not self._is_terminal and time >= self._next_attempt - 1e-9:
+            thrust = self._evaluate_network(estimate, end, time)
+        if thrust is None:
+            law = self._terminal_law if self._is_terminal else self._apollo
             return law.command(estimate, end, time, self.arrival - time)
-        moves = push - np.array([0.0, 0.0, self.gravity])
-        self._answering.ask(moves)
+        acceleration = thrust - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(acceleration)
         if self._field is None:
-            return push
-        return np.asarray(moves - self._field.felt(estimate.position, estimate.velocity))
+            return thrust
+        return np.asarray(acceleration - self._field.felt(estimate.position, estimate.velocity))
 
-    def _told(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
-        """Return the network's thrust over mass (3,), m/s^2; None: a path flies."""
-        if not self._taught(end):
-            self._fall_back(estimate, end, time, "another problem")
+    def _evaluate_network(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array | None:
+        """Return the network's thrust over mass (3,), m/s^2, or None if a path law flies."""
+        if not self._matches_training(end):
+            self._fall_back(estimate, end, time, "problem differs from training")
             return None
         position, velocity = self._answering.ahead(estimate)
-        shown, axes = reduced(position - end.position, velocity, estimate.mass)
-        # Later on a taught path may lie lower than where any of them begins, or higher.
-        if not (self.network.knows(shown) and (self._followed or _begins(shown))):
-            self._fall_back(estimate, end, time, "outside what it was taught")
+        inputs, axes = reduced(position - end.position, velocity, estimate.mass)
+        # On a followed path the state may leave the domain of initial states.
+        if not (
+            self.network.is_in_domain(inputs) and (self._is_following or _is_trained_start(inputs))
+        ):
+            self._fall_back(estimate, end, time, "outside the training domain")
             return None
         self.asked += 1
-        told = self.network(shown)
-        wanted = axes.T @ told[:3]
-        push, left = self._within_limits(wanted, estimate.mass), float(told[3])
-        if push is None or not left > 0.0:
+        output = self.network(inputs)
+        wanted = axes.T @ output[:3]
+        thrust, left = self._within_limits(wanted, estimate.mass), float(output[3])
+        if thrust is None or not left > 0.0:
             self.infeasible += 1
-        if push is None and self._followed and not np.isfinite(self._apollo_time(estimate, end)):
-            # Near the end an optimal descent is at its limits: no other law has a path from there.
-            push = self._cut_back(wanted, estimate.mass)
-        if push is None or not left > 0.0:
+        if (
+            thrust is None
+            and self._is_following
+            and not np.isfinite(self._apollo_time(estimate, end))
+        ):
+            # Near the end an optimal descent is at its limits, and no other law has a path: clip
+            # instead.
+            thrust = self._clip_to_limits(wanted, estimate.mass)
+        if thrust is None or not left > 0.0:
             self._fall_back(estimate, end, time, "infeasible")
             return None
-        if self._fallen:
+        if self._is_fallback:
             self.events.append((time, "guidance-planned", {}))
-        self._fallen, self._followed = False, True
-        # The lag is made up for by commanding that much ahead, and the end comes the sooner.
+        self._is_fallback, self._is_following = False, True
+        # The command is issued one lag ahead, so that the end comes earlier by the lag.
         self.arrival = time + self._answering.lead + left
-        self._ending = left < self.settings.handover
-        return None if self._ending else push
+        self._is_terminal = left < self.settings.handover
+        return None if self._is_terminal else thrust
 
-    def _taught(self, end: PhaseEnd) -> bool:
-        """Tell whether this is the problem that the network was taught."""
+    def _matches_training(self, end: PhaseEnd) -> bool:
+        """Return whether the problem is the one of the training."""
         lander, limits = self.lander, self.limits
         margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-        mine = np.array(
+        params = np.array(
             [
                 self.gravity, lander.thrust_min + margin, lander.thrust_max - margin,
                 lander.exhaust_velocity, -end.velocity[2], limits.max_tilt, limits.glideslope,
             ]
         )  # fmt: skip
-        level = float(np.hypot(end.velocity[0], end.velocity[1])) < 1e-6
-        return level and np.allclose(mine, self.network.problem, rtol=_SAME, atol=1e-9)
+        is_vertical = float(np.hypot(end.velocity[0], end.velocity[1])) < 1e-6
+        return is_vertical and np.allclose(
+            params, self.network.problem, rtol=_PARAM_TOLERANCE, atol=1e-9
+        )
 
-    def _within_limits(self, push: Array, mass: float) -> Array | None:
-        """Return a thrust over mass cut back to the limits; None where it breaks them by more."""
+    def _within_limits(self, thrust: Array, mass: float) -> Array | None:
+        """Return thrust over mass clipped to the limits; None if far outside them."""
         lander, slack = self.lander, self.settings.thrust_slack * self.lander.thrust_max
-        force = float(np.linalg.norm(push)) * mass
-        tilt = float(np.arctan2(np.hypot(push[0], push[1]), push[2]))
+        force = float(np.linalg.norm(thrust)) * mass
+        tilt = float(np.arctan2(np.hypot(thrust[0], thrust[1]), thrust[2]))
         if not lander.thrust_min - slack <= force <= lander.thrust_max + slack:
             return None
         if not tilt <= self.limits.max_tilt + self.settings.tilt_slack:
             return None
-        return self._cut_back(push, mass)
+        return self._clip_to_limits(thrust, mass)
 
-    def _cut_back(self, push: Array, mass: float) -> Array:
-        """Return a thrust over mass cut back to the limits, by however much it breaks them."""
-        lander, aside = self.lander, float(np.hypot(push[0], push[1]))
-        force = float(np.linalg.norm(push)) * mass
-        if float(np.arctan2(aside, push[2])) > self.limits.max_tilt:
-            way = push[:2] / aside
-            lean = self.limits.max_tilt
-            push = force / mass * np.array([*(np.sin(lean) * way), np.cos(lean)])
+    def _clip_to_limits(self, thrust: Array, mass: float) -> Array:
+        """Return thrust over mass clipped to the limits."""
+        lander, horizontal = self.lander, float(np.hypot(thrust[0], thrust[1]))
+        force = float(np.linalg.norm(thrust)) * mass
+        if float(np.arctan2(horizontal, thrust[2])) > self.limits.max_tilt:
+            direction = thrust[:2] / horizontal
+            max_tilt = self.limits.max_tilt
+            thrust = force / mass * np.array([*(np.sin(max_tilt) * direction), np.cos(max_tilt)])
         wanted = min(max(force, lander.thrust_min), lander.thrust_max)
-        return np.asarray(push * (wanted / force))
+        return np.asarray(thrust * (wanted / force))
 
     def _apollo_time(self, estimate: Estimate, end: PhaseEnd) -> float:
-        """Return the time-to-go of the cheapest path of the Apollo law, s; NaN: there is none."""
+        """Return the optimal time-to-go of the Apollo law, s; NaN if there is none."""
         one = replace(end, position=end.position[None, :])
         cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
         return float(cost.time_to_go[0])
 
     def _fall_back(self, estimate: Estimate, end: PhaseEnd, time: float, why: str) -> None:
-        """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
-        self._next = time + self.settings.interval
-        if not self._fallen:
+        """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
+        self._next_attempt = time + self.settings.interval
+        if not self._is_fallback:
             self.events.append((time, "guidance-fallback", {"reason": why}))
-            soonest = self._apollo_time(estimate, end)
-            if np.isfinite(soonest):
-                self.arrival = time + soonest
-        self._fallen, self._followed = True, False
+            time_to_go = self._apollo_time(estimate, end)
+            if np.isfinite(time_to_go):
+                self.arrival = time + time_to_go
+        self._is_fallback, self._is_following = True, False
 
 
-def _begins(shown: Array) -> bool:
-    """Tell whether descents that were taught begin at such a height and speed across (6,)."""
-    low = shown[1] < np.tan(LEAST_ELEVATION) * shown[0]
-    return not (low or shown[1] > MOST_HEIGHT or shown[3] > MOST_ACROSS)
+def _is_trained_start(inputs: Array) -> bool:
+    """Return whether inputs (6,) are in the domain of training's initial states."""
+    low = inputs[1] < np.tan(MIN_ELEVATION_RAD) * inputs[0]
+    return not (low or inputs[1] > MAX_HEIGHT_M or inputs[3] > MAX_CROSSRANGE_SPEED_M_S)
 
 
-def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
+def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
     return float(np.hypot(*(a.position[:2] - b.position[:2])))

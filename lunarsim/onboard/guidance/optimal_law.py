@@ -1,13 +1,13 @@
-"""The law of least propellant: a cone program solved anew once a second, tracked in between.
+"""Minimum-propellant guidance by cone programs, solved about once a second.
 
-The lossless convexification of `lunarsim.optimal` is solved from where the lander will be once
-attitude and engine have answered, with the final time free. A path of least propellant brakes as
-late as it can, so that after a disturbance none may keep the throttle margin: what the margin keeps
-back above may be had at a price, high enough that it is left alone while there is another way. 4 %
-of the throttle range are kept back so whatever the margin is: with nothing to answer with, a path
-that brakes late is lost. What a flight does depends on counts of iterations, never on a clock: a
-plan that takes more than it may is late. Where no plan is in time, none exists even with all of the
-engine, or what is found breaks the limits of thrust, the Apollo law flies until the next one.
+The lossless convexification of `lunarsim.optimal` is solved, with free final time, from the state
+predicted at the response of attitude and engine. A minimum-propellant path brakes as late as
+possible. After a disturbance, no path may keep the upper throttle margin. The margin is therefore
+available at a penalty that is high enough to avoid its use if another path exists. At least 4 % of
+the throttle range are reserved in this way: without any reserve, a late-braking path cannot correct
+errors. Deadlines count solver iterations, never a clock, so that flights are reproducible: a plan
+with too many iterations is late. If no plan is in time, none exists even with full thrust, or the
+path violates the thrust limits, the Apollo law flies until the next plan.
 """
 
 from __future__ import annotations
@@ -27,89 +27,99 @@ from lunarsim.onboard.guidance.following import Answering, PathGuidance
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.optimal.cone_program import Unjudged
+from lunarsim.optimal.cone_program import QocoOnlySolver
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import flyable, masses_left, search_about
-from lunarsim.optimal.path import Path
+from lunarsim.optimal.final_time import is_flyable, remaining_log_mass, search_near
+from lunarsim.optimal.path import OptimalPath
 from lunarsim.optimal.planner import Planner
 from lunarsim.optimal.problem import Descent
 from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
-_DROP = 0.5  # of the glideslope's tip under the end, m: as the polynomial laws have it
-_MOVED = 1.0  # of the end, m: a divert
-_SPARE = 0.04  # of the throttle range that plans leave above at least
-_TIMES = (1.0, 1.04, 1.12)  # shares of the expected time that are tried in turn
-_FRESH = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # where there is no plan to go by
-_SOLVES, _STEP = 3, 0.015  # solves of a search about the last final time, and its first step
+_APEX_DEPTH_M = 0.5  # depth of the glideslope's apex under the end, m; as for the polynomial laws
+_DIVERT_DISTANCE_M = 1.0  # horizontal move of the end that counts as a divert, m
+_MIN_UPPER_MARGIN = (
+    0.04  # minimum fraction of the throttle range that plans reserve at the upper end
+)
+_WARM_TIME_FACTORS = (
+    1.0,
+    1.04,
+    1.12,
+)  # multiples of the expected time to try, with a previous plan
+_COLD_TIME_FACTORS = (1.0, 0.93, 1.06, 0.86, 1.13, 0.8, 1.25)  # the same without a previous plan
+_MAX_SOLVES, _STEP = 3, 0.015  # solves of a search around the last final time, and its first step
 
 
 @dataclass(frozen=True)
 class OptimalLaw(PathLaw):
-    """Least propellant, solved anew as it flies; the Apollo law where that fails.
+    """Minimum propellant by repeated planning, with the Apollo law as fallback.
 
-    What it costs to reach a site is told by the paths of the Apollo law, which it falls back to: an
-    upper bound of its own propellant.
+    The cost of reaching a site is that of the Apollo law's paths: an upper bound of the law's own
+    propellant.
 
     Attributes
     ----------
     least_time_to_go
-        Below this time-to-go the last plan is flown out, s.
+        Time-to-go below which the last plan is flown to its end, s.
     interval
-        Between plans, s.
+        Time between plans, s.
     intervals
-        Of a plan.
+        Number of intervals of a plan.
     iterations
-        Of the solver that a plan may take: with more it is late.
+        Maximum solver iterations of a plan; with more, the plan is late.
     frequency
-        Of tracking a plan, rad/s; critically damped.
+        Natural frequency of plan tracking, rad/s; critically damped.
     end_tilt, tilt_rate
-        Greatest tilt at the end of the approach, rad, and by how much it may grow a second before
-        it, rad/s: the vertical descent after it leans little, and attitude takes time to follow.
+        Maximum tilt at the end of the approach, rad, and its allowed growth backward in time,
+        rad/s. The vertical descent needs a small tilt, and attitude takes time to follow.
     """
 
     least_time_to_go: float = quantity(
-        3.0, "s", gt=0, help="below it the last plan is flown out, tracked"
+        3.0, "s", gt=0, help="time-to-go below which the last plan is tracked to its end"
     )
-    interval: float = quantity(1.0, "s", gt=0, le=60, help="between plans")
-    intervals: int = quantity(30, ge=8, le=200, help="of constant thrust over mass in a plan")
-    iterations: int = quantity(400, ge=1, help="of the solver; a plan that takes more is late")
-    frequency: float = quantity(0.5, "rad/s", ge=0, le=3, help="with which plans are tracked")
-    end_tilt: float = quantity(10.0, "deg", ge=0, lt=85, help="greatest at the end of the approach")
+    interval: float = quantity(1.0, "s", gt=0, le=60, help="time between plans")
+    intervals: int = quantity(
+        30, ge=8, le=200, help="number of constant-thrust intervals of a plan"
+    )
+    iterations: int = quantity(400, ge=1, help="maximum solver iterations of a plan")
+    frequency: float = quantity(0.5, "rad/s", ge=0, le=3, help="natural frequency of plan tracking")
+    end_tilt: float = quantity(
+        10.0, "deg", ge=0, lt=85, help="maximum tilt at the end of the approach"
+    )
     tilt_rate: float = quantity(
-        15.0, "deg/s", gt=0, le=180, help="by which it may grow a second before the end"
+        15.0, "deg/s", gt=0, le=180, help="growth of the tilt limit backward from the end"
     )
 
     @property
     def shape(self) -> PathShape:
-        """Of the paths that reach is told by."""
+        """Shape of the paths that give the cost of a site."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> OptimalGuidance:  # type: ignore[override]
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         return OptimalGuidance(self, briefing, lag)
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """A path and when it begins, s."""
+    """Path and its start time, s."""
 
-    path: Path
-    begins: float
+    path: OptimalPath
+    start_time: float
 
 
 class OptimalGuidance:
-    """The law in flight; see `OptimalLaw`.
+    """Optimal guidance for one flight, with the settings of `OptimalLaw`.
 
     Attributes
     ----------
     arrival
-        When it means to be at the end, s; None before the first command.
+        Planned time of arrival at the end, s; None before the first command.
     events
-        What happened: time (s), name ("guidance-fallback", "guidance-planned"), details.
+        Events: time (s), name ("guidance-fallback", "guidance-planned"), details.
     plans
-        Made so far.
+        Number of plans so far.
     """
 
     def __init__(self, settings: OptimalLaw, briefing: Briefing, lag: float) -> None:
@@ -120,9 +130,9 @@ class OptimalGuidance:
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
         self.plans = 0
-        self._planner = Planner(settings.intervals, Unjudged)
+        self._planner = Planner(settings.intervals, QocoOnlySolver)
         self._answering = Answering(lag)
-        # It flies what the plan's last seconds leave open, as it does by itself.
+        # This law has its own open-loop end, for the last seconds without a plan.
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
             least_time_to_go=ApolloLaw().least_time_to_go, field=briefing.field,
@@ -130,8 +140,8 @@ class OptimalGuidance:
         self._field = briefing.field
         self._plan: _Plan | None = None
         self._end: PhaseEnd | None = None
-        self._next = -np.inf
-        self._fallen = False
+        self._next_plan_time = -np.inf
+        self._is_fallback = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
@@ -139,31 +149,37 @@ class OptimalGuidance:
         self._answering.follow(time)
         if self.arrival is None:
             self.arrival = time + time_to_go
-        moved = self._end is not None and _apart(self._end, end) > _MOVED
-        if moved:
-            self.arrival = time + time_to_go  # the computer's guess for the new site
-        ending = self.arrival - time < self.settings.least_time_to_go
-        if moved or (time >= self._next - 1e-9 and not ending) or self._end is None:
-            self._end, self._next = end, time + self.settings.interval
-            self._replan(estimate, end, time, fresh=moved)
+        is_divert = (
+            self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
+        )
+        if is_divert:
+            self.arrival = time + time_to_go  # the onboard computer's estimate for the new site
+        is_terminal = self.arrival - time < self.settings.least_time_to_go
+        if (
+            is_divert
+            or (time >= self._next_plan_time - 1e-9 and not is_terminal)
+            or self._end is None
+        ):
+            self._end, self._next_plan_time = end, time + self.settings.interval
+            self._replan(estimate, end, time, fresh=is_divert)
         if self._plan is None:
             return self._apollo.command(estimate, end, time, self.arrival - time)
-        wanted = self._tracked(self._plan, estimate, time)
-        moves = wanted - np.array([0.0, 0.0, self.gravity])
-        self._answering.ask(moves)
-        # A plan knows uniform gravity; what is felt besides is made up for as it flies.
+        wanted = self._track(self._plan, estimate, time)
+        acceleration = wanted - np.array([0.0, 0.0, self.gravity])
+        self._answering.ask(acceleration)
+        # Plans assume uniform gravity; the remaining acceleration is compensated here.
         return (
             wanted
             if self._field is None
-            else moves - self._field.felt(estimate.position, estimate.velocity)
+            else acceleration - self._field.felt(estimate.position, estimate.velocity)
         )
 
     # --- plans ----------------------------------------------------------------------------
 
     def _replan(self, estimate: Estimate, end: PhaseEnd, time: float, *, fresh: bool) -> None:
-        """Make a plan from where commands take effect; fall back where there is none."""
+        """Plan from the state at which commands take effect; fall back if that fails."""
         before = self._planner.iterations
-        path, why = self._path(estimate, end, time, None if fresh else self._plan)
+        path, why = self._plan_path(estimate, end, time, None if fresh else self._plan)
         spent = self._planner.iterations - before
         if path is not None and spent > self.settings.iterations:
             path, why = None, "late"
@@ -171,105 +187,111 @@ class OptimalGuidance:
             self._fall_back(estimate, end, time, why, spent)
             return
         self.plans += 1
-        if self._fallen:
+        if self._is_fallback:
             self.events.append((time, "guidance-planned", {"iterations": spent}))
-        self._fallen = False
+        self._is_fallback = False
         self._plan = _Plan(path, time + self._answering.lead)
-        # What is commanded a lag before the end of the path takes effect at its end, where the next
-        # phase is to begin.
+        # A command one lag before the end of the path takes effect at its end, where the next phase
+        # begins.
         self.arrival = time + path.duration
 
-    def _path(
+    def _plan_path(
         self, estimate: Estimate, end: PhaseEnd, time: float, last: _Plan | None
-    ) -> tuple[Path | None, str]:
-        """Return a path, or why there is none."""
+    ) -> tuple[OptimalPath | None, str]:
+        """Return a path, or None and the reason."""
         position, velocity = self._answering.ahead(estimate)
         expected = max((self.arrival or 0.0) - time, 1.0)
         masses = None
         if last is not None:
-            elapsed = time + self._answering.lead - last.begins
-            masses = masses_left(last.path, elapsed, self._planner.intervals)
+            elapsed = time + self._answering.lead - last.start_time
+            masses = remaining_log_mass(last.path, elapsed, self._planner.intervals)
         try:
-            descent = self._descent(estimate.mass, position, velocity, end)
-            times = (s * expected for s in (_FRESH if last is None else _TIMES))
-            most, step = (_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
-            path = search_about(
-                self._planner, descent, times, most=most, log_mass=masses, step=step,
-                bend=0.0 if last is None else last.path.curvature,
+            descent = self._build_problem(estimate.mass, position, velocity, end)
+            times = (
+                s * expected for s in (_COLD_TIME_FACTORS if last is None else _WARM_TIME_FACTORS)
+            )
+            max_solves, step = (_MAX_SOLVES, _STEP) if last is not None else (12, 4.0 * _STEP)
+            path = search_near(
+                self._planner, descent, times, max_solves=max_solves, log_mass=masses, step=step,
+                curvature_guess=0.0 if last is None else last.path.curvature,
             )  # fmt: skip
         except InputError as error:
             return None, str(error)
         if path is None:
-            return None, self._why(descent, expected)
-        return (path, "") if flyable(path) else (None, "thrust")
+            return None, self._failure_reason(descent, expected)
+        return (path, "") if is_flyable(path) else (None, "thrust")
 
-    def _why(self, descent: Descent, expected: float) -> str:
-        """Return why there is no path: told once, where the Apollo law takes over.
+    def _failure_reason(self, descent: Descent, expected: float) -> str:
+        """Return the reason for a missing path, at the start of a fallback only.
 
-        "infeasible" is proven for all final times about the expected one.
+        "infeasible" is proven for all tried final times around the expected one.
         """
-        if self._fallen:
+        if self._is_fallback:
             return ""
         planner = Planner(self.settings.intervals)
         try:
-            found = any(planner.at_time(descent, s * expected) is not None for s in _FRESH)
+            found = any(
+                planner.at_time(descent, s * expected) is not None for s in _COLD_TIME_FACTORS
+            )
         except SolverError:
             return "solver"
         return "solver" if found else "infeasible"
 
-    def _descent(self, mass: float, position: Array, velocity: Array, end: PhaseEnd) -> Descent:
-        """Return the problem; what the throttle margin keeps back above may be had at a price."""
+    def _build_problem(
+        self, mass: float, position: Array, velocity: Array, end: PhaseEnd
+    ) -> Descent:
+        """Return the problem; the upper throttle margin is available at a penalty."""
         lander, limits = self.lander, self.limits
         throttle = lander.thrust_max - lander.thrust_min
-        margin, spare = (m * throttle for m in (limits.throttle_margin, self._spare))
-        gap = position - end.position
-        aside = float(np.hypot(gap[0], gap[1]))
-        # One that is under the glideslope already has to come in under it.
-        own = float(np.arctan2(gap[2] + _DROP, aside + 1e-9))
-        glideslope = max(min(limits.glideslope, own - np.deg2rad(0.5)), 0.0)
+        margin, thrust_slack = (m * throttle for m in (limits.throttle_margin, self._upper_margin))
+        displacement = position - end.position
+        horizontal = float(np.hypot(displacement[0], displacement[1]))
+        # A lander below the glideslope gets a lower glideslope.
+        elevation = float(np.arctan2(displacement[2] + _APEX_DEPTH_M, horizontal + 1e-9))
+        glideslope = max(min(limits.glideslope, elevation - np.deg2rad(0.5)), 0.0)
         return Descent(
             position, velocity, mass, end.position, end.velocity, self.gravity,
-            lander.thrust_min + margin, lander.thrust_max - spare, lander.exhaust_velocity,
+            lander.thrust_min + margin, lander.thrust_max - thrust_slack, lander.exhaust_velocity,
             lander.dry_mass + min(limits.reserve, 0.5 * (mass - lander.dry_mass)),
-            limits.max_tilt, glideslope, _DROP, spare=spare,
+            limits.max_tilt, glideslope, _APEX_DEPTH_M, thrust_slack=thrust_slack,
             end_tilt=self.settings.end_tilt, tilt_rate=self.settings.tilt_rate,
         )  # fmt: skip
 
     @property
-    def _spare(self) -> float:
-        """Share of the throttle range that is kept back above."""
-        return max(self.limits.throttle_margin, _SPARE)
+    def _upper_margin(self) -> float:
+        """Fraction of the throttle range reserved at the upper end."""
+        return max(self.limits.throttle_margin, _MIN_UPPER_MARGIN)
 
     def _fall_back(
         self, estimate: Estimate, end: PhaseEnd, time: float, why: str, spent: int
     ) -> None:
-        """Let the Apollo law fly on, with its own time-to-go where it has an admissible one."""
-        if not self._fallen:
+        """Switch to the Apollo law, with its optimal time-to-go if one is admissible."""
+        if not self._is_fallback:
             self.events.append((time, "guidance-fallback", {"reason": why, "iterations": spent}))
             one = replace(end, position=end.position[None, :])
             cost = divert_cost(estimate, one, self.lander, self.gravity, limits=self.limits)
             if np.isfinite(cost.time_to_go[0]):
                 self.arrival = time + float(cost.time_to_go[0])
-        self._fallen = True
+        self._is_fallback = True
         self._plan = None
 
     # --- tracking -------------------------------------------------------------------------
 
-    def _tracked(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
-        """Return the plan's thrust acceleration with what holds the lander to it (3,), m/s^2."""
+    def _track(self, plan: _Plan, estimate: Estimate, time: float) -> Array:
+        """Return the plan's thrust acceleration plus tracking feedback (3,), m/s^2."""
         position, velocity = self._answering.ahead(estimate)
-        at = min(time + self._answering.lead - plan.begins, plan.path.duration)
-        r, v, push = plan.path.at(at)
+        at = min(time + self._answering.lead - plan.start_time, plan.path.duration)
+        r, v, thrust = plan.path.at(at)
         w = self.settings.frequency
-        return np.asarray(push + w * w * (r - position) + 2.0 * w * (v - velocity))
+        return np.asarray(thrust + w * w * (r - position) + 2.0 * w * (v - velocity))
 
 
-def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
+def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
     return float(np.hypot(*(a.position[:2] - b.position[:2])))
 
 
 def _check(estimate: Estimate, end: PhaseEnd, time_to_go: float) -> None:
-    """Refuse what is not finite."""
+    """Reject values that are not finite."""
     refuse_unknown(estimate, end)
     if not np.isfinite(time_to_go):
-        raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+        raise InputError("guidance.time_to_go", time_to_go, "must be finite")

@@ -1,4 +1,4 @@
-"""A network that tells thrust and time-to-go of descents of least propellant: NumPy, no pickle."""
+"""Network for thrust and time-to-go of minimum-propellant descents, in NumPy only."""
 
 from __future__ import annotations
 
@@ -16,70 +16,75 @@ from lunarsim.whole_arrays import write_arrays_whole
 Array = NDArray[np.float64]
 
 SHIPPED = Path(__file__).parent / "trained" / "optimal.npz"
-INPUTS, OUTPUTS = 6, 4  # numbers that it is shown, and that it tells
+INPUTS, OUTPUTS = 6, 4  # number of network inputs and outputs
 _FORMAT = "lunarsim optimal network 1"
-_LARGEST = 1_000_000  # of a file, bytes
-_PROBLEM = 7  # figures of the problem, see `OptimalNetwork.problem`
+_MAX_FILE_BYTES = 1_000_000  # maximum file size, bytes
+_PROBLEM_SIZE = 7  # number of parameters in `OptimalNetwork.problem`
 
 
 def reduced(gap: ArrayLike, velocity: ArrayLike, mass: ArrayLike) -> tuple[Array, Array]:
-    """Return what a network is shown, and the axes in which it tells the thrust.
+    """Return the network inputs, and the axes of its thrust output.
 
-    A descent turned about the vertical through its end, or mirrored, is a descent: the first axis
-    points from the end to the lander over ground, the second to where it moves across that.
+    The problem is symmetric under rotation about the vertical through the end and under reflection.
+    The first axis points horizontally from the end to the lander; the second is horizontal, across
+    it, on the side of the velocity.
 
     Parameters
     ----------
     gap, velocity
-        From the end to the lander, and over the ground (..., 3), ENU, m and m/s.
+        Position relative to the end, and velocity (..., 3), ENU, m and m/s.
     mass
         (...), kg.
 
     Returns
     -------
     shown
-        Distance over ground, height, speed along the first axis, across, upward (m and m/s), mass
-        (..., 6).
+        Horizontal distance, height, velocity along the first, second and up axis (m and m/s),
+        mass (..., 6).
     axes
-        In rows (..., 3, 3), ENU.
+        Unit vectors in rows (..., 3, 3), ENU.
     """
     gap, velocity = np.asarray(gap, np.float64), np.asarray(velocity, np.float64)
-    aside = np.hypot(gap[..., 0], gap[..., 1])
-    near = aside < 1e-9
-    along = np.where(near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(aside, 1e-9)[..., None])
+    horizontal = np.hypot(gap[..., 0], gap[..., 1])
+    near = horizontal < 1e-9
+    along = np.where(
+        near[..., None], [1.0, 0.0], gap[..., :2] / np.maximum(horizontal, 1e-9)[..., None]
+    )
     across = np.stack((-along[..., 1], along[..., 0]), axis=-1)
-    side = np.sum(across * velocity[..., :2], axis=-1)
-    across = across * np.where(side < 0.0, -1.0, 1.0)[..., None]
+    crossrange_speed = np.sum(across * velocity[..., :2], axis=-1)
+    across = across * np.where(crossrange_speed < 0.0, -1.0, 1.0)[..., None]
     shown = np.stack(
         (
-            aside, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1), np.abs(side),
-            velocity[..., 2], np.broadcast_to(np.asarray(mass, np.float64), aside.shape),
+            horizontal, gap[..., 2], np.sum(along * velocity[..., :2], axis=-1),
+            np.abs(crossrange_speed), velocity[..., 2],
+            np.broadcast_to(np.asarray(mass, np.float64), horizontal.shape),
         ),
         axis=-1,
     )  # fmt: skip
-    axes = np.zeros((*aside.shape, 3, 3))
+    axes = np.zeros((*horizontal.shape, 3, 3))
     axes[..., 0, :2], axes[..., 1, :2], axes[..., 2, 2] = along, across, 1.0
     return shown, axes
 
 
 @dataclass(frozen=True)
 class OptimalNetwork:
-    """Layers of tanh on two scales of each number shown.
+    """Layers of tanh on two scalings of each input.
 
     Attributes
     ----------
     far, near
-        The first layer is shown every number over `far`, and the inverse hyperbolic sine of it over
-        `near` (6,).
+        Scales of the inputs (6,): the first layer gets each input over `far`, and the inverse
+        hyperbolic sine of the input over `near`.
     low, high
-        Bounds of what it was trained on (6,); see `reduced`.
+        Bounds of the training domain (6,), in the order of `reduced`.
     scale
-        Of the outputs (4,): thrust over mass in the axes of `reduced`, m/s^2, and time-to-go, s.
+        Scales of the outputs (4,): thrust over mass in the axes of `reduced`, m/s^2, and
+        time-to-go, s.
     weights, biases
-        Of the layers (m, n) and (m,).
+        Weights and biases of the layers (m, n) and (m,).
     problem
-        What it was trained for (7,): gravity (m/s^2), least and greatest thrust (N), exhaust
-        velocity and speed of sinking at the end (m/s), greatest tilt and glideslope (rad).
+        Parameters of the training (7,): gravity (m/s^2), minimum and maximum thrust (N), exhaust
+        velocity and final downward speed (m/s), maximum tilt and glideslope (rad).
     """
 
     far: Array
@@ -91,8 +96,8 @@ class OptimalNetwork:
     biases: tuple[Array, ...]
     problem: Array
 
-    def knows(self, shown: Array) -> bool:
-        """Tell whether it was trained where it is asked (6,)."""
+    def is_in_domain(self, shown: Array) -> bool:
+        """Return whether the inputs (6,) lie in the training domain."""
         return bool(np.all(shown >= self.low) and np.all(shown <= self.high))
 
     def __call__(self, shown: Array) -> Array:
@@ -103,28 +108,28 @@ class OptimalNetwork:
         return np.asarray((layer @ self.weights[-1].T + self.biases[-1]) * self.scale)
 
     def save(self, path: Path) -> None:
-        """Write it as ``.npz``, weights in single precision."""
-        held: dict[str, Any] = {f"weight_{i}": np.float32(w) for i, w in enumerate(self.weights)}
-        held |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
+        """Write the network as ``.npz``, with weights in single precision."""
+        arrays: dict[str, Any] = {f"weight_{i}": np.float32(w) for i, w in enumerate(self.weights)}
+        arrays |= {f"bias_{i}": np.float32(b) for i, b in enumerate(self.biases)}
         for name in ("far", "near", "low", "high", "scale", "problem"):
-            held[name] = getattr(self, name)
-        write_arrays_whole(path, held | {"format": _FORMAT})
+            arrays[name] = getattr(self, name)
+        write_arrays_whole(path, arrays | {"format": _FORMAT})
 
     @classmethod
     def load(cls, path: Path = SHIPPED) -> OptimalNetwork:
-        """Read what `save` wrote.
+        """Read a network that `save` wrote.
 
         Raises
         ------
         InputError
-            If the file is missing, larger than 1 MB or something else, or its layers do not fit.
+            If the file is missing, larger than 1 MB or not a network, or its layers do not fit.
         """
         try:
-            held = read_arrays(path, _LARGEST)
-            if str(held.pop("format")) != _FORMAT:
-                raise ValueError("its format is another")
-            layers = sum(name.startswith("weight_") for name in held)
-            wide = {name: np.asarray(array, np.float64) for name, array in held.items()}
+            arrays = read_arrays(path, _MAX_FILE_BYTES)
+            if str(arrays.pop("format")) != _FORMAT:
+                raise ValueError("unknown format")
+            layers = sum(name.startswith("weight_") for name in arrays)
+            wide = {name: np.asarray(array, np.float64) for name, array in arrays.items()}
             network = cls(
                 **{n: wide[n] for n in ("far", "near", "low", "high", "scale", "problem")},
                 weights=tuple(wide[f"weight_{i}"] for i in range(layers)),
@@ -133,25 +138,25 @@ class OptimalNetwork:
             network._check()
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(
-                "guidance.weights", str(path),
-                f"a network written by scenarios/learning/train_optimal.py ({error})",
+                "guidance.weights", str(path), f"must be a network file ({error})",
+                "Write one with scenarios/learning/train_optimal.py.",
             ) from None  # fmt: skip
         return network
 
     def _check(self) -> None:
-        """Refuse layers that do not fit on each other, or are not finite."""
-        told = (self.far, self.near, self.low, self.high)
-        if any(a.shape != (INPUTS,) for a in told) or not self.weights:
-            raise ValueError("layers or scales are missing")
-        if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM,):
-            raise ValueError("outputs or the problem are of another shape")
+        """Reject layers of inconsistent shape or with values that are not finite."""
+        scales = (self.far, self.near, self.low, self.high)
+        if any(a.shape != (INPUTS,) for a in scales) or not self.weights:
+            raise ValueError("layers or input scales are missing")
+        if self.scale.shape != (OUTPUTS,) or self.problem.shape != (_PROBLEM_SIZE,):
+            raise ValueError("outputs or problem have a wrong shape")
         width = 2 * INPUTS
         for weight, bias in zip(self.weights, self.biases, strict=True):
             if bias.ndim != 1 or weight.shape != (len(bias), width):
-                raise ValueError(f"a layer of shape {weight.shape} on {width} numbers")
+                raise ValueError(f"a layer of shape {weight.shape} has {width} inputs")
             width = len(bias)
         if width != OUTPUTS:
-            raise ValueError(f"{width} outputs")
-        arrays = (*told, self.scale, self.problem, *self.weights, *self.biases)
+            raise ValueError(f"there are {width} outputs instead of {OUTPUTS}")
+        arrays = (*scales, self.scale, self.problem, *self.weights, *self.biases)
         if not all(np.isfinite(a).all() for a in arrays):
-            raise ValueError("numbers that are not finite")
+            raise ValueError("some values are not finite")

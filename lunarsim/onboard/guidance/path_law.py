@@ -1,4 +1,4 @@
-"""What the registry knows of a guidance law, and what laws share whose paths are of one shape."""
+"""Interface of guidance parts, and the base class of laws with paths of one shape."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.guidance.contract import GuidanceLaw, PhaseEnd
 from lunarsim.onboard.guidance.divert import DivertCost, PathLimits, divert_cost
-from lunarsim.onboard.guidance.following import Feedback, PathGuidance
+from lunarsim.onboard.guidance.following import FeedbackLaw, PathGuidance
 from lunarsim.onboard.guidance.paths import PathShape
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.parts.quantity import quantity
@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 
 
 class GuidancePart(Protocol):
-    """What the registry knows of a law: a frozen dataclass of its settings."""
+    """Interface of a guidance part: a frozen dataclass with the settings of a law."""
 
     def build(self, briefing: Briefing, lag: float) -> GuidanceLaw:
-        """Return the law of one flight; `lag` is that of attitude and engine, s."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         ...
 
     def cost(
@@ -37,38 +37,38 @@ class GuidancePart(Protocol):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return what it takes under this law to reach each of n ends; see `divert_cost`.
+        """Return the cost of reaching each of n ends, as `divert_cost` does.
 
-        `times` (n,), s, are asked for where a decision stretches them, and only then.
+        `times` (n,), s, are given only if a decision stretches the time-to-go.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PathLaw(ABC):
-    """A law whose paths are of one shape: what it costs to reach a site is that of such a path.
+    """Base class of laws whose paths have one shape; it gives the cost of a site.
 
     Attributes
     ----------
     least_time_to_go
-        Below this time-to-go the loop is open, s.
+        Time-to-go below which the loop is open, s.
     """
 
     least_time_to_go: float = quantity(
-        1.5, "s", gt=0, help="below it the last path is flown out open loop"
+        1.5, "s", gt=0, help="time-to-go below which the last path is flown open loop"
     )
 
     @property
     @abstractmethod
     def shape(self) -> PathShape:
-        """Of its paths under perfect actuation."""
+        """Shape of the paths under perfect actuation."""
 
-    def feedback(self, gravity: float) -> Feedback | None:
-        """Return the law's own formula under a downward acceleration, m/s^2; None: its path's."""
+    def feedback(self, gravity: float) -> FeedbackLaw | None:
+        """Return the feedback formula for a gravity (m/s^2); None: follow the path."""
         return None
 
     def build(self, briefing: Briefing, lag: float) -> PathGuidance:
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         gravity = briefing.weight
         return PathGuidance(
             self.shape, gravity, lead=lag, least_time_to_go=self.least_time_to_go,
@@ -84,7 +84,7 @@ class PathLaw(ABC):
         limits: PathLimits | None = None,
         times: Array | None = None,
     ) -> DivertCost:
-        """Return what it takes to reach each end of an approach; see `divert_cost`."""
+        """Return the cost of reaching each end of an approach, as `divert_cost` does."""
         return divert_cost(
             estimate, end, lander, gravity, limits=limits, shape=self.shape, times=times
         )

@@ -1,9 +1,9 @@
-"""Paths that meet position and velocity at their end with an acceleration of two powers.
+"""Paths to a final state with two power terms in the acceleration.
 
-With tau the time that is left, the acceleration (gravity included) is
+With tau the time-to-go, the acceleration (gravity included) is
 ``a = a_f + k1 tau^p + k2 tau^q`` with ``0 <= p < q``: the family of Lu, "Theory of
 fractional-polynomial powered descent guidance", Journal of Guidance, Control, and Dynamics 43(3),
-2020. Powers 1 and 2 are the Apollo law (Klumpp 1974), 0 and 1 E-guidance (Cherry 1964).
+2020. Powers 1 and 2 give the Apollo law (Klumpp 1974), 0 and 1 E-guidance (Cherry 1964).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Path:
-    """A path from now to its end.
+class PolynomialPath:
+    """Path from the current state to a phase end.
 
     Attributes
     ----------
     end
-        Position, velocity and acceleration wanted there.
+        Required position, velocity and acceleration at the end.
     time_to_go
         Duration, s.
     powers
-        Of the time that is left.
+        Powers of time-to-go.
     terms
-        What each power gives to the acceleration at the start (2, 3), m/s^2.
+        Contribution of each power to the initial acceleration (2, 3), m/s^2.
     """
 
     end: PhaseEnd
@@ -42,7 +42,7 @@ class Path:
 
     @property
     def command(self) -> Array:
-        """Acceleration at the start (3,), m/s^2."""
+        """Initial acceleration (3,), m/s^2."""
         return np.asarray(self.end.acceleration + self.terms.sum(axis=0))
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
@@ -62,17 +62,17 @@ class Path:
 
 @dataclass(frozen=True)
 class PathShape:
-    """The two powers of a family of paths.
+    """Powers of time-to-go that define a family of paths.
 
     Attributes
     ----------
     low, high
-        ``0 <= low < high``.
+        Powers; ``0 <= low < high``.
 
     Raises
     ------
     InputError
-        If they are not so.
+        If the powers violate this.
     """
 
     low: float
@@ -80,46 +80,49 @@ class PathShape:
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.low < self.high < np.inf):
-            raise InputError("guidance.powers", (self.low, self.high), "0 <= low < high")
+            raise InputError(
+                "guidance.powers", (self.low, self.high), "must satisfy 0 <= low < high"
+            )
 
     @property
     def powers(self) -> tuple[float, float]:
-        """Both."""
+        """Powers `low` and `high`."""
         return self.low, self.high
 
     def path(
         self, position: ArrayLike, velocity: ArrayLike, end: PhaseEnd, time_to_go: float
-    ) -> Path:
-        """Return the one path of this shape from here to an end.
+    ) -> PolynomialPath:
+        """Return the unique path of this shape from a state to an end.
 
         Parameters
         ----------
         position, velocity
-            Now (3,), m and m/s.
+            Current state (3,), m and m/s.
         end
-            Where it ends.
+            Phase end.
         time_to_go
             s.
 
         Raises
         ------
         InputError
-            If the time-to-go is not positive, or something is not finite.
+            If the time-to-go is not positive, or a value is not finite.
         """
         if not 0.0 < time_to_go < np.inf:
-            raise InputError("guidance.time_to_go", time_to_go, "a positive time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be positive and finite")
         r, v = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
         wanted = (end.position, end.velocity, end.acceleration)
         if not all(np.isfinite(x).all() for x in (r, v, *wanted)):
-            raise InputError("guidance.estimate", (r.tolist(), v.tolist()), "finite coordinates")
+            raise InputError("guidance.estimate", (r.tolist(), v.tolist()), "must be finite")
         low, high = self.powers
-        # What both powers add to the mean acceleration, and to the way it makes (over time^2).
+        # Contributions of both powers to the mean acceleration, and to the displacement over
+        # time^2.
         p = (end.velocity - v) / time_to_go - end.acceleration
         q = (end.velocity * time_to_go - (end.position - r)) / time_to_go**2
         q = q - 0.5 * end.acceleration
         first = (low + 2.0) * ((high + 2.0) * q - p) / (high - low)
         terms = np.stack(((low + 1.0) * first, (high + 1.0) * (p - first)))
-        return Path(end, float(time_to_go), self.powers, terms)
+        return PolynomialPath(end, float(time_to_go), self.powers, terms)
 
 
 APOLLO = PathShape(1.0, 2.0)

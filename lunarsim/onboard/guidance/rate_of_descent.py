@@ -1,9 +1,9 @@
-"""P66: the computer holds a rate of descent that the pilot sets in clicks, and he flies the rest.
+"""P66: rate of descent held by the computer, set by a pilot's clicks.
 
-The vertical channel is first order, ``a = g + (v_wanted - v) / tau``; a click of the switch changes
-what is wanted by 1 ft/s. The pilot is a simple model: he wants a rate in proportion to height
-between two limits, clicks once a second at most, and leans the lander to take out what speed over
-ground he does not want, in steps and after a delay.
+The pilot also controls attitude. The vertical channel is first order, ``a = g + (v_wanted - v) /
+tau``. A click of the switch changes the commanded rate by 1 ft/s. The pilot model wants a rate
+proportional to height between two limits and clicks at most once a second. It tilts the lander to
+correct the horizontal velocity, at sampled times.
 """
 
 from __future__ import annotations
@@ -23,72 +23,79 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RateOfDescent:
-    """Rate of descent by a pilot's clicks (P66), attitude by the pilot's hand.
+    """Rate of descent by a pilot's clicks (P66), with the pilot's attitude control.
 
     Attributes
     ----------
     time_constant
-        Of the vertical channel, s.
+        Time constant of the vertical channel, s.
     click
-        Change of the wanted rate by one click, m/s.
+        Change of the commanded rate per click, m/s.
     click_interval
-        Between two clicks at least, s.
+        Minimum time between clicks, s.
     descent_time
-        The pilot wants height over this as rate of descent, s.
+        The desired rate of descent is height over this time, s.
     fastest
-        Rate of descent that he does not exceed, m/s; the slowest is the phase's own.
+        Maximum desired rate of descent, m/s; the minimum is the final speed of the phase.
     look_interval
-        Between two looks at the speed over ground, s.
+        Time between the pilot's checks of horizontal velocity, s.
     speed_time
-        Speed over ground that he wants is the distance to the site over this, s.
+        The desired horizontal velocity is the distance to the aim point over this time, s.
     still_height
-        Below it he wants no speed over ground, wherever the site is, m.
+        Height below which the desired horizontal velocity is zero, m.
     lean_time
-        He leans so as to take a wrong speed out in this time, s.
+        Time in which a tilt must remove the velocity error, s.
     max_lean
-        Greatest lean, rad.
+        Maximum tilt, rad.
     hold_speed
-        While the speed over ground is above it he wants to keep his height, m/s; None: he comes
-        down whatever it is.
+        Horizontal speed above which the pilot holds height, m/s; None: never.
     beyond
-        He wants to come down so far beyond the site, along the way flown when he takes over, m.
+        Distance of the aim point beyond the site, along the initial horizontal velocity, m.
     """
 
-    time_constant: float = quantity(1.5, "s", gt=0, help="of the vertical channel")
+    time_constant: float = quantity(1.5, "s", gt=0, help="time constant of the vertical channel")
     click: float = quantity(0.3048, "m/s", gt=0, help="change of the rate by one click")
-    click_interval: float = quantity(1.0, "s", gt=0, help="between two clicks at least")
-    descent_time: float = quantity(10.0, "s", gt=0, help="rate wanted is height over this")
-    fastest: float = quantity(4.5, "m/s", gt=0, help="rate of descent not exceeded")
-    look_interval: float = quantity(0.5, "s", gt=0, help="between looks at speed over ground")
-    speed_time: float = quantity(8.0, "s", gt=0, help="speed wanted is distance over this")
-    still_height: float = quantity(10.0, "m", ge=0, help="below it he wants no speed over ground")
-    lean_time: float = quantity(3.0, "s", gt=0, help="in which a wrong speed is taken out")
-    max_lean: float = quantity(15.0, "deg", gt=0, lt=60, help="of the thrust")
+    click_interval: float = quantity(1.0, "s", gt=0, help="minimum time between two clicks")
+    descent_time: float = quantity(
+        10.0, "s", gt=0, help="desired rate of descent is height over this time"
+    )
+    fastest: float = quantity(4.5, "m/s", gt=0, help="maximum desired rate of descent")
+    look_interval: float = quantity(
+        0.5, "s", gt=0, help="time between the pilot's checks of horizontal velocity"
+    )
+    speed_time: float = quantity(
+        8.0, "s", gt=0, help="desired horizontal speed is distance over this time"
+    )
+    still_height: float = quantity(
+        10.0, "m", ge=0, help="height below which no horizontal speed is desired"
+    )
+    lean_time: float = quantity(3.0, "s", gt=0, help="time to remove a horizontal velocity error")
+    max_lean: float = quantity(15.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
     hold_speed: float | None = quantity(
-        None, "m/s", gt=0, help="over ground, above it he keeps his height; left out: never"
+        None, "m/s", gt=0, help="horizontal speed above which he holds height; omitted: never"
     )
 
     beyond: float = quantity(
-        0.0, "m", ge=0, help="he comes down so far beyond the site, along the way flown at first"
+        0.0, "m", ge=0, help="distance of the aim point beyond the site, along initial velocity"
     )
 
     def __post_init__(self) -> None:
         check_bounds(self, "descent")
 
     def build(self, briefing: Briefing, lag: float) -> RateOfDescentLaw:
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         return RateOfDescentLaw(self, briefing.weight)
 
 
 class RateOfDescentLaw:
-    """P66 and its pilot in flight; see `RateOfDescent`.
+    """P66 and its pilot model for one flight, with the settings of `RateOfDescent`.
 
     Attributes
     ----------
     wanted
-        Rate of descent that is held, m/s, down; None before the first command.
+        Commanded rate of descent, m/s, downward; None before the first command.
     clicks
-        How often the switch was clicked.
+        Number of clicks so far.
     """
 
     def __init__(self, settings: RateOfDescent, gravity: float) -> None:
@@ -96,13 +103,13 @@ class RateOfDescentLaw:
         self.gravity = gravity
         self.wanted: float | None = None
         self.clicks = 0
-        self._next_click = self._next_look = -np.inf
-        self._sideways = np.zeros(2)
+        self._next_click = self._next_check = -np.inf
+        self._horizontal = np.zeros(2)
         self._beyond = np.zeros(2)
 
     @property
     def lean(self) -> float:
-        """Greatest lean of the thrust, rad."""
+        """Maximum tilt of the thrust, rad."""
         return self.settings.max_lean
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> Array:
@@ -111,29 +118,29 @@ class RateOfDescentLaw:
         s = self.settings
         height = float(estimate.position[2] - end.position[2])
         if self.wanted is None:
-            self.wanted = -float(estimate.velocity[2])  # P66 takes over the rate that it finds
-            way = estimate.velocity[:2]
-            self._beyond = s.beyond * way / max(float(np.hypot(*way)), 1e-6)
+            self.wanted = -float(estimate.velocity[2])  # P66 starts with the current rate
+            velocity = estimate.velocity[:2]
+            self._beyond = s.beyond * velocity / max(float(np.hypot(*velocity)), 1e-6)
         slowest = abs(float(end.velocity[2]))
-        aim = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
+        desired_rate = min(max(height / s.descent_time, slowest), max(s.fastest, slowest))
         if s.hold_speed is not None and np.hypot(*estimate.velocity[:2]) > s.hold_speed:
-            aim = 0.0
-        if time >= self._next_click - 1e-9 and abs(aim - self.wanted) > 0.5 * s.click:
-            self.wanted += float(np.copysign(s.click, aim - self.wanted))
+            desired_rate = 0.0
+        if time >= self._next_click - 1e-9 and abs(desired_rate - self.wanted) > 0.5 * s.click:
+            self.wanted += float(np.copysign(s.click, desired_rate - self.wanted))
             self.clicks += 1
             self._next_click = time + s.click_interval
-        if time >= self._next_look - 1e-9:
-            self._look(estimate, end)
-            self._next_look = time + s.look_interval
+        if time >= self._next_check - 1e-9:
+            self._update_tilt(estimate, end)
+            self._next_check = time + s.look_interval
         up = self.gravity + (-self.wanted - float(estimate.velocity[2])) / s.time_constant
-        return np.array([*self._sideways, max(up, 0.3 * self.gravity)])
+        return np.array([*self._horizontal, max(up, 0.3 * self.gravity)])
 
-    def _look(self, estimate: Estimate, end: PhaseEnd) -> None:
-        """Choose a lean by how the lander drifts now."""
+    def _update_tilt(self, estimate: Estimate, end: PhaseEnd) -> None:
+        """Choose a tilt from the current horizontal velocity."""
         s = self.settings
         low = estimate.position[2] - end.position[2] < s.still_height
         share = 0.0 if low else 1.0 / s.speed_time
         wanted = share * (end.position[:2] + self._beyond - estimate.position[:2])
         push = (wanted - estimate.velocity[:2]) / s.lean_time
         size, most = float(np.hypot(*push)), self.gravity * np.tan(s.max_lean)
-        self._sideways = np.asarray(push * (most / size) if size > most else push)
+        self._horizontal = np.asarray(push * (most / size) if size > most else push)

@@ -1,4 +1,4 @@
-"""A path that asks for more than the lander can do: noticed, so that it can be planned afresh."""
+"""Detection of paths that exceed the lander's limits and need replanning."""
 
 from __future__ import annotations
 
@@ -10,48 +10,48 @@ from numpy.typing import NDArray
 
 @dataclass
 class Strain:
-    """How long commands have leaned or pushed beyond the limits.
+    """Measure how long commands have exceeded the limits of tilt or thrust.
 
-    A path is chosen within the limits from where navigation then took the lander to be. What it
-    learns afterwards may leave the path beyond them: a lander that cannot follow passes its end
-    with the speed that it could not take out.
+    A path is planned within the limits from the position estimate at that time. Later corrections
+    of the estimate may drive commands beyond the limits. A lander that cannot follow its path
+    arrives with excess speed.
 
     Attributes
     ----------
     longest
-        So long is nothing out of the ordinary, s.
+        Tolerated duration of a violation, s.
     slack
-        Share by which a limit may be passed.
+        Tolerated relative violation of a limit.
     """
 
     longest: float = 0.5
     slack: float = 0.02
-    _since: float | None = None
+    _start_time: float | None = None
 
     def lasts(
-        self, wanted: NDArray[np.float64], mass: float, most: tuple[float, float], time: float
+        self, wanted: NDArray[np.float64], mass: float, limits: tuple[float, float], time: float
     ) -> bool:
-        """Tell whether commands have been beyond the limits for too long, and begin anew if so.
+        """Return whether a violation lasts too long; restart the timer if so.
 
         Parameters
         ----------
         wanted
-            Thrust acceleration (3,), ENU, m/s^2.
+            Commanded thrust acceleration (3,), ENU, m/s^2.
         mass
             kg.
-        most
-            Greatest lean from the vertical, rad, and thrust, N.
+        limits
+            Maximum tilt from the vertical, rad, and maximum thrust, N.
         time
-            s, once a cycle.
+            s, once per cycle.
         """
-        lean = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
-        push = mass * float(np.linalg.norm(wanted))
-        if lean <= (1.0 + self.slack) * most[0] and push <= (1.0 + self.slack) * most[1]:
-            self._since = None
+        tilt = float(np.arctan2(np.hypot(wanted[0], wanted[1]), wanted[2]))
+        thrust = mass * float(np.linalg.norm(wanted))
+        if tilt <= (1.0 + self.slack) * limits[0] and thrust <= (1.0 + self.slack) * limits[1]:
+            self._start_time = None
             return False
-        if self._since is None:
-            self._since = time
-        if time - self._since < self.longest - 1e-9:
+        if self._start_time is None:
+            self._start_time = time
+        if time - self._start_time < self.longest - 1e-9:
             return False
-        self._since = None
+        self._start_time = None
         return True

@@ -1,6 +1,6 @@
-"""P65: the automatic descent after the approach, which nulls velocities and looks at no site.
+"""P65: automatic terminal descent that nulls velocity and does not aim at a site.
 
-Each channel is first order, ``a = (v_wanted - v) / tau``: no speed over ground is wanted, and the
+Each channel is first order, ``a = (v_wanted - v) / tau``, with zero horizontal velocity and the
 rate of descent of the phase (Klumpp 1974, the velocity-nulling guidance of P65).
 """
 
@@ -19,35 +19,35 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class VelocityNull:
-    """Descent at the phase's rate, speed over ground taken out, wherever the site is (P65).
+    """Descent at the phase's rate with zero horizontal velocity (P65).
 
     Attributes
     ----------
     time_constant
-        Of each channel, s.
+        Time constant of each channel, s.
     max_lean
-        Greatest lean of the thrust, rad.
+        Maximum tilt of the thrust, rad.
     """
 
-    time_constant: float = quantity(5.0, "s", gt=0, help="of each channel")
-    max_lean: float = quantity(20.0, "deg", gt=0, lt=60, help="of the thrust")
+    time_constant: float = quantity(5.0, "s", gt=0, help="time constant of each channel")
+    max_lean: float = quantity(20.0, "deg", gt=0, lt=60, help="maximum tilt of the thrust")
 
     def __post_init__(self) -> None:
         check_bounds(self, "descent")
 
     def build(self, briefing: Briefing, lag: float) -> VelocityNullLaw:
-        """Return the law of one flight."""
+        """Return the law for one flight; `lag` is that of attitude and engine, s."""
         return VelocityNullLaw(self, briefing.weight)
 
 
 @dataclass(frozen=True)
 class VelocityNullLaw:
-    """P65 in flight; see `VelocityNull`.
+    """P65 for one flight, with the settings of `VelocityNull`.
 
     Attributes
     ----------
     settings
-        Of the part.
+        Settings of the part.
     gravity
         Downward acceleration, m/s^2.
     """
@@ -57,7 +57,7 @@ class VelocityNullLaw:
 
     @property
     def lean(self) -> float:
-        """Greatest lean of the thrust, rad."""
+        """Maximum tilt of the thrust, rad."""
         return self.settings.max_lean
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""The last metres: straight down at a constant speed."""
+"""Vertical descent at constant speed, the last phase before touchdown."""
 
 from __future__ import annotations
 
@@ -11,47 +11,50 @@ from numpy.typing import NDArray
 from lunarsim.onboard.guidance.contract import PhaseEnd, refuse_unknown
 from lunarsim.onboard.navigation.estimate import Estimate
 
-# Greatest product of the position loop's frequency and the vehicle's lag.
-_FREQUENCY_LAG = 0.33
+# Maximum product of the position loop's frequency and the vehicle's lag.
+_MAX_FREQUENCY_LAG = 0.33
 
 
-class DescentLaw(Protocol):
-    """The last phase of flight, to the ground."""
+class TerminalDescentLaw(Protocol):
+    """Interface of guidance laws for the terminal descent."""
 
     @property
     def lean(self) -> float:
-        """Greatest lean of the thrust from the vertical now, rad."""
+        """Current maximum tilt of the thrust from the vertical, rad."""
         ...
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
-        """Return the thrust acceleration (3,), ENU, m/s^2; see `VerticalDescent.command`."""
+        """Return the thrust acceleration (3,), ENU, m/s^2.
+
+        The end has the position of the centre of mass on the terrain and the nominal velocity.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class VerticalDescent:
-    """Hold the descent speed and stay above the target (section IV.B of the shadow EKF paper).
+    """Hold descent speed and position (shadow EKF paper, section IV.B).
 
-    A lander that drifts sideways faster than it can stop before the ground comes down more slowly
-    until it can.
+    If the lander drifts faster than it can stop before touchdown, it descends more slowly until it
+    can.
 
     Attributes
     ----------
     gravity
         Downward acceleration, m/s^2.
     frequency, damping
-        Of the horizontal position loop, rad/s.
+        Natural frequency (rad/s) and damping ratio of the horizontal position loop.
     speed_gain
-        Of the vertical speed loop, 1/s.
+        Gain of the vertical speed loop, 1/s.
     lean, lean_low
-        Greatest lean of the thrust from the vertical at `lean_height` above the ground and
-        more, and at the ground, rad: the lander must arrive upright.
+        Maximum tilt of the thrust at `lean_height` and above, and on the terrain, rad; the lander
+        must touch down upright.
     lean_height, low_height
-        Below these the lean shrinks, on the way down and while it slips, m.
+        Heights below which the maximum tilt decreases: nominal, and during a slowed descent, m.
     slip
-        Sideways speed that need not be taken out, m/s.
+        Tolerated horizontal speed, m/s.
     slowest
-        Least descent speed over that of the whole descent.
+        Minimum descent speed as a fraction of the nominal one.
     """
 
     gravity: float
@@ -67,77 +70,80 @@ class VerticalDescent:
 
     @classmethod
     def behind(cls, lag: float, gravity: float) -> VerticalDescent:
-        """Return the law for a vehicle that answers with a lag (s): slower behind a longer one.
+        """Return the law for a vehicle with a response lag (s).
 
-        Frequency times lag is kept at 0.33 or less, where the loop with the lag in it still damps
-        as the one without.
+        The product of frequency and lag is at most 0.33, where the loop with lag is still as damped
+        as the loop without.
         """
-        return cls(gravity, frequency=min(cls.frequency, _FREQUENCY_LAG / max(lag, 1e-6)))
+        return cls(gravity, frequency=min(cls.frequency, _MAX_FREQUENCY_LAG / max(lag, 1e-6)))
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float) -> NDArray[np.float64]:
         """Return the thrust acceleration (3,), ENU, m/s^2.
 
-        The end's position is that of the centre of mass on the ground, its velocity that of the
-        whole descent.
+        The end has the position of the centre of mass on the terrain and the nominal velocity.
         """
         refuse_unknown(estimate, end)
         offset = estimate.position[:2] - end.position[:2]
-        sideways = (
+        horizontal = (
             -(self.frequency**2) * offset
             - 2.0 * self.damping * self.frequency * estimate.velocity[:2]
         )
         height = float(estimate.position[2] - end.position[2])
         planned = float(end.velocity[2])
-        wanted = self._slowed(estimate.velocity, height, planned)
-        leaning = self._leaning(height, self.lean_height if wanted == planned else self.low_height)
+        wanted = self._limit_descent_speed(estimate.velocity, height, planned)
+        tan_tilt = self._tan_max_tilt(
+            height, self.lean_height if wanted == planned else self.low_height
+        )
         up = self.gravity + self.speed_gain * (wanted - float(estimate.velocity[2]))
         up = max(up, 0.3 * self.gravity)
-        limit = up * leaning
-        size = float(np.hypot(*sideways))
+        limit = up * tan_tilt
+        size = float(np.hypot(*horizontal))
         if size > limit:
-            sideways *= limit / size
-        return np.array([sideways[0], sideways[1], up])
+            horizontal *= limit / size
+        return np.array([horizontal[0], horizontal[1], up])
 
-    def _leaning(self, height: float, full: float) -> float:
-        """Return the tangent of the greatest lean at a height, all of it from `full` on."""
+    def _tan_max_tilt(self, height: float, full: float) -> float:
+        """Return the tangent of the maximum tilt at a height; it is constant above `full`."""
         share = min(max(height / full, 0.0), 1.0)
         return float(np.tan(self.lean_low + share * (self.lean - self.lean_low)))
 
-    def _slowed(self, velocity: NDArray[np.float64], height: float, planned: float) -> float:
-        """Return the vertical speed, m/s: slower than planned while it slips too fast to stop."""
+    def _limit_descent_speed(
+        self, velocity: NDArray[np.float64], height: float, planned: float
+    ) -> float:
+        """Return the vertical speed, m/s, reduced while the lander drifts too fast."""
         excess = max(float(np.hypot(velocity[0], velocity[1])) - self.slip, 0.0)
-        # The lean allowed shrinks on the way down: half of what it can do here is to be had.
-        stopping = excess / (0.5 * self.gravity * self._leaning(height, self.lean_height))
+        # The maximum tilt decreases with height: plan with half of the value at this height.
+        stopping = excess / (0.5 * self.gravity * self._tan_max_tilt(height, self.lean_height))
         if excess == 0.0 or -planned * stopping <= height:
             return planned
         return min(-height / stopping, self.slowest * planned)
 
 
 @runtime_checkable
-class Turning(Protocol):
-    """A control whose turns have a greatest rate that a position loop must wait for."""
+class SlewLimitedControl(Protocol):
+    """Attitude control with a maximum slew rate that a position loop must respect."""
 
     def turning_time(self, angle: float) -> float:
-        """Return how long a turn by an angle (rad) takes, s."""
+        """Return the time of a slew by an angle (rad), s."""
         ...
 
 
-def descent_law(part: Any, briefing: Any, lag: float) -> DescentLaw:
-    """Return the law of the last phase: a scenario's own, or straight down at a constant speed.
+def descent_law(part: Any, briefing: Any, lag: float) -> TerminalDescentLaw:
+    """Return the law of the terminal descent: a scenario's part, or `VerticalDescent`.
 
     Parameters
     ----------
     part
-        Of `[descent]`; None where a scenario has none.
+        Terminal descent part; None if the scenario has none.
     briefing
-        Of the flight, for the part; the weight of a kilogram at the target, N.
+        Briefing of the flight.
     lag
-        Of attitude and engine, s.
+        Lag of attitude and engine, s.
     """
     if part is None:
         control = briefing.software.control
-        if isinstance(control, Turning):
+        if isinstance(control, SlewLimitedControl):
             lag += control.turning_time(VerticalDescent.lean)
         return VerticalDescent.behind(lag, briefing.weight)
-    law: DescentLaw = part.build(briefing, lag)
+    law: TerminalDescentLaw = part.build(briefing, lag)
     return law

@@ -1,12 +1,12 @@
-"""Zero-effort miss and zero-effort velocity.
+"""Zero-effort-miss/zero-effort-velocity (ZEM/ZEV) feedback guidance.
 
 Ebrahimi, Bahrami and Roshanian, "Optimal sliding-mode guidance with terminal velocity constraint
 for fixed-interval propulsive maneuvers", Acta Astronautica 62, 2008; Guo, Hawkins and Wie,
 "Applications of generalized zero-effort-miss/zero-effort-velocity feedback guidance algorithm",
 Journal of Guidance, Control, and Dynamics 36(3), 2013.
 
-What miss and what velocity error would be left at the end without thrust is fed back with the gains
-of least effort. Under constant gravity that is E-guidance, written as feedback.
+The predicted miss and velocity error without thrust are fed back with the gains of minimum control
+effort. Under uniform gravity this is E-guidance in feedback form.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.following import Feedback
+from lunarsim.onboard.guidance.following import FeedbackLaw
 from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import E_GUIDANCE, PathShape
 
@@ -32,9 +32,9 @@ def zem_zev(
     Parameters
     ----------
     position, velocity
-        Now (3,), m and m/s.
+        Current state (3,), m and m/s.
     end
-        Position and velocity wanted; its acceleration does not count.
+        Required position and velocity; its acceleration is not used.
     time_to_go
         T, s.
     gravity
@@ -42,8 +42,8 @@ def zem_zev(
     """
     g = np.array([0.0, 0.0, -gravity])
     miss = end.position - (position + time_to_go * velocity + 0.5 * time_to_go**2 * g)
-    slip = end.velocity - (velocity + time_to_go * g)
-    return np.asarray(6.0 * miss / time_to_go**2 - 2.0 * slip / time_to_go)
+    velocity_error = end.velocity - (velocity + time_to_go * g)
+    return np.asarray(6.0 * miss / time_to_go**2 - 2.0 * velocity_error / time_to_go)
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class ZemZevLaw(PathLaw):
 
     @property
     def shape(self) -> PathShape:
-        """Its paths under perfect actuation are those of E-guidance."""
+        """Shape of E-guidance: both have the same paths under perfect actuation."""
         return E_GUIDANCE
 
-    def feedback(self, gravity: float) -> Feedback:
-        """Return `zem_zev`, gravity included."""
+    def feedback(self, gravity: float) -> FeedbackLaw:
+        """Return `zem_zev` with gravity included in the acceleration."""
         down = np.array([0.0, 0.0, -gravity])
 
         def wanted(position: Array, velocity: Array, end: PhaseEnd, left: float) -> Array:

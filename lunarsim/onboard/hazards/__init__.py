@@ -1,4 +1,4 @@
-"""Where it is safe to land: the map that all mappers share, and the mappers."""
+"""Landing hazard maps: the `HazardMap` product and the interface of mappers."""
 
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper

@@ -1,4 +1,4 @@
-"""Compiled sums for planes through samples."""
+"""Compiled accumulation of moments for least-squares planes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from lunarsim._jit import kernel
 
 @kernel()
 def plane_sums(points, x0, y0, side, out):
-    """Add to each square (rows, cols, 9) the moments 1, x, y, z, xx, xy, yy, xz, yz of its points.
+    """Accumulate the moments 1, x, y, z, xx, xy, yy, xz, yz of points per square.
 
-    x and y are counted from the middle of the grid of squares.
+    `out` (rows, cols, 9) receives the sums. x and y are measured from the centre of the raster of
+    squares.
     """
     rows, cols = out.shape[:2]
     for n in range(points.shape[0]):

@@ -1,4 +1,4 @@
-"""From a briefing to the mappers of one flight."""
+"""Construction of the mappers of one flight from its briefing."""
 
 from __future__ import annotations
 
@@ -11,23 +11,25 @@ from lunarsim.onboard.navigation.estimate import Navigation
 
 
 def built_mappers(briefing: Briefing, navigation: Navigation) -> dict[str, HazardMapper]:
-    """Return the mappers by name, in the briefing's order; who asks another is built after it.
+    """Return the mappers by name, in the order of the briefing.
+
+    Mappers that use other mappers are built after them.
 
     Raises
     ------
     InputError
-        Naming the mapper that cannot be built.
+        If a mapper cannot be built; the error names it.
     """
-    parts, built = briefing.software.mappers, dict[str, HazardMapper]()
-    for name, part in sorted(parts.items(), key=lambda item: _place(item[1])):
-        others = (built,) if _place(part) else ()
+    parts, mappers = briefing.software.mappers, dict[str, HazardMapper]()
+    for name, part in sorted(parts.items(), key=lambda item: _build_stage(item[1])):
+        others = (mappers,) if _build_stage(part) else ()
         with named_in(f"mappers.{name}"):
-            built[name] = part.build(briefing, navigation, *others)
-    return {name: built[name] for name in parts}
+            mappers[name] = part.build(briefing, navigation, *others)
+    return {name: mappers[name] for name in parts}
 
 
-def _place(part: Any) -> int:
-    """Return when a mapper is built: 0, or after those whose ground or whose maps it asks for."""
+def _build_stage(part: Any) -> int:
+    """Return the build stage: 0 without dependencies, 1 with `ground`, 2 with `of`."""
     if hasattr(part, "of"):
         return 2
     return 1 if getattr(part, "ground", "") else 0

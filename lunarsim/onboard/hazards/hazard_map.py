@@ -1,4 +1,4 @@
-"""The product that all mappers share."""
+"""The hazard map: the common product of all mappers."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ BoolMap = NDArray[np.bool_]
 
 
 class Surface(Protocol):
-    """How the ground lies, as far as a mapper has drawn it; every `HazardMap` is one.
+    """Terrain elevations as last computed by a mapper; every `HazardMap` is one.
 
     Attributes
     ----------
     grid, observed, elevation, variance
-        As those of `HazardMap`.
+        As in `HazardMap`.
     """
 
     @property
     def grid(self) -> Grid:
-        """Places the cells in the estimated ENU frame."""
+        """Positions of the cells, estimated ENU frame."""
         ...
 
     @property
     def observed(self) -> BoolMap:
-        """True where the whole footprint has been seen (rows, cols)."""
+        """True where the complete footprint has been observed (rows, cols)."""
         ...
 
     @property
     def elevation(self) -> FloatMap | None:
-        """Mean elevation (rows, cols), m; NaN where unknown; None if none is known."""
+        """Mean elevation (rows, cols), m; NaN where unknown; None if not estimated."""
         ...
 
     @property
     def variance(self) -> FloatMap | None:
-        """Variance of the elevation (rows, cols), m^2, or None."""
+        """Variance of the elevation (rows, cols), m^2; None if not estimated."""
         ...
 
 
 def elevation_under(surface: Surface, xy: ArrayLike) -> float:
-    """Return the mean elevation (m) of the cell under a point (2,); NaN where unknown."""
+    """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
     if surface.elevation is None or not bool(surface.grid.contains(xy)):
         return float("nan")
     row, col = surface.grid.cell(xy)
@@ -57,35 +57,34 @@ def elevation_under(surface: Surface, xy: ArrayLike) -> float:
 
 @dataclass(frozen=True)
 class HazardMap:
-    """Where it is safe to land, as far as the lander has seen.
+    """Probability of a safe landing in each cell, from the measurements so far.
 
     Attributes
     ----------
     grid
-        Places the cells in the estimated ENU frame.
+        Positions of the cells, estimated ENU frame.
     p_safe
-        Probability that a lander centred on the cell lands safely (rows, cols), in [0, 1];
-        0 where not observed.
+        Probability that a lander centred on the cell lands safely (rows, cols), in [0, 1]; 0 where
+        not observed.
     observed
-        True where the whole footprint has been seen (rows, cols).
+        True where the complete footprint has been observed (rows, cols).
     elevation
-        Mean elevation (rows, cols), m; NaN where unknown; None if the mapper knows none.
+        Mean elevation (rows, cols), m; NaN where unknown; None if the mapper does not estimate it.
     variance
         Variance of the elevation (rows, cols), m^2, or None.
     eligible
-        Where the mission lets the lander land (rows, cols): no word on how safe it is. None:
-        everywhere.
+        Where the mission permits a landing (rows, cols), independent of safety. None: everywhere.
     value
-        How much the mission wants to land there (rows, cols), in [0, 1]. None: 1 everywhere.
+        Value of a landing there to the mission (rows, cols), in [0, 1]. None: 1 everywhere.
     in_domain
-        Where `p_safe` is how often such sites are safe (rows, cols); elsewhere it is cautious, and
-        how often is not known. None: the mapper does not say.
+        Where `p_safe` is a calibrated frequency (rows, cols); elsewhere it is a conservative bound.
+        None: the mapper does not state it.
 
     Raises
     ------
     InputError
-        If a layer is masked; if `eligible`, `in_domain` or `value` has another shape or type; if an
-        entry of `p_safe` or `value` is NaN or outside [0, 1].
+        If a layer is masked or has the wrong shape or type, or if an entry of `p_safe` or `value`
+        is NaN or outside [0, 1].
     """
 
     grid: Grid
@@ -107,26 +106,34 @@ class HazardMap:
                     f"must have the shape of the grid, {self.grid.shape}",
                 )
             if isinstance(layer, np.ma.MaskedArray):
-                raise InputError(f"map.{name}", type(layer), "a plain array")
+                raise InputError(f"map.{name}", type(layer), "must not be a masked array")
         for name, kind in (("eligible", np.bool_), ("value", np.floating), ("in_domain", np.bool_)):
             layer = getattr(self, name)
             if layer is None:
                 continue
             if np.shape(layer) != self.grid.shape:
-                raise InputError(f"map.{name}", np.shape(layer), f"the grid's {self.grid.shape}")
+                raise InputError(
+                    f"map.{name}",
+                    np.shape(layer),
+                    f"must have the shape of the grid, {self.grid.shape}",
+                )
             if isinstance(layer, np.ma.MaskedArray) or not np.issubdtype(layer.dtype, kind):
-                raise InputError(f"map.{name}", type(layer), f"a plain array of {kind.__name__}")
+                raise InputError(
+                    f"map.{name}", type(layer), f"must be a plain array of {kind.__name__}"
+                )
         for name in ("p_safe", "value"):
             layer = getattr(self, name)
             if layer is None:
                 continue
-            wrong = ~((layer >= 0.0) & (layer <= 1.0))
-            if wrong.any():
-                raise InputError(f"map.{name}", float(layer[wrong][0]), "numbers from 0 to 1")
+            is_invalid = ~((layer >= 0.0) & (layer <= 1.0))
+            if is_invalid.any():
+                raise InputError(
+                    f"map.{name}", float(layer[is_invalid][0]), "must be between 0 and 1"
+                )
 
     @classmethod
     def unobserved(cls, grid: Grid) -> HazardMap:
-        """Return the map before anything was seen."""
+        """Return a map without observations."""
         return cls(
             grid,
             np.zeros(grid.shape, np.float32),
@@ -136,46 +143,50 @@ class HazardMap:
         )
 
     def eligible_at(self, xy: ArrayLike) -> BoolMap:
-        """Tell whether the cells under points (..., 2) are eligible (...,); off the map none is."""
+        """Return whether cells at points (..., 2) are eligible (...,); False off the map."""
         inside = np.asarray(self.grid.contains(xy), dtype=np.bool_)
-        return inside if self.eligible is None else inside & self._under(self.eligible, xy)
+        return inside if self.eligible is None else inside & self._layer_at(self.eligible, xy)
 
     def value_at(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return the value (...,) of the cells that hold points (..., 2); 0 off the map."""
+        """Return the value (...,) of the cells at points (..., 2); 0 off the map."""
         inside = self.grid.contains(xy)
-        value = 1.0 if self.value is None else self._under(self.value, xy).astype(np.float64)
+        value = 1.0 if self.value is None else self._layer_at(self.value, xy).astype(np.float64)
         return np.where(inside, value, 0.0)
 
-    def _under(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
-        """Return a layer's entries (...,) under points (..., 2), those of the edge off the map."""
+    def _layer_at(self, layer: NDArray[Any], xy: ArrayLike) -> NDArray[Any]:
+        """Return the entries (...,) of a layer at points (..., 2), clipped to the map."""
         row, col = self.grid.cell(xy)
         g = self.grid
         return np.asarray(layer[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
     def p_safe_at(self, xy: ArrayLike) -> NDArray[np.float64]:
-        """Return p_safe (...,) of the cells that hold points (..., 2); 0 off the map."""
+        """Return p_safe (...,) of the cells at points (..., 2); 0 off the map."""
         inside = self.grid.contains(xy)
-        p = self._under(self.p_safe, xy).astype(np.float64)
+        p = self._layer_at(self.p_safe, xy).astype(np.float64)
         return np.where(inside, p, 0.0)
 
     def elevation_at(self, xy: ArrayLike) -> float:
-        """Return the mean elevation (m) of the cell under a point (2,); NaN where unknown."""
+        """Return the mean elevation (m) of the cell at a point (2,); NaN where unknown."""
         return elevation_under(self, xy)
 
     def dispersed(self, sigma: float) -> FloatMap:
-        """Return the probability of landing safely when *aiming* at each cell (rows, cols).
+        """Return the probability of a safe landing when aiming at each cell (rows, cols).
 
-        The touchdown error is Gaussian with standard deviation `sigma` (m) an axis: p_safe is
-        averaged with that weight, as the ALHAT programme does. Unobserved ground counts as
-        unsafe.
+        The touchdown error is Gaussian. The result is p_safe averaged over it, as in the ALHAT
+        programme. Unobserved terrain counts as unsafe.
+
+        Parameters
+        ----------
+        sigma
+            Touchdown error, m, 1 sigma per axis.
 
         Raises
         ------
         InputError
-            If `sigma` is not finite or negative.
+            If `sigma` is negative or not finite.
         """
         if not (np.isfinite(sigma) and sigma >= 0.0):
-            raise InputError("sigma", sigma, "0 or a positive length in metres")
+            raise InputError("sigma", sigma, "must be 0 or more, in metres")
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
         if sigma == 0.0:
             return p
@@ -185,38 +196,43 @@ class HazardMap:
         return np.where(self.observed, smooth, np.float32(0.0)).astype(np.float32)
 
     def dispersed_at(self, xy: Array, sigma: Array) -> Array:
-        """Return `dispersed` at points (n, 2) alone, each with an error of its own (n,), m.
+        """Return `dispersed` at points (n, 2) only; 0 off the map.
 
-        0 beyond the map.
+        Parameters
+        ----------
+        xy
+            Points (n, 2), estimated ENU frame, m.
+        sigma
+            Touchdown error of each point (n,), m, 1 sigma per axis.
 
         Raises
         ------
         InputError
-            If an error is not finite or negative.
+            If an error is negative or not finite.
         """
         sigma = np.asarray(sigma, np.float64)
         if not (np.isfinite(sigma).all() and (sigma >= 0.0).all()):
-            raise InputError("sigma", sigma.tolist(), "0 or positive lengths in metres")
+            raise InputError("sigma", sigma.tolist(), "must all be 0 or more, in metres")
         p = np.where(self.observed, self.p_safe, np.float32(0.0))
         out = np.zeros(len(xy))
         rows, cols = self.grid.cell(xy)
         inside = self.grid.contains(xy)
         for n, (row, col) in enumerate(zip(rows, cols, strict=True)):
             if inside[n] and self.observed[row, col]:
-                out[n] = _weighted(p, int(row), int(col), sigma[n] / self.grid.posting)
+                out[n] = _gaussian_mean(p, int(row), int(col), sigma[n] / self.grid.posting)
         return out
 
 
-def _weighted(p: FloatMap, row: int, col: int, sigma: float) -> float:
-    """Return the mean of p about a cell, weighted by a Gaussian of `sigma` cells, cut off at 3.
+def _gaussian_mean(p: FloatMap, row: int, col: int, sigma: float) -> float:
+    """Return the Gaussian mean of p about a cell; `sigma` in cells, cut at 3 sigma.
 
-    Cells beyond the map count as 0.
+    Cells off the map count as 0.
     """
     reach = int(3.0 * sigma + 0.5)
     if reach == 0:
         return float(p[row, col])
-    away = np.arange(-reach, reach + 1)
-    weight = np.exp(-0.5 * (away / sigma) ** 2)
+    offsets = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (offsets / sigma) ** 2)
     weight /= weight.sum()
     south, west = max(row - reach, 0), max(col - reach, 0)
     window = p[south : row + reach + 1, west : col + reach + 1]

@@ -1,4 +1,4 @@
-"""Maps turned once the tilt with which they were drawn is known to have been wrong."""
+"""Rotation of maps that were built with a wrong tilt estimate."""
 
 from __future__ import annotations
 
@@ -11,29 +11,35 @@ from lunarsim.onboard.navigation.estimate import Navigation
 
 
 class Levelling:
-    """Keeps maps level with the ground as navigation has it.
+    """Rotate maps when navigation corrects the tilt with which they were built.
 
     Parameters
     ----------
     mappers
-        By name.
+        Mappers by name.
     navigation
-        Tells by what mapped ground has turned.
+        Estimates the rotation of the mapped terrain.
     """
 
     def __init__(self, mappers: Mapping[str, HazardMapper], navigation: Navigation) -> None:
         self._mappers, self._navigation = mappers, navigation
-        self._levelled = np.eye(3)
+        self._applied_rotation = np.eye(3)
 
     def follow(self, time: float, mass: float) -> None:
-        """Turn what was mapped; time (s) and mass (kg) are what an estimate is asked with."""
-        found = self._navigation.ground_turn
-        if found is None:
+        """Rotate the maps by the tilt correction since the last call.
+
+        Parameters
+        ----------
+        time, mass
+            Time (s) and mass (kg) passed to the navigation estimate.
+        """
+        rotation = self._navigation.ground_turn
+        if rotation is None:
             return
-        turn, angle = found.since(self._levelled)
+        turn, angle = rotation.since(self._applied_rotation)
         if angle < SURE_TILT:
             return
-        self._levelled = found.rotation
+        self._applied_rotation = rotation.rotation
         sigma = self._navigation.estimate(time, mass).tilt_sigma
         for mapper in self._mappers.values():
-            mapper.level(turn, found.pivot, sigma)
+            mapper.level(turn, rotation.pivot, sigma)

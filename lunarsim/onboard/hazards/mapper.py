@@ -1,4 +1,4 @@
-"""The contract of mappers."""
+"""Interfaces of hazard mappers and of their settings."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from lunarsim.onboard.part_results import wrong_result
 
 Array = NDArray[np.float64]
 
-# A tilt known so well (1 sigma) need not be made good any more, rad: at 50 m it is 4 cm of height.
+# Tilt uncertainty (rad, 1 sigma) below which maps are not corrected: 4 cm of height at 50 m.
 SURE_TILT = float(np.deg2rad(0.05))
-# Along a side of a map.
-_MOST_CELLS = 8000
+# Maximum number of cells along a side of a map.
+_MAX_CELLS_PER_SIDE = 8000
 
 
 class HazardMapper(ABC):
-    """Anything that draws a `HazardMap` from measurements."""
+    """Build a `HazardMap` from measurements."""
 
     @abstractmethod
     def update(self, measurement: Any, estimate: Estimate) -> None:
-        """Take in one measurement made at the estimated pose."""
+        """Process one measurement made at the estimated pose."""
 
     def take(self, sensor: str, measurement: Any, estimate: Estimate) -> None:
-        """Take in one measurement of a named sensor made at the estimated pose.
+        """Process one measurement of a named sensor made at the estimated pose.
 
-        A mapper of several sensors overrides this; for others all are of the same one.
+        Mappers of several sensors override this method. The default ignores the sensor name.
         """
         self.update(measurement, estimate)
 
     @abstractmethod
     def hazard_map(self) -> HazardMap:
-        """Return the map as it stands."""
+        """Return the current map."""
 
     @property
     @abstractmethod
@@ -51,24 +51,30 @@ class HazardMapper(ABC):
         """Whether nothing has been mapped yet."""
 
     def surface(self) -> Surface:
-        """Return how the ground lies in the map as it stands.
+        """Return the terrain elevations of the current map.
 
-        A mapper that can tell that before it has judged the ground overrides this. As long as
-        nothing is drawn anew it is the same object, or one with the same map in it.
+        A mapper that can provide elevations before it has evaluated their safety overrides this
+        method. Until the map is recomputed, the method returns the same object or one with the same
+        map.
         """
         return self.hazard_map()
 
     def recentre(self, centre: Array) -> None:  # noqa: B027
-        """Lay the map about another point (3,), local frame, m, if it lies too far aside for that.
+        """Move the map to another centre if the present centre is too far from it.
 
-        Called whenever navigation has learnt that the target lies elsewhere. What has been mapped
-        stays where it is; what lies off the new map may be dropped.
+        Called when navigation has updated the target position. Mapped terrain keeps its
+        coordinates; terrain outside the new map may be dropped.
+
+        Parameters
+        ----------
+        centre
+            New centre (3,), local frame, m.
         """
 
     def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:  # noqa: B027
-        """Turn ground that was mapped while the lander's tilt was not known.
+        """Rotate terrain that was mapped before the tilt of the lander was known.
 
-        Called whenever navigation has learnt of a tilt. What was mapped with a tilt known to
+        Called when navigation has corrected the tilt. Terrain that was mapped with a tilt known to
         `SURE_TILT` stays.
 
         Parameters
@@ -76,61 +82,71 @@ class HazardMapper(ABC):
         turn, pivot
             Rotation (3, 3) about a point (3,), local frame, m.
         tilt_sigma
-            To which the tilt is known now, rad.
+            Present standard deviation of the tilt, rad.
         """
 
     def ground_height(self, xy: Array) -> float | None:
-        """Return the local height of the ground at a point (2,), m, where the map does not say.
+        """Return the terrain height at a point if the map itself does not state it.
 
-        None where it does: what is mapped in the local frame stays there.
+        The default returns None: the map states the height in the local frame.
+
+        Parameters
+        ----------
+        xy
+            Point (2,), local frame, m.
+
+        Returns
+        -------
+        height
+            Local frame, m; None if the map states the height.
         """
         return None
 
     def refresh(self, time: float) -> None:  # noqa: B027
-        """Do what is due at `time` (s); called once a cycle, after measurements."""
+        """Do the work due at `time` (s); called once per cycle, after the measurements."""
 
     def scoreboard(self, site: Array) -> Scoreboard | None:
-        """Return the sites that the mapper has ranked itself; None if it ranks none.
+        """Return the mapper's own ranking of sites; None if it ranks none.
 
         Parameters
         ----------
         site
-            The site flown to now (3,), local frame, m.
+            Current target site (3,), local frame, m.
         """
         return None
 
     def evidence(self) -> Published | None:
-        """Return what the map was made of, for maps of several mappers; None while it is nothing.
+        """Return the evidence behind the map, for fusion with other maps.
 
-        A mapper whose part says what it `publishes` overrides this.
+        None if there is none yet. A mapper whose part declares `publishes` overrides this method.
         """
         return None
 
     @property
     def sources(self) -> frozenset[str]:
-        """Names of the mappers whose evidence it maps; empty: it maps measurements."""
+        """Names of the mappers whose evidence it fuses; empty if it maps measurements."""
         return frozenset()
 
     def tables(self) -> dict[str, dict[str, Array]]:
-        """Return what else is worth a record: name to columns (n,), local frame."""
+        """Return additional tables for the record: name to columns (n,), local frame."""
         return {}
 
 
 class MapperPart(Protocol):
-    """What the registry knows of a mapper: a frozen dataclass of its settings.
+    """Settings of a mapper, as a frozen dataclass in the part registry.
 
     Attributes
     ----------
     takes
-        Type of measurements that it maps.
+        Type of the measurements that it maps.
     navigation
-        May be left out: part of navigation that it cannot work without.
+        Optional: navigation part that the mapper requires.
     publishes
-        May be left out: type of the evidence that it gives to maps of several mappers.
+        Optional: type of the evidence that it provides for fusion.
     sensor
         Name of the sensor whose measurements it maps.
     sensors
-        May be left out: names of several, in place of `sensor`; see `sensors_of`.
+        Optional: names of several sensors, instead of `sensor`.
     """
 
     takes: ClassVar[type]
@@ -141,23 +157,23 @@ class MapperPart(Protocol):
         ...
 
     def build(self, briefing: Briefing, navigation: Navigation) -> HazardMapper:
-        """Return the mapper of one flight, its map about the target.
+        """Return the mapper of one flight, with its map centred on the target.
 
         Raises
         ------
         InputError
-            If the map is smaller than the lander's footprint or its posting is too coarse.
+            If the map is smaller than the footprint of the lander or its posting is too coarse.
         """
         ...
 
 
 def sensors_of(part: Any) -> tuple[str, ...]:
-    """Return the names of the sensors whose measurements a mapper's part takes; none: no sensor's.
+    """Return the names of the sensors whose measurements a mapper uses; empty if none.
 
     Parameters
     ----------
     part
-        See `MapperPart`.
+        Settings of the mapper, a `MapperPart`.
     """
     several = getattr(part, "sensors", ())
     if several:
@@ -166,24 +182,31 @@ def sensors_of(part: Any) -> tuple[str, ...]:
 
 
 def is_aside(grid: Grid, centre: Array) -> bool:
-    """Tell whether a point (2,) or (3,) lies too far off a map's middle to leave the map there.
+    """Return whether a point lies too far from the map centre to keep the map.
 
-    Farther than an eighth of its side.
+    The limit is an eighth of the side along either axis.
+
+    Parameters
+    ----------
+    grid
+        Cells of the map.
+    centre
+        Point (2,) or (3,), local frame, m.
     """
     west, east, south, north = grid.extent
-    far = np.abs(np.asarray(centre)[:2] - grid.centre)
-    return bool((far > 0.125 * min(east - west, north - south)).any())
+    distance = np.abs(np.asarray(centre)[:2] - grid.centre)
+    return bool((distance > 0.125 * min(east - west, north - south)).any())
 
 
 def check_map(size: float, posting: float, lander: Lander) -> None:
-    """Refuse a map that is smaller than the lander's footprint, too coarse, or too large.
+    """Reject a map that is smaller than the footprint, too coarse or too large.
 
     Parameters
     ----------
     size, posting
-        Side of the square and of a cell, m.
+        Sides of the square map and of a cell, m.
     lander
-        That is to land on it.
+        Lander that the map is for.
 
     Raises
     ------
@@ -191,31 +214,38 @@ def check_map(size: float, posting: float, lander: Lander) -> None:
         Naming ``size_m`` or ``posting_m``.
     """
     if posting > 0.5 * lander.leg_radius:
-        raise InputError("posting_m", posting, f"at most {0.5 * lander.leg_radius} m")
+        raise InputError("posting_m", posting, f"must be at most {0.5 * lander.leg_radius} m")
     if size < 4.0 * lander.leg_radius + 1.0:
-        raise InputError("size_m", size, f"at least {4.0 * lander.leg_radius + 1.0:.1f} m")
-    check_side("size_m", size, posting, _MOST_CELLS)
+        raise InputError("size_m", size, f"must be at least {4.0 * lander.leg_radius + 1.0:.1f} m")
+    check_side("size_m", size, posting, _MAX_CELLS_PER_SIDE)
 
 
 def map_grid(centre: Array, size: float, posting: float, lander: Lander) -> Grid:
-    """Return the cells of a hazard map about a point.
+    """Return the cells of a hazard map centred on a point.
 
     Raises
     ------
     InputError
-        See `check_map`.
+        If the size or the posting is unsuitable, as in `check_map`.
     """
     check_map(size, posting, lander)
     return Grid.centred(centre, size, posting)
 
 
 def asked_map(name: str, part: object, mapper: HazardMapper, time: float) -> HazardMap:
-    """Return the hazard map of a mapper, of a name and a part, at a time (s).
+    """Return the hazard map of a mapper after checking its type.
+
+    Parameters
+    ----------
+    name, part, mapper
+        Name, settings and mapper.
+    time
+        Time for the error message, s.
 
     Raises
     ------
     InputError
-        If it returns something else, or a map whose arrays are wrong; the mapper is named.
+        If the mapper returns another type or a map with invalid arrays; the error names the mapper.
     """
     table = f"mappers.{name}"
     with named_in(table):

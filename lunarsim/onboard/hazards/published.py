@@ -1,8 +1,8 @@
-"""What mappers publish besides their maps: evidence, from which maps of several are made.
+"""Evidence that mappers provide in addition to their maps, for fusion.
 
-Probabilities cannot be multiplied up without knowing what they stand for: a rock that two eyes see
-would count twice, and one that neither saw once for each. Evidence can: how the ground lies, how
-many rocks may stand there unseen, and which rocks are known.
+Probabilities of two maps cannot be multiplied: a rock that both sensors detect would count twice,
+and a rock that neither detects would count once per sensor. The evidence behind the maps can be
+combined: terrain elevations, the expected number of undetected rocks, and the tracked rocks.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RockTracks:
-    """Rocks that an eye has seen, each by itself.
+    """Individually tracked rocks.
 
     Attributes
     ----------
     xy
         Centres (n, 2), local frame, m.
     sigma
-        Of the centres, an axis, relative to the lander (n,), m.
+        Uncertainty of the centres relative to the lander (n,), m, 1 sigma per axis.
     radius, radius_variance
-        m (n,), m^2.
+        Radius (n,), m, and its variance (n,), m^2.
     existence
-        Probability that each is a rock (n,).
+        Probability that each track is a rock (n,).
 
     Raises
     ------
     InputError
-        If they are not of as many rocks, or not finite.
+        If the arrays differ in length or contain values that are not finite.
     """
 
     xy: Array
@@ -54,88 +54,96 @@ class RockTracks:
             value = getattr(self, f.name)
             wanted = (len(self.radius), 2) if f.name == "xy" else (len(self.radius),)
             if np.shape(value) != wanted:
-                raise InputError(f"rocks.{f.name}", np.shape(value), f"an array {wanted}")
+                raise InputError(f"rocks.{f.name}", np.shape(value), f"must have shape {wanted}")
             if not np.isfinite(value).all():
-                raise InputError(f"rocks.{f.name}", value[~np.isfinite(value)][0], "finite numbers")
+                raise InputError(f"rocks.{f.name}", value[~np.isfinite(value)][0], "must be finite")
 
 
 @dataclass(frozen=True)
 class ReliefEvidence:
-    """What a mapper of elevations knows of the ground.
+    """Evidence of a mapper of elevations.
 
     Attributes
     ----------
     surface
-        How it lies: the mapper's own map, or what that is to be made of.
-    judged
-        What its probability follows from; None: it does not tell.
+        Elevations: the map of the mapper, or the snapshot that it is computed from.
+    site_evidence
+        Evidence for the probability at each site; None if not available.
     refit
-        Last stage of its calibration; None: that of the package.
-    rises
-        How far the samples of each cell stand above the ground about them (rows, cols), m; NaN
-        where there are none. None: it does not tell.
-    draw
-        Gives the mapper's own map; None: `surface` is it.
+        Last stage of the calibration; None: that of the package.
+    residual_heights
+        Heights of the samples above the local terrain plane, per cell (rows, cols), m; NaN without
+        a sample. None if not available.
+    compute_map
+        Function that returns the map of the mapper; None if `surface` is that map.
 
     Raises
     ------
     InputError
-        If the rises are not on the map's cells, or there is neither a map nor what gives it.
+        If `residual_heights` does not have the shape of the map, or if neither `surface` nor
+        `compute_map` provides a map.
     """
 
     surface: Surface
-    judged: Evidence | None = None
+    site_evidence: Evidence | None = None
     refit: ScenarioCalibration | None = None
-    rises: NDArray[np.float32] | None = None
-    draw: Callable[[], HazardMap] | None = None
+    residual_heights: NDArray[np.float32] | None = None
+    compute_map: Callable[[], HazardMap] | None = None
 
     def __post_init__(self) -> None:
-        if self.draw is None and not isinstance(self.surface, HazardMap):
-            raise InputError("evidence.surface", type(self.surface), "a hazard map, or draw")
+        if self.compute_map is None and not isinstance(self.surface, HazardMap):
+            raise InputError(
+                "evidence.surface",
+                type(self.surface),
+                "must be a HazardMap",
+                "Otherwise give draw.",
+            )
         wanted = self.surface.grid.shape
-        if self.rises is not None and self.rises.shape != wanted:
-            raise InputError("evidence.rises", self.rises.shape, f"a raster {wanted}")
+        if self.residual_heights is not None and self.residual_heights.shape != wanted:
+            raise InputError(
+                "evidence.rises", self.residual_heights.shape, f"must have shape {wanted}"
+            )
 
     @cached_property
-    def drawn(self) -> HazardMap:
-        """The mapper's own map."""
-        if self.draw is not None:
-            return self.draw()
+    def hazard_map(self) -> HazardMap:
+        """The map of the mapper."""
+        if self.compute_map is not None:
+            return self.compute_map()
         assert isinstance(self.surface, HazardMap)
         return self.surface
 
 
 @dataclass(frozen=True)
 class RockEvidence:
-    """What a mapper of rocks knows of them.
+    """Evidence of a mapper of rocks.
 
     Attributes
     ----------
-    drawn
-        Its own map.
+    hazard_map
+        Map of the mapper.
     diameter
-        Least one of each class of sizes (sizes,), rising, m.
+        Lower edges of the size classes (sizes,), ascending, m.
     ratio
-        Of each class, the rocks that are not tracked and may be at a place over those expected
-        there before any look (sizes, rows, cols), on the cells of the map; 1 where nothing was
-        seen.
+        Undetected rocks of each class, divided by the number expected before any observation
+        (sizes, rows, cols); 1 where nothing was observed.
     tracks
-        Rocks that are tracked, or may be.
+        Tracked rocks and candidates.
     clear
-        Gives the probability that none of such rocks reaches into the footprint (rows, cols).
+        Function that returns the probability that none of the given rocks reaches into the
+        footprint (rows, cols).
     unseen
-        Probability that a rock that is not tracked reaches in (rows, cols); None: it does not tell.
+        Probability that an undetected rock reaches into the footprint (rows, cols); None if not
+        available.
     expected
-        How many rocks that matter should have been found.
+        Expected number of detected rocks that are hazardous.
 
     Raises
     ------
     InputError
-        If the ratio or `unseen` is not on the map's cells, `unseen` is no probability, or the ratio
-        not of as many classes.
+        If `ratio` or `unseen` has the wrong shape, or if `unseen` is not a probability.
     """
 
-    drawn: HazardMap
+    hazard_map: HazardMap
     diameter: Array
     ratio: NDArray[np.float32]
     tracks: RockTracks
@@ -144,16 +152,16 @@ class RockEvidence:
     expected: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.unseen is not None and self.unseen.shape != self.drawn.grid.shape:
-            wanted_here = f"a raster {self.drawn.grid.shape}"
+        if self.unseen is not None and self.unseen.shape != self.hazard_map.grid.shape:
+            wanted_here = f"must have shape {self.hazard_map.grid.shape}"
             raise InputError("evidence.unseen", self.unseen.shape, wanted_here)
         if self.unseen is not None:
-            none = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
-            if none.size:
-                raise InputError("evidence.unseen", float(none[0]), "probabilities")
-        wanted = (len(self.diameter), *self.drawn.grid.shape)
+            invalid = self.unseen[~((self.unseen >= 0.0) & (self.unseen <= 1.0))]
+            if invalid.size:
+                raise InputError("evidence.unseen", float(invalid[0]), "must be between 0 and 1")
+        wanted = (len(self.diameter), *self.hazard_map.grid.shape)
         if self.ratio.shape != wanted:
-            raise InputError("evidence.ratio", self.ratio.shape, f"a raster {wanted}")
+            raise InputError("evidence.ratio", self.ratio.shape, f"must have shape {wanted}")
 
 
 Published = ReliefEvidence | RockEvidence

@@ -1,4 +1,4 @@
-"""Sites that a mapper has ranked itself."""
+"""Landing sites ranked by a mapper itself."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Scoreboard:
-    """The best sites by a mapper's own score, best first (quadtree paper, section 4).
+    """Best sites by a mapper's own score, best first (quadtree paper, section 4).
 
     Attributes
     ----------
     position
-        Ground at the sites (n, 3), local frame, m.
+        Terrain points at the sites (n, 3), local frame, m.
     score
-        The less the better (n,); for the quadtree Eq. 9.
+        Score (n,), lower is better; Eq. 9 for the quadtree.
     here
-        Score of the site flown to now; inf where it is not eligible or was not judged.
+        Score of the current target site; inf if it is not eligible or was not evaluated.
 
     Raises
     ------
@@ -38,7 +38,9 @@ class Scoreboard:
     def __post_init__(self) -> None:
         n = len(self.score)
         if np.shape(self.position) != (n, 3):
-            raise InputError("scoreboard.position", np.shape(self.position), f"shape ({n}, 3)")
+            raise InputError(
+                "scoreboard.position", np.shape(self.position), f"must have shape ({n}, 3)"
+            )
         for name in ("position", "score", "here"):
             if np.isnan(getattr(self, name)).any():
-                raise InputError(f"scoreboard.{name}", "NaN", "numbers")
+                raise InputError(f"scoreboard.{name}", "NaN", "must be a number")

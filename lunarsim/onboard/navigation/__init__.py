@@ -1,4 +1,4 @@
-"""Navigation: where the lander believes it is, and how sure it is."""
+"""Onboard navigation: estimate the lander's state and its covariance."""
 
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 

@@ -1,16 +1,16 @@
-"""Compiled ordinary kriging of heights, and posts that a scan lies on."""
+"""Compiled ordinary kriging of heights, and counting of posts below a scan."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from lunarsim._jit import kernel, prange
-from lunarsim.onboard.navigation._near_kernels import nearest, on_squares
+from lunarsim.onboard.navigation._near_kernels import nearest, sort_by_square
 
 
 @kernel(allocates=False)
 def _solve(a, b):
-    """Solve a x = b by elimination with the greatest pivot of a column; x is left in b (n,)."""
+    """Solve a x = b by Gaussian elimination with pivoting; x overwrites b (n,)."""
     n = b.size
     for c in range(n):
         best = c
@@ -34,7 +34,7 @@ def _solve(a, b):
 
 @kernel()
 def _height_at(east, north, squares, known, x, y, count, growth, own):
-    """Return the likeliest height at one point, see `heights`."""
+    """Return the interpolated height at one point; see `interpolate_heights`."""
     chosen = np.empty(count, np.int64)
     away = np.empty(count)
     system = np.empty((count + 1, count + 1))
@@ -58,22 +58,22 @@ def _height_at(east, north, squares, known, x, y, count, growth, own):
 
 
 @kernel(parallel=True)
-def heights(places, known, at, count, growth, own):
-    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
+def interpolate_heights(places, known, at, count, growth, own):
+    """Interpolate heights (b,) at points (b, 2) from known heights at places, m.
 
     Parameters
     ----------
     places, known, at
-        n at least `count`.
+        Places (n, 2), their heights (n,), and points (b, 2); n must be at least `count`.
     count
-        Neighbours that count.
+        Number of neighbours.
     growth, own
-        The variance of the difference of two heights: by how much it grows with a metre between
-        them, m^2/m, and half of what it is side by side, as a standard deviation, m.
+        Growth of the variance of a height difference with distance, m^2/m, and standard deviation
+        of a single height at zero distance, m.
     """
     out = np.empty(len(at))
     east, north = places[:, 0].copy(), places[:, 1].copy()
-    squares = on_squares(east, north)
+    squares = sort_by_square(east, north)
     for b in prange(len(at)):
         x, y = at[b, 0], at[b, 1]
         if np.isfinite(x) and np.isfinite(y):
@@ -84,56 +84,62 @@ def heights(places, known, at, count, growth, own):
 
 
 @kernel()
-def _crossing(at, east, north, squares, known, eye, per_drop, height, search, count, growth, own):
-    """Write where one line of sight meets the ground (3,), see `crossings`."""
+def _crossing(
+    at, east, north, squares, known, origin, per_drop, height, search, count, growth, own
+):
+    """Write the intersection of one line with the terrain (3,); see `intersect_lines`."""
     passes, found, least, most = search
-    tried, off, nearest_yet = height, np.nan, np.inf
+    last_height, last_gap, nearest_yet = height, np.nan, np.inf
     for _ in range(passes):
-        x, y = eye[0] + per_drop[0] * (eye[2] - height), eye[1] + per_drop[1] * (eye[2] - height)
+        x, y = (
+            origin[0] + per_drop[0] * (origin[2] - height),
+            origin[1] + per_drop[1] * (origin[2] - height),
+        )
         here = np.nan
         if np.isfinite(x) and np.isfinite(y):
             here = _height_at(east, north, squares, known, x, y, count, growth, own)
-        now = here - height
-        # Of one that never arrives the pass counts that came nearest; NaN: there is no ground.
-        if not abs(now) >= nearest_yet:
+        gap = here - height
+        # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
+        if not abs(gap) >= nearest_yet:
             at[0], at[1], at[2] = x, y, here
-            nearest_yet = abs(now)
-        if not abs(now) > found:
+            nearest_yet = abs(gap)
+        if not abs(gap) > found:
             return
-        # Where it would meet ground that goes on as it did from the last height to this.
-        slope = (off - now) / (height - tried)
+        # Secant step: intersect the line with the terrain slope between the last two iterates.
+        slope = (last_gap - gap) / (height - last_height)
         if slope < least:
             slope = least
         elif slope > most:
             slope = most
-        step = now / slope
-        tried, off, height = height, now, height + step if np.isfinite(step) else here
+        step = gap / slope
+        last_height, last_gap, height = height, gap, height + step if np.isfinite(step) else here
 
 
 @kernel(parallel=True)
-def crossings(places, known, eye, per_drop, height, search, count, growth, own):
-    """Return where lines from an eye (3,) meet the ground that `heights` gives (b, 3).
+def intersect_lines(places, known, origin, per_drop, height, search, count, growth, own):
+    """Intersect lines from a point (3,) with the interpolated terrain (b, 3), m.
 
-    Pass by pass as `RockFilter` does over ground that was measured. Parameters are those of
-    `wandering_ground.crossings`; `count` and `own` as for `heights`.
+    The terrain is that of `interpolate_heights`. The iteration equals that of `RockFilter`.
+    Parameters are those of `wandering_ground.intersect_lines`; `count` and `own` as for
+    `interpolate_heights`.
     """
     out = np.empty((len(per_drop), 3))
     east, north = places[:, 0].copy(), places[:, 1].copy()
-    squares = on_squares(east, north)
+    squares = sort_by_square(east, north)
     for b in prange(len(per_drop)):
         _crossing(
-            out[b], east, north, squares, known, eye, per_drop[b], height[b], search, count, growth,
-            own,
+            out[b], east, north, squares, known, origin, per_drop[b], height[b], search, count,
+            growth, own,
         )  # fmt: skip
     return out
 
 
 @kernel()
 def squares_under(points, side, most):
-    """Return on how many squares points (n, 3) lie, NaN for none; `most` once there are so many.
+    """Count the squares that contain points (n, 3), up to `most`.
 
-    Squares begin at the westernmost and southernmost of the points. -1 where they would be too many
-    to count so: a scan that grazes the ground.
+    NaN marks missing points. The squares start at the minimum east and north. The result is -1 if
+    the grid of squares would be too large, as for a scan that grazes the terrain.
     """
     west, east, south, north = np.inf, -np.inf, np.inf, -np.inf
     for i in range(len(points)):

@@ -1,4 +1,4 @@
-"""Compiled strap-down propagation of state and error covariance."""
+"""Compiled strapdown propagation of state and error covariance."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ def _rotation(q, out):
 
 
 @kernel(inline=True)
-def _hold(angle, velocity, n, step, held):
-    """Write rate and specific force (6,) of sample n, unless it is missing; tell if it is there."""
+def _read_sample(angle, velocity, n, step, last_sample):
+    """Write rate and specific force (6,) of sample n, unless missing; return success."""
     good = True
     for k in range(3):
         good = good and np.isfinite(angle[n, k]) and np.isfinite(velocity[n, k])
     if good:
         for k in range(3):
-            held[k] = angle[n, k] / step
-            held[3 + k] = velocity[n, k] / step
+            last_sample[k] = angle[n, k] / step
+            last_sample[3 + k] = velocity[n, k] / step
     return good
 
 
 @kernel(inline=True)
 def _write_transition(r, ra, w, step, phi):
-    """Write the transition of the errors over a step to `phi` (15, 15), which starts as unity.
+    """Write the error transition over a step to `phi` (15, 15).
 
-    `r` is the attitude R (3, 3) in the middle of the step, `ra` R [a x] with specific force a, and
-    `w` the rate (3,).
+    `phi` starts as the identity. `r` is the attitude R (3, 3) in the middle of the step, `ra` is
+    R [a x] with specific force a, and `w` the rate (3,).
     """
     for i in range(3):
         phi[i, 3 + i] = step
@@ -59,9 +59,10 @@ def _write_transition(r, ra, w, step, phi):
 
 @kernel()
 def _random_walks(step, velocity, angle, accelerometer, gyroscope):
-    """Return what random walks of given densities add to the errors' covariance in a step.
+    """Return the covariance that random walks of given densities add in one step.
 
-    Of position; of position with velocity; of velocity, attitude and both biases.
+    The elements are position; position with velocity; velocity; attitude; accelerometer bias;
+    gyroscope bias.
     """
     return (
         velocity**2 * step**3 / 3.0,
@@ -75,7 +76,7 @@ def _random_walks(step, velocity, angle, accelerometer, gyroscope):
 
 @kernel(inline=True)
 def _add_noise(walks, noise):
-    """Add what `_random_walks` returns to a covariance (15, 15)."""
+    """Add the result of `_random_walks` to a covariance (15, 15)."""
     for i in range(3):
         noise[i, i] += walks[0]
         noise[i, 3 + i] += walks[1]
@@ -87,32 +88,32 @@ def _add_noise(walks, noise):
 
 
 @kernel()
-def propagate(state, held, angle, velocity, step, gravity, density, blind):
-    """Carry the state over consecutive inertial samples (Eqs. 2-6).
+def propagate(state, last_sample, angle, velocity, step, gravity, density, blind):
+    """Propagate the state with consecutive inertial samples (Eqs. 2-6).
 
     Parameters
     ----------
     state
         Position, velocity, accelerometer bias, quaternion, gyroscope bias (16,).
-    held
-        Last good rate and specific force (6,), used and kept up to date: while samples are NaN
-        the lander is taken to go on as before.
+    last_sample
+        Last valid rate (rad/s) and specific force (m/s^2) (6,), updated in place; they are used
+        while samples are NaN.
     angle, velocity
         Increments (n, 3), rad and m/s.
     step
-        s.
+        Time between samples, s.
     gravity
         ENU (3,), m/s^2.
     density
-        Random walk of velocity, angle, accelerometer bias and gyroscope bias (4,).
+        Random-walk densities of velocity, angle, accelerometer bias and gyroscope bias (4,).
     blind
-        The first two of them while samples are missing (2,).
+        Random-walk densities of velocity and angle while samples are missing (2,).
 
     Returns
     -------
     state, transition, noise
-        (16,), (15, 15) and (15, 15) over the whole span; errors are ordered as Eq. 1, attitude
-        as a small rotation in body axes.
+        New state (16,), and transition (15, 15) and noise (15, 15) over all samples. Errors are in
+        the order of Eq. 1, attitude as a small rotation in body axes.
     """
     x = state.copy()
     total = np.eye(15)
@@ -123,9 +124,9 @@ def propagate(state, held, angle, velocity, step, gravity, density, blind):
     half = np.empty(4)
     accel = np.empty(3)
     for n in range(angle.shape[0]):
-        good = _hold(angle, velocity, n, step, held)
-        w = held[:3] - x[13:16]
-        a = held[3:] - x[6:9]
+        good = _read_sample(angle, velocity, n, step, last_sample)
+        w = last_sample[:3] - x[13:16]
+        a = last_sample[3:] - x[6:9]
         half[:] = x[9:13]
         turned(half, 0.5 * step * w)
         _rotation(half, r)

@@ -1,4 +1,4 @@
-"""Compiled search for the nearest of many places: those of a square lie side by side."""
+"""Compiled nearest-neighbour search in the plane on a grid of squares."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# So many places lie on a square in the mean, and of no more than so many all are looked at.
-_A_SQUARE, _FEW = 2.0, 48
-# Columns and rows of squares, about as many at most, and the least extent that is cut into any, m.
-_MOST, _LEAST = 256, 1e-6
+# Mean number of places per square, and number of places up to which there is only one square.
+_PLACES_PER_SQUARE, _MAX_UNDIVIDED = 2.0, 48
+# Maximum number of rows and of columns of the grid, and minimum extent to be divided, m.
+_MAX_ROWS, _MIN_EXTENT_M = 256, 1e-6
 
 
 @kernel(allocates=False)
 def _insert(i, d, count, chosen, away):
-    """Insert place i at distance d (squared) among the nearest so far; return how many there are.
+    """Insert place i at squared distance d into the neighbours; return their number.
 
-    No more than `chosen` (k,) and `away` (k,) hold; of places that are as far the first count.
+    At most as many are kept as fit into `chosen` (k,) and `away` (k,); of places at the same
+    distance those with lower indices come first.
     """
     k = chosen.size
     if count == k and not (d < away[k - 1] or (d == away[k - 1] and i < chosen[k - 1])):
@@ -30,16 +31,16 @@ def _insert(i, d, count, chosen, away):
 
 
 @kernel()
-def on_squares(east, north):
-    """Sort places (n,) by the squares that they lie on.
+def sort_by_square(east, north):
+    """Sort places (n,) by the grid squares that contain them.
 
     Returns
     -------
     order
-        Of the places (n,), square after square, in each as they were.
+        Indices of the places (n,), square by square, in their original order within each.
     first
-        Where each square begins in it, and the end (rows * cols + 1,). Of one square if there are
-        few places, they lie on a line east or north, or one is not finite.
+        Start of each square in `order`, and the end (rows * cols + 1,). There is only one square if
+        there are few places, they lie on a line east or north, or one is not finite.
     box
         West and south edge, side, rows and columns (5,).
     """
@@ -47,8 +48,8 @@ def on_squares(east, north):
     west, south = east.min(), north.min()
     wide, high = east.max() - west, north.max() - south
     box = np.array([west, south, np.inf, 1.0, 1.0])
-    if n > _FEW and _LEAST < wide < np.inf and _LEAST < high < np.inf:
-        side = max(np.sqrt(wide * high * _A_SQUARE / n), max(wide, high) / _MOST)
+    if n > _MAX_UNDIVIDED and _MIN_EXTENT_M < wide < np.inf and _MIN_EXTENT_M < high < np.inf:
+        side = max(np.sqrt(wide * high * _PLACES_PER_SQUARE / n), max(wide, high) / _MAX_ROWS)
         box[2], box[3], box[4] = side, np.floor(high / side) + 1.0, np.floor(wide / side) + 1.0
     rows, cols = int(box[3]), int(box[4])
     first = np.zeros(rows * cols + 1, np.int64)
@@ -70,8 +71,8 @@ def on_squares(east, north):
 
 
 @kernel(allocates=False)
-def _look_through(row, col, cols, east, north, x, y, order, first, count, chosen, away):
-    """Take what lies on one square among the nearest; return how many there are."""
+def _search_square(row, col, cols, east, north, x, y, order, first, count, chosen, away):
+    """Insert the places of one square into the neighbours; return their number."""
     square = row * cols + col
     for at in range(first[square], first[square + 1]):
         i = order[at]
@@ -82,12 +83,12 @@ def _look_through(row, col, cols, east, north, x, y, order, first, count, chosen
 
 @kernel(allocates=False)
 def nearest(east, north, x, y, squares, chosen, away):
-    """Write which of the places (n,) lie nearest to a finite point, nearest first.
+    """Write the places (n,) nearest to a finite point, nearest first.
 
-    As many as `chosen` (k,) and `away` (k,), the squares of their distances, hold; of places that
-    are as far the first. `squares` is what `on_squares` gives. Squares are looked through ring by
-    ring about that on which the point lies, or the nearest one; those of a ring lie no nearer than
-    by one side less than their number.
+    As many are written as fit into `chosen` (k,) and `away` (k,), the squared distances; of places
+    at the same distance those with lower indices come first. `squares` is the result of
+    `sort_by_square`. Squares are searched in rings about the point's square, or the one nearest to
+    it; places in ring n are at least n - 1 sides away.
     """
     order, first, box = squares
     side, rows, cols = box[2], int(box[3]), int(box[4])
@@ -105,7 +106,7 @@ def nearest(east, north, x, y, squares, chosen, away):
             step = 1 if edge else max(2 * ring, 1)
             for j in range(col - ring, col + ring + 1, step):
                 if 0 <= j < cols:
-                    count = _look_through(
+                    count = _search_square(
                         i, j, cols, east, north, x, y, order, first, count, chosen, away
                     )
     return count

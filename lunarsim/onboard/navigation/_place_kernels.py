@@ -1,4 +1,4 @@
-"""Compiled comparison of a tile of scanned ground with a map at many places."""
+"""Compiled comparison of a scanned tile with a map at many places."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from lunarsim._jit import kernel
 
 
 @kernel(finite=True)
-def evidence(shown, rarity, known, height, weight, sharpness, level, floor, row, col):
-    """Compare a tile with a map at places: how much likelier it fits there than any ground would.
+def evidence(shown, negative_log_density, known, height, weight, sharpness, level, floor, row, col):
+    """Compute the log-likelihood ratios of a tile at places on a map.
 
     Parameters
     ----------
-    shown, rarity, known
-        Map (rows, cols): heights above the planes around, m; logarithm of one over the density of
-        such heights, in 1 / m; 1 where known, else 0.
+    shown, negative_log_density, known
+        Map (rows, cols): heights above the local planes, m; negative logarithm of the density of
+        such heights, density in 1/m; 1 where known, else 0.
     height, weight, sharpness, level
-        Tile (r, c): heights above the planes around, m; 1 where known, else 0; half of one over the
-        variance of a residual, 1 / m^2; logarithm of its density at 0, in 1 / m.
+        Tile (r, c): heights above the local planes, m; 1 where known, else 0; inverse of twice the
+        variance of a residual, 1/m^2; logarithm of the residual's density at 0, density in 1/m.
     floor
-        Least log-likelihood ratio of a post.
+        Minimum log-likelihood ratio of a post.
     row, col
-        Of the map's posts under the tile's first one (n,); may lie off the map.
+        Row and column of the map post below the first post of the tile (n,); can be off the map.
 
     Returns
     -------
     ratio, covered
-        Sum of the log-likelihood ratios of posts, and number of posts compared (n,).
+        Sum of the log-likelihood ratios of the posts, and number of compared posts (n,).
     """
     n = row.size
     rows, cols = shown.shape
@@ -42,8 +42,12 @@ def evidence(shown, rarity, known, height, weight, sharpness, level, floor, row,
             if last <= first:
                 break
             here = slice(col[i] + first, col[i] + last)
-            # Rows of their own: indices that cannot be negative let the loop be vectorised.
-            s, b, k = shown[row[i] + r, here], rarity[row[i] + r, here], known[row[i] + r, here]
+            # Row views with non-negative indices let the compiler vectorise the loop.
+            s, b, k = (
+                shown[row[i] + r, here],
+                negative_log_density[row[i] + r, here],
+                known[row[i] + r, here],
+            )
             h, w = height[r, first:last], weight[r, first:last]
             q, p = sharpness[r, first:last], level[r, first:last]
             for c in range(last - first):

@@ -1,4 +1,4 @@
-"""Compiled averaging of a scan over the posts of a map, and how its points err."""
+"""Compiled averaging of a scan over map posts, and the Jacobian of its points."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Squares from the grid's origin beyond which places are not told apart: their product must be a
-# number of 64 bits.
+# Maximum index of a square from the grid's origin; the product of two must fit into 64 bits.
 _FARTHEST = float(1 << 30)
 
 
@@ -19,15 +18,15 @@ def _no_squares():
 
 @kernel()
 def average(points, x0, y0, posting, least):
-    """Average points (n, 3) over the squares of a grid that they touch.
+    """Average points (n, 3) over the squares of a grid.
 
-    NaN points are left out, and squares with fewer than `least` points.
+    NaN points, and squares with fewer than `least` points, are omitted.
 
     Returns
     -------
     column, row, mean, count
-        Of the squares (m,), (m,), (m, 3), (m,), row by row; columns and rows may be negative or lie
-        beyond the map.
+        Values per square (m,), (m,), (m, 3), (m,), row by row; columns and rows can be negative or
+        outside the map.
     """
     n = points.shape[0]
     col = np.empty(n, np.int64)
@@ -47,7 +46,7 @@ def average(points, x0, y0, posting, least):
         south, north = min(south, row[i]), max(north, row[i])
     wide = east - west + 1
     high = north - south + 1
-    # A scan that grazes the horizon spreads without bound: nothing to compare it with.
+    # A scan that grazes the horizon covers an unlimited area and cannot be compared.
     if east < west or wide * high > 4_000_000:
         return _no_squares()
     sums = np.zeros((high * wide, 3))
@@ -81,13 +80,13 @@ def average(points, x0, y0, posting, least):
 
 @kernel()
 def surface(col, row, mean, x0, y0, posting, centre_tolerance):
-    """Carry averages to the middles of their squares, by the slope between their neighbours.
+    """Extrapolate averages to the square centres along the slopes between neighbours.
 
     Returns
     -------
     height, slope, good
-        At the middles (m,) and (m, 2); `good` (m,) where there is a neighbour on both sides along
-        either axis and the points lie evenly: their mean within `centre_tolerance` of the middle.
+        Height (m,) and slope (m, 2) at the centres; `good` (m,) marks squares with neighbours on
+        all four sides and evenly distributed points (mean within `centre_tolerance` of the centre).
     """
     m = col.size
     height = np.empty(m)
@@ -125,18 +124,18 @@ def surface(col, row, mean, x0, y0, posting, centre_tolerance):
 
 @kernel()
 def scan_jacobian(points, normals, position, rotation, aim, velocity, rate):
-    """Return how points (m, 3) of a scan move along vectors (m, 3) with its errors (m, 11).
+    """Return the Jacobian of scan points (m, 3) along vectors (m, 3): (m, 11).
 
     Errors: position, small rotation (body axes), range, boresight (sensor axes), latency.
 
     Parameters
     ----------
     points, normals
-        Of equal shape.
+        Points and vectors of equal shape.
     position, velocity
-        Of the lander (3,), (3,), the frame of the points.
+        Of the lander (3,), m, and (3,), m/s, in the frame of the points.
     rotation, aim
-        To that frame from body and from sensor axes (3, 3).
+        Rotation matrices from body and from sensor axes to that frame (3, 3).
     rate
         Body rate (3,), rad/s.
     """

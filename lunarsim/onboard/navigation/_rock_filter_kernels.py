@@ -1,4 +1,4 @@
-"""Compiled part of the filter: a covariance less a product, in place."""
+"""Compiled in-place updates of a covariance matrix."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from lunarsim._jit import kernel, prange
 
 
 @kernel(parallel=True)
-def add_few(p, w):
-    """Add w' w to the square matrix p in place, w being (m, n), in one pass over its rows."""
+def add_outer_products(p, w):
+    """Add w' w to the matrix p (n, n) in place, for w (m, n), in one pass."""
     for i in prange(len(p)):
         for k in range(len(w)):
             a = w[k, i]
-            # Heights do not move.
+            # The heights have no process noise, so a third of the entries is 0.
             if a != 0.0:
                 for j in range(len(p)):
                     p[i, j] += a * w[k, j]
@@ -21,10 +21,11 @@ def add_few(p, w):
 
 @kernel(parallel=True)
 def subtract_few(p, w, states):
-    """Subtract w' w from rows `states` (s,) of the matrix p (n, n) in place, w being (m, n).
+    """Subtract w' w from the rows `states` (s,) of the matrix p (n, n) in place.
 
-    Row by row, which does no more than read and write them while m is small. Among the states p
-    stays symmetric to the last bit: each entry loses the same products in the same order.
+    w is (m, n). This is done row by row, which is limited by memory access for small m. The block
+    of `states` stays exactly symmetric: each entry is reduced by the same products in the same
+    order.
     """
     for k in prange(states.size):
         row = p[states[k]]
@@ -44,10 +45,10 @@ def subtract_from_rows(p, product, states):
 
 
 @kernel(parallel=True)
-def take_over_columns(p, rows, columns):
-    """Let p[rows, columns] be p[columns, rows]', no row being among the columns.
+def mirror_columns(p, rows, columns):
+    """Set p[rows, columns] to p[columns, rows]'; rows and columns are disjoint.
 
-    Eight rows at a time use whole cache lines, where rows lie side by side.
+    Blocks of eight rows use full cache lines if the rows are adjacent.
     """
     for block in prange((rows.size + 7) // 8):
         first = 8 * block
@@ -59,8 +60,8 @@ def take_over_columns(p, rows, columns):
 
 
 @kernel(parallel=True)
-def take_over_earlier(p, states):
-    """Let p[states[i], states[k]] be p[states[k], states[i]] for k < i."""
+def mirror_lower(p, states):
+    """Set p[states[i], states[k]] to p[states[k], states[i]] for k < i."""
     for block in prange((states.size + 7) // 8):
         first = 8 * block
         last = min(first + 8, states.size)
@@ -74,8 +75,8 @@ def take_over_earlier(p, states):
 def measured_rows(p, size, pose, by_pose, columns, by_rock):
     """Return the products (2 m, size) of the pixels' Jacobians with the covariance p.
 
-    `by_pose` (m, 2, 6) and `by_rock` (m, 2, 3) are the only entries of the Jacobians that are not
-    0, at the states `pose` (6,) and `columns` (m, 3).
+    The only non-zero entries of the Jacobians are `by_pose` (m, 2, 6) and `by_rock` (m, 2, 3), at
+    the states `pose` (6,) and `columns` (m, 3).
     """
     out = np.empty((2 * len(columns), size))
     for k in prange(2 * len(columns)):

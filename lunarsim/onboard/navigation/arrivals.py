@@ -1,4 +1,4 @@
-"""The order in which measurements come: time that runs on, and stamps that do too."""
+"""Check the time order of measurements, and fill gaps in inertial samples."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import InertialSamples, Picture
 from lunarsim.models.instruments import InertialInstrument
 
-# A stamp may lie this far ahead of the clock: rounding of sums of steps, s.
-_ROUNDING = 1e-6
-# Samples missing for longer than this are not filled in: the lander has long been lost, s.
-_LONGEST_GAP = 60.0
-# What was measured longer ago tells of another place, s: at 30 m/s a metre off.
-_STALE = 0.03
+# Tolerance for time stamps after the current time, from rounding of summed steps, s.
+_TIME_TOLERANCE_S = 1e-6
+# Longer gaps in the inertial samples are filled only up to this time, s.
+_MAX_GAP_S = 60.0
+# Maximum age of a measurement, s: at 30 m/s the lander moves about one metre in this time.
+_MAX_AGE_S = 0.03
 
 
 class Arrivals:
-    """Lets measurements through in the order of their own times.
+    """Admit measurements in the order of their time stamps.
 
-    A measurement that was made before the last one of its sensor, in the future, or at no time at
-    all, is left out and reported as "out-of-order": to take it for one of now would be wrong, and
-    to take it back in time is more than any filter here can do. So is what was made more than
-    0.03 s before the time until which inertial samples have come ("stale"), pictures apart, which
-    are stamped with the middle of their exposure. Inertial samples that never came are put in as
-    missing ones ("samples-missing"), so that state and covariance are carried over the gap; of more
-    than time has passed for, the last ones are kept ("samples-surplus").
+    A measurement is rejected with the event "out-of-order" if its time stamp is before the last one
+    of its sensor, in the future or NaN; the filters here cannot process delayed measurements. It is
+    rejected with "stale" if it is more than 0.03 s older than the last inertial sample. Camera
+    images are exempt, since their time stamp is the middle of the exposure. Gaps in the inertial
+    samples are filled with missing samples ("samples-missing"), so that state and covariance are
+    propagated over the gap. If there are more samples than time steps, the last ones are kept
+    ("samples-surplus").
 
-    Inertial samples are to come before what else was measured by their end: see `overdue`.
+    Inertial samples must arrive before the other measurements of the same time; see `overdue`.
 
     Parameters
     ----------
     step
-        Between inertial samples, s.
+        Time between inertial samples, s.
     report
-        Called with time (s), name and details of what is left out or filled in.
+        Called with time (s), name and details of each rejection or gap.
     begin
-        Time of the state that samples carry, s: those of a unit that starts later are missing. Left
-        out: it is that at which the first ones begin.
+        Time of the initial state, s; samples between it and the first ones count as missing.
+        Default: the time at which the first samples begin.
     unit
-        Whose samples are missing before any came.
+        Name of the inertial unit before its first samples arrive.
     """
 
     def __init__(
@@ -59,14 +59,14 @@ class Arrivals:
         self._report = report
         self._now = -np.inf
         self._last: dict[str, float] = {}
-        # The inertial unit, and until when its samples have been let through.
-        self._unit, self._flown = unit, begin
+        # Name of the inertial unit, and end time of its admitted samples.
+        self._unit, self._propagated_until = unit, begin
 
     @classmethod
     def of(
         cls, briefing: Briefing, report: Callable[[float, str, dict[str, Any]], None]
     ) -> Arrivals:
-        """Return those of a descent, which begins at 0 s: a unit may start late, and the first."""
+        """Return the sequencer of a descent that begins at 0 s."""
         of = briefing.instruments
         units = [name for name, unit in of.items() if isinstance(unit, InertialInstrument)]
         if not units:
@@ -74,56 +74,61 @@ class Arrivals:
         return cls(briefing.step, report, begin=0.0, unit=units[0])
 
     def admit(self, sensor: str, measurement: Any, time: float) -> Any:
-        """Return the measurement, inertial samples whole; None if it comes out of order.
+        """Return a measurement, inertial samples without gaps; None if it is rejected.
 
         Parameters
         ----------
         sensor, measurement
-            Its name, and what it gave; what bears no time is taken for one of now.
+            Sensor name and its measurement; without a time stamp it is taken as current.
         time
-            Now, s.
+            Current time, s.
 
         Raises
         ------
         InputError
-            If the clock itself runs backwards, or is no number, or if inertial samples are not
-            three numbers each, as many of both.
+            If `time` runs backwards or is NaN, or if inertial samples are not two arrays (n, 3).
         """
         self.advance(time)
         stamp = float(getattr(measurement, "time", time))
         last = self._last.get(sensor, -np.inf)
         inertial = isinstance(measurement, InertialSamples)
         if inertial:
-            measurement = _whole(measurement)
-        # The same increments twice would be flown twice.
-        again = inertial and stamp <= last and len(measurement.angle) > 0
-        if again or not last <= stamp <= time + _ROUNDING:
+            measurement = _check_samples(measurement)
+        # Increments that arrive twice must not be integrated twice.
+        is_repeated = inertial and stamp <= last and len(measurement.angle) > 0
+        if is_repeated or not last <= stamp <= time + _TIME_TOLERANCE_S:
             self._report(time, "out-of-order", {"sensor": sensor, "stamp": stamp, "last": last})
             return None
         self._last[sensor] = stamp
         if not inertial:
-            now = min(time, self._flown) if np.isfinite(self._flown) else time
-            if stamp < now - _STALE and not isinstance(measurement, Picture):
+            now = min(time, self._propagated_until) if np.isfinite(self._propagated_until) else time
+            if stamp < now - _MAX_AGE_S and not isinstance(measurement, Picture):
                 self._report(time, "stale", {"sensor": sensor, "stamp": stamp})
                 return None
             return measurement
-        # Samples of another unit may end earlier: what has been flown stays flown.
-        elapsed, self._unit, self._flown = stamp - self._flown, sensor, max(self._flown, stamp)
-        return self._filled(sensor, measurement, elapsed, time)
+        # Samples of another unit may end earlier; the propagated time does not go back.
+        elapsed, self._unit, self._propagated_until = (
+            stamp - self._propagated_until,
+            sensor,
+            max(self._propagated_until, stamp),
+        )
+        return self._fill_gaps(sensor, measurement, elapsed, time)
 
-    def carried(
+    def admit_and_propagate(
         self, sensor: str, measurement: Any, time: float, propagate: Callable[[Any, Any], None]
     ) -> Any:
-        """Return a measurement that is to correct a state, which has been carried to its time.
+        """Propagate to the time of a measurement, and return it for the update.
 
-        None if it was inertial samples, by which the state has been carried, or was left out.
+        Returns None for inertial samples, which are used for the propagation, and for rejected
+        measurements.
 
         Parameters
         ----------
         sensor, measurement, time
-            See `admit`.
+            As for `admit`.
         propagate
-            Carries the state over increments of angle and velocity (n, 3), (n, 3).
+            Function that propagates the state with increments of angle (n, 3), rad, and velocity
+            (n, 3), m/s.
         """
         given = self.admit(sensor, measurement, time)
         if isinstance(given, InertialSamples):
@@ -135,44 +140,49 @@ class Arrivals:
         return given
 
     def overdue(self, time: float) -> tuple[str, InertialSamples] | None:
-        """Return inertial samples that should have come by `time` (s) as missing ones, if any.
+        """Return inertial samples overdue at `time` (s) as missing samples, if any.
 
-        With the name of their unit. What is measured then corrects the state of that time, and not
-        one that stood still. Should the samples come after all they are out of order. None before
-        any came, where it is not said when they begin, or if `time` is no number.
+        They come with the name of their unit. The state can then be propagated to the time of a
+        measurement. If the samples arrive later, they are out of order. Returns None if the start
+        of the samples is unknown, or if `time` is not finite.
         """
-        if not (np.isfinite(self._flown) and time - self._flown >= 0.5 * self._step):
+        if not (
+            np.isfinite(self._propagated_until)
+            and time - self._propagated_until >= 0.5 * self._step
+        ):
             return None
         none = InertialSamples(time, np.zeros((0, 3)), np.zeros((0, 3)))
-        elapsed, self._flown = time - self._flown, time
+        elapsed, self._propagated_until = time - self._propagated_until, time
         self._last[self._unit] = time
-        return self._unit, self._filled(self._unit, none, elapsed, time)
+        return self._unit, self._fill_gaps(self._unit, none, elapsed, time)
 
     def advance(self, time: float) -> None:
-        """Let it be `time` (s).
+        """Set the current time (s).
 
         Raises
         ------
         InputError
-            If that is before what it was, or no number.
+            If `time` is before the current time, or not finite.
         """
         if not (np.isfinite(time) and time >= self._now):
-            raise InputError("time", time, f"at least {self._now} s: time does not run backwards")
+            raise InputError(
+                "time", time, f"must be finite and not before the last time ({self._now} s)"
+            )
         self._now = time
 
-    def _filled(
+    def _fill_gaps(
         self, sensor: str, samples: InertialSamples, elapsed: float, time: float
     ) -> InertialSamples:
-        """Put samples that never came before those that did, as missing ones; drop what is more."""
+        """Insert missing samples before the given ones, or drop surplus ones."""
         if not np.isfinite(elapsed):
-            return samples  # the first ones
+            return samples  # the start of the samples is unknown before the first ones
         surplus = len(samples.angle) - round(elapsed / self._step)
         if surplus > 0:
             self._report(time, "samples-surplus", {"sensor": sensor, "count": surplus})
             return replace(
                 samples, angle=samples.angle[surplus:], velocity=samples.velocity[surplus:]
             )
-        missing = round(min(elapsed, _LONGEST_GAP) / self._step) - len(samples.angle)
+        missing = round(min(elapsed, _MAX_GAP_S) / self._step) - len(samples.angle)
         if missing <= 0:
             return samples
         self._report(time, "samples-missing", {"sensor": sensor, "count": missing})
@@ -184,14 +194,18 @@ class Arrivals:
         )
 
 
-def _whole(samples: InertialSamples) -> InertialSamples:
-    """Return inertial samples as arrays (n, 3), checked."""
+def _check_samples(samples: InertialSamples) -> InertialSamples:
+    """Check inertial samples, and return them as arrays (n, 3)."""
     angle, velocity = (np.asarray(of, np.float64) for of in (samples.angle, samples.velocity))
     for name, of in (("angle", angle), ("velocity", velocity)):
         if of.ndim != 2 or of.shape[1] != 3:
             shape = of.shape
-            raise InputError(f"inertial.{name}", shape, "samples (n, 3), NaN for a missing one")
+            raise InputError(
+                f"inertial.{name}", shape, "must be an array (n, 3)", "Mark missing samples by NaN."
+            )  # fmt: skip
     if len(angle) != len(velocity):
         lengths = (len(angle), len(velocity))
-        raise InputError("inertial.samples", lengths, "as many of angle as of velocity")
+        raise InputError(
+            "inertial.samples", lengths, "must have as many angle as velocity increments"
+        )
     return replace(samples, angle=angle, velocity=velocity)

@@ -1,4 +1,4 @@
-"""A symmetric covariance less a product, in place and on several threads."""
+"""Subtract matrix products from a symmetric covariance, in place and in parallel."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from lunarsim._jit import threads_for
 from lunarsim.onboard.navigation._rock_filter_kernels import (
+    mirror_lower,
     subtract_few,
     subtract_from_rows,
-    take_over_earlier,
 )
 
 Array = NDArray[np.float64]
@@ -22,15 +22,15 @@ Index = NDArray[np.int64]
 
 _BLOCK = 384
 _ROWS = 64
-# So few products are taken off sooner row by row than as a matrix.
+# Up to this number of rows in w, row by row is faster than a matrix product.
 _FEW = 6
 
 
 def subtract_square(p: Array, w: Array) -> None:
-    """Subtract w' w (n, n) from the symmetric p in place, w being (m, n).
+    """Subtract w' w (n, n) from the symmetric p in place, for w (m, n).
 
-    Row by row if m is small; else block by block above the diagonal: the products then stay in the
-    cache. They are shared among threads, and are the same however many there are.
+    For small m this is done row by row, otherwise in blocks above the diagonal that fit the cache.
+    The blocks are distributed over threads; the result does not depend on the number of threads.
     """
     n = len(p)
     if len(w) <= _FEW:
@@ -46,11 +46,10 @@ def subtract_square(p: Array, w: Array) -> None:
 
 
 def subtract_rows(p: Array, w: Array, states: Index) -> None:
-    """Subtract w' w (n, n) from rows `states` (s,) of the symmetric p (n, n), w being (m, n).
+    """Subtract w' w from the rows `states` (s,) of the symmetric p (n, n) in place.
 
-    In place. Among the states p stays symmetric; their columns in rows of others are left as they
-    are. Rows are shared among threads, one by one or in blocks, and are the same however many there
-    are.
+    w is (m, n). The block of `states` stays symmetric; their columns in other rows are not changed.
+    The rows are distributed over threads; the result does not depend on the number of threads.
     """
     if len(w) <= _FEW:
         with threads_for(4e-4 * len(w) * len(states) * len(p)):
@@ -64,11 +63,11 @@ def subtract_rows(p: Array, w: Array, states: Index) -> None:
 
     _share(subtract, range(0, len(states), _ROWS))
     with threads_for(1e-3 * len(states) ** 2):
-        take_over_earlier(p, states)
+        mirror_lower(p, states)
 
 
 def _share(job: Callable[[int], None], starts: range) -> None:
-    """Run a job for each start, on as many threads as kernels use."""
+    """Run a job for each start, with the number of threads of the kernels."""
     threads = numba.get_num_threads()
     if threads == 1 or len(starts) == 1:
         for start in starts:

@@ -1,8 +1,9 @@
-"""The error state of a filter: the lander, what else is estimated with it, and rocks.
+"""Error state of the navigation filter: lander, auxiliary states and rocks.
 
-The first 15 errors are those of the lander (shadow EKF paper, Eq. 1). Then come blocks that a
-navigation adds at its start: poses at earlier scans, biases, the ground. What comes and goes, as
-rocks do, stands behind them. Time and measurements treat all of it alike, in one place.
+The first 15 errors are those of the lander (shadow EKF paper, Eq. 1). Then come named blocks that
+exist for the entire flight: poses of earlier scans, sensor biases, terrain height. States that are
+added and removed in flight, such as rocks, stand behind the blocks. This module implements their
+propagation and their measurement updates.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from scipy.special import chdtrc
 from lunarsim._blas import one_blas_thread
 from lunarsim.errors import InputError
 from lunarsim.frames import quat_to_matrix
-from lunarsim.onboard.navigation.doubt import inflate
+from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.inertial import (
     ATTITUDE,
     INERTIAL,
@@ -27,42 +28,41 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
-from lunarsim.onboard.navigation.resting_errors import RestingErrors
+from lunarsim.onboard.navigation.schmidt_kalman_covariance import SchmidtKalmanCovariance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# The lander's pose in the error state.
+# Position and attitude of the lander in the error state.
 POSE = np.r_[0:3, 9:12]
-# Name of a block: where the site frame lies in that of the lander's pose, position (m) and azimuth
-# about up (rad). Without it both are one frame.
+# Name of the block of the site frame relative to the local frame: position (m) and azimuth about up
+# (rad). Without this block the two frames are identical.
 MAP = "map"
-# Name of a block: the pose at the scan that later ones are compared with.
-KEY = "key"
-# Two errors that are the same but for this share of their variance are so by rounding.
-_SINGULAR = 1e-9
-# Corrections of the velocity so small change nothing in what errs with it, m/s.
-_TELLING = 0.01
-# What takes less than this share off the variance of a direction tells nothing of it.
-_LEAST_TOLD = 1e-3
+# Name of the block of the lander's pose at the reference scan of the odometry.
+REFERENCE_POSE = "key"
+# Relative variance added so that the correlation of nearly equal errors is positive definite.
+_REGULARISATION = 1e-9
+# Velocity corrections below this are too small to transform the velocity covariance, m/s.
+_MIN_VELOCITY_CORRECTION_M_S = 0.01
+# Minimum information in a direction, relative to the prior information; less is ignored.
+_MIN_RELATIVE_INFORMATION = 1e-3
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a measurement.
+    """Outcome of a measurement update.
 
     Attributes
     ----------
     nis
         Normalised innovation squared; chi-squared with `degrees` degrees of freedom.
     degrees
-        Of freedom.
+        Degrees of freedom.
     taken
-        Whether it corrected the state.
+        Whether the measurement was accepted.
     white
-        Whitened innovation (n,) of what was taken, by degree or by error, always of one length for
-        one kind of measurement of one sensor, NaN for parts that it did not give this time; else
-        empty.
+        Whitened innovation (n,) of an accepted measurement, otherwise empty. The length is constant
+        for one kind of measurement of one sensor; missing components are NaN.
     """
 
     nis: float
@@ -71,30 +71,30 @@ class Outcome:
     white: Array = field(default_factory=lambda: np.zeros(0))
 
 
-class ErrorState(RestingErrors):
-    """Covariance of all that a filter errs by, and how time and measurements change it.
+class ErrorState(SchmidtKalmanCovariance):
+    """Error covariance of the filter with its time and measurement updates.
 
     Parameters
     ----------
     inertial
-        The lander's state at the start.
+        Initial state of the lander.
     errors
-        Its standard deviations.
+        Standard deviations of the initial state.
     blocks
-        Covariances (k, k) at the start of further errors, by name.
+        Initial covariances (k, k) of additional errors, by name of the block.
     capacity
-        Errors behind the blocks for which room is made at first; it grows as needed.
+        Initial number of errors behind the blocks to allocate; it grows as needed.
 
     Attributes
     ----------
     inertial
-        The lander's state.
+        State of the lander.
     head
-        Number of errors of lander and blocks.
+        Number of errors of the lander and the blocks.
     tail
-        Number of those behind them.
+        Number of errors behind the blocks.
     listeners
-        Called with each correction (size,), after the lander took its part of it.
+        Called with each correction (size,), after the lander's state was corrected.
     """
 
     def __init__(
@@ -121,42 +121,42 @@ class ErrorState(RestingErrors):
     # --- layout ---------------------------------------------------------------------------
 
     def block(self, name: str) -> slice:
-        """Return where a block lies."""
+        """Return the slice of a block in the error state."""
         return self._blocks[name]
 
     def value(self, name: str) -> Array:
-        """Return the sum of a block's corrections (k,): what it is now, if it began at 0."""
+        """Return the sum of a block's corrections (k,), its value if it started at 0."""
         return self._values[name]
 
     def has(self, name: str) -> bool:
-        """Tell whether there is such a block."""
+        """Return whether a block exists."""
         return name in self._blocks
 
-    def inflate(self, columns: ArrayLike, factor: float, most: ArrayLike) -> None:
-        """Multiply the variances of some errors (k,), see `doubt.inflate`."""
-        inflate(self.covariance, columns, factor, most)
+    def inflate(self, columns: ArrayLike, factor: float, max_sigma: ArrayLike) -> None:
+        """Multiply the variances of errors (k,) by a factor; see `covariance_inflation.inflate`."""
+        inflate(self.covariance, columns, factor, max_sigma)
 
-    def let_go(self, columns: ArrayLike, sigma: ArrayLike) -> None:
-        """Widen errors (k,) to standard deviations (k,) where they are less; correlations fade."""
+    def raise_variances(self, columns: ArrayLike, sigma: ArrayLike) -> None:
+        """Raise the standard deviations of errors (k,) to at least `sigma` (k,)."""
         at = np.asarray(columns)
-        p = self._for(at)
+        p = self._readable(at)
         p[at, at] = np.maximum(p[at, at], np.square(sigma))
 
     def widen(self, columns: ArrayLike, covariance: ArrayLike) -> None:
-        """Add to the covariance of some errors (k,) what they may have moved by (k, k)."""
+        """Add process noise (k, k) to the covariance of errors (k,)."""
         at = np.asarray(columns)
-        self._for(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
+        self._readable(at)[np.ix_(at, at)] += np.atleast_2d(covariance)
 
     def clone(self, name: str, source: Index) -> None:
-        """Let a block err from now on as other errors do, for instance the pose of now."""
+        """Set a block's errors equal to other errors, such as those of the current pose."""
         p = self._p if int(np.max(source)) < self.head else self.p
         into = self._blocks[name]
         p[into] = p[source]
         p[:, into] = p[:, source]
 
     def follow(self, at: int, sources: Index, weights: Array, variance: float) -> None:
-        """Let an error be from now on a weighted sum of errors (k,), and noise of its own."""
-        p = self._for(at, sources)
+        """Set an error to a weighted sum of errors (k,) plus noise of a given variance."""
+        p = self._readable(at, sources)
         row = weights @ p[sources]
         own = float(row[sources] @ weights) + variance
         p[at], p[:, at] = row, row
@@ -165,16 +165,16 @@ class ErrorState(RestingErrors):
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry lander and covariance over inertial samples (n, 3); NaN stands for a missing one.
+        """Propagate state and covariance with inertial samples (n, 3), NaN if missing.
 
         Raises
         ------
         InputError
-            If they are not as many of both, three numbers each; the state stays as it was.
+            If the arrays are not (n, 3) or differ in length; the state is then unchanged.
         """
         turns, pushes = _samples(angle, velocity)
         transition, noise = self.inertial.propagate(turns, pushes)
-        p, n = self._for(INERTIAL - 1), INERTIAL
+        p, n = self._readable(INERTIAL - 1), INERTIAL
         with one_blas_thread():
             p[:n, :n] = transition @ p[:n, :n] @ transition.T + noise
             p[:n, n:] = transition @ p[:n, n:]
@@ -191,22 +191,23 @@ class ErrorState(RestingErrors):
         noise: ArrayLike,
         gate: float = np.inf,
     ) -> Outcome:
-        """Take in a measurement (m,) that depends on a few errors.
+        """Update with a measurement (m,) that depends on a few errors.
 
         Parameters
         ----------
         jacobian
-            Of the measurement by the errors at `columns` (m, k).
+            Jacobian of the measurement with respect to the errors at `columns` (m, k).
         columns
-            Distinct places in the error state (k,).
+            Distinct indices into the error state (k,).
         innovation
-            What was measured less what was expected (m,).
+            Measured minus predicted value (m,).
         noise
-            Its covariance (m, m), or the variances (m,) of independent parts.
+            Noise covariance (m, m), or variances (m,) of independent components.
         gate
-            Greatest normalised innovation squared; beyond it nothing changes. Nor does it where
-            anything is not finite, or the noise not positive: that tells nothing, and `nis` is
-            NaN. A covariance of the state that is no longer good refuses all, `nis` being infinite.
+            Maximum normalised innovation squared; a larger one is rejected. A measurement that is
+            not finite or whose noise is not positive definite is ignored, and `nis` is NaN. If the
+            state covariance is no longer positive definite, each measurement is rejected with an
+            infinite `nis`.
         """
         h, at = np.atleast_2d(np.asarray(jacobian, np.float64)), np.asarray(columns)
         y = np.atleast_1d(np.asarray(innovation, np.float64))
@@ -215,48 +216,48 @@ class ErrorState(RestingErrors):
         if not (np.isfinite(r).all() and np.linalg.eigvalsh(r).min() > 0.0):
             return Outcome(np.nan, len(y), False)
         hp = h @ self._rows(at)
-        return self.absorb(hp, hp[:, at] @ h.T + r, y, gate)
+        return self.update_with_innovation(hp, hp[:, at] @ h.T + r, y, gate)
 
-    def absorb(
+    def update_with_innovation(
         self, hp: Array, expected: Array, innovation: Array, gate: float = np.inf
     ) -> Outcome:
-        """Take in an innovation (m,) by its Jacobian times the covariance (m, size).
+        """Update with an innovation (m,) and its Jacobian times the covariance (m, size).
 
-        `expected` (m, m) is the innovation's covariance. Overwrites `hp`.
+        `expected` (m, m) is the innovation covariance. The update overwrites `hp`.
         """
-        outcome, lower = compared(innovation, expected, gate)
+        outcome, lower = gate_innovation(innovation, expected, gate)
         if not outcome.taken:
             return outcome
-        # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran's order.
+        # (L^-1 H P)' = (H P)' L^-T, in place: the transposed array is in Fortran order.
         w = np.ascontiguousarray(dtrsm(1.0, lower.T, hp.T, side=1, lower=0, overwrite_b=1).T)
         error = outcome.white @ w
-        awake = self._awake()
-        if awake is not None:
-            error[self.head :][self._rests] = 0.0
+        active = self._active()
+        if active is not None:
+            error[self.head :][self._frozen] = 0.0
         if not np.isfinite(error).all():
             return Outcome(np.inf, len(innovation), False)
-        self._take_off(w, awake)
+        self._subtract(w, active)
         self.correct(error)
         return outcome
 
-    def inform(
+    def update_with_information(
         self,
         part: Index,
         information: Array,
         vector: Array,
         gate: float = np.inf,
         *,
-        chance: float = 0.0,
+        min_probability: float = 0.0,
     ) -> Outcome:
-        """Take in information (k, k) and its vector (k,) on the errors at `part` (k,).
+        """Update with an information matrix (k, k) and vector (k,) on errors `part` (k,).
 
-        Written without the inverse of the covariance, which is singular while two poses coincide:
-        the information is that of independent measurements of unit variance along its axes, and
-        what these take off the covariance is a square, so that rounding leaves it symmetric.
-        The outcome's `nis` is the squared Mahalanobis distance of the correction. Nothing changes
-        where it exceeds `gate`, or where good information would be as far off with less than a
-        `chance`. Nor does it where anything is not finite, `nis` being NaN then, or where the
-        covariance is no longer good, `nis` being infinite.
+        The update avoids the inverse of the covariance, which is singular while two poses coincide.
+        It treats the information as independent measurements of unit variance along its principal
+        axes; it subtracts a matrix square, so that the covariance stays symmetric. `nis` of the
+        outcome is the squared Mahalanobis distance of the correction. A correction is rejected if
+        `nis` exceeds `gate`, or if its chi-squared tail probability is below `min_probability`.
+        Information that is not finite is ignored, and `nis` is NaN. If the covariance is no longer
+        positive definite, it is rejected with an infinite `nis`.
         """
         k = len(part)
         if not (np.isfinite(information).all() and np.isfinite(vector).all()):
@@ -267,42 +268,42 @@ class ErrorState(RestingErrors):
             hp = rows @ self._rows(part)
             lower = np.linalg.cholesky(np.eye(len(rows)) + hp[:, part] @ rows.T)
         except np.linalg.LinAlgError:
-            # Rounding has eaten the covariance: nothing can be told from it any more.
+            # Rounding errors have made the covariance indefinite: reject everything from now on.
             return Outcome(np.inf, k, False)
         distance, degrees = float(white @ white), len(measured)
-        if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= chance):
+        if not (distance <= gate and chdtrc(max(degrees, 1), distance) >= min_probability):
             return Outcome(distance, degrees, False)
         w = solve_triangular(lower, hp, lower=True, check_finite=False)
         error = solve_triangular(lower, measured, lower=True, check_finite=False) @ w
         if not np.isfinite(error).all():
             return Outcome(np.inf, degrees, False)
         with one_blas_thread():
-            self._take_off(w, None)
+            self._subtract(w, None)
         self.correct(error)
         return Outcome(distance, degrees, True, white)
 
     def correct(self, error: Array) -> None:
-        """Add estimated errors (size,) to the lander and to all that listen.
+        """Add estimated errors (size,) to the lander's state and inform the listeners.
 
-        What is measured of velocity is measured along body axes: known is its error and, with it,
-        the tilt times the velocity. When the velocity is corrected that product stays what it is
-        known to be, so that the error of the velocity moves with the tilt by as much. That is the
-        covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not depend
-        on the estimate; had it stayed, velocities that are learnt bit by bit would pass for
-        knowledge of the tilt.
+        Velocity sensors measure in body axes. They constrain a combination of the velocity error
+        and the tilt times the velocity. When the velocity estimate changes, this combination must
+        keep its covariance, so the velocity errors are transformed with the tilt. The result is
+        the covariance of an invariant filter (Barrau and Bonnabel 2017), whose Jacobians do not
+        depend on the estimate. Without it, successive velocity corrections would wrongly reduce
+        the uncertainty of the tilt.
 
         Raises
         ------
         InputError
-            If it is not `size` finite numbers; nothing changes then.
+            If the error is not `size` finite numbers; nothing is changed then.
         """
         error = np.asarray(error, np.float64)
         if error.shape != (self.size,) or not np.isfinite(error).all():
-            raise InputError("navigation.error", error.shape, f"{self.size} finite numbers")
+            raise InputError("navigation.error", error.shape, f"must be {self.size} finite numbers")
         change = error[VELOCITY]
-        if np.abs(change).max() > _TELLING:
+        if np.abs(change).max() > _MIN_VELOCITY_CORRECTION_M_S:
             lever = np.cross(np.eye(3), change) @ quat_to_matrix(self.inertial.attitude)
-            p = self._for(POSE)
+            p = self._readable(POSE)
             p[VELOCITY] -= lever @ p[ATTITUDE]
             p[:, VELOCITY] -= p[:, ATTITUDE] @ lever.T
         self.inertial.correct(error[:INERTIAL])
@@ -312,11 +313,12 @@ class ErrorState(RestingErrors):
             listener(error)
 
 
-def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
-    """Return what an innovation (m,) is against its covariance, and that one's Cholesky factor.
+def gate_innovation(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, Array]:
+    """Test an innovation (m,); return the outcome and the factor of its covariance.
 
-    It is taken if its normalised square is at most `gate`. One that is not finite tells nothing
-    (`nis` is NaN); a covariance (m, m) that is no longer good refuses all, `nis` being infinite.
+    The factor is that of Cholesky. The innovation is accepted if its normalised square is at most
+    `gate`. If it is not finite, it is ignored (`nis` is NaN). If the covariance (m, m) is not
+    positive definite, the innovation is rejected with an infinite `nis`.
     """
     m = len(innovation)
     if not np.isfinite(innovation).all():
@@ -326,7 +328,7 @@ def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, 
     try:
         lower: Array = np.asarray(np.linalg.cholesky(0.5 * (expected + expected.T)))
     except np.linalg.LinAlgError:
-        # Rounding has eaten the covariance: nothing can be told from it any more.
+        # Rounding errors have made the covariance indefinite: reject everything from now on.
         return Outcome(np.inf, m, False), expected
     white = solve_triangular(lower, innovation, lower=True, check_finite=False)
     nis = float(white @ white)
@@ -336,51 +338,58 @@ def compared(innovation: Array, expected: Array, gate: float) -> tuple[Outcome, 
 
 
 def _as_measurements(own: Array, information: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Return what information on errors of covariance (k, k) tells, as measurements.
+    """Convert information on errors to independent measurements.
 
-    With P = L L' before, M = L' I L and u = L' v, u has the covariance M + M^2 (I being that of v's
-    noise). Only directions in which it tells something are taken: in others a trace of what is not
-    modelled looks like many deviations, and moves the errors by as many, over and over.
+    With the prior covariance P = L L', the information matrix I, M = L' I L and u = L' v, the
+    covariance of u is M + M^2, since I is the covariance of the noise of v. Directions with little
+    information are dropped: small unmodelled errors look like many standard deviations there, and
+    would move the state again with each update.
 
     Returns
     -------
     rows, measured
         Jacobian (m, k) and innovation (m,) of measurements of unit variance.
     white
-        The whitened innovation (k,) along the axes of L, the same in every measurement.
+        Whitened innovation (k,) along the axes of L, which are the same for every measurement.
     """
     unit = np.sqrt(np.maximum(own.diagonal(), 1e-300))
     correlation = own / np.outer(unit, unit)
-    lower = np.linalg.cholesky(correlation + _SINGULAR * np.eye(len(own))) * unit[:, None]
-    told, axes = np.linalg.eigh(lower.T @ information @ lower)
-    kept = told > _LEAST_TOLD
-    told, axes = told[kept], axes[:, kept]
-    root = np.sqrt(told)
+    lower = np.linalg.cholesky(correlation + _REGULARISATION * np.eye(len(own))) * unit[:, None]
+    gain, axes = np.linalg.eigh(lower.T @ information @ lower)
+    kept = gain > _MIN_RELATIVE_INFORMATION
+    gain, axes = gain[kept], axes[:, kept]
+    root = np.sqrt(gain)
     measured = axes.T @ (lower.T @ vector) / root
     rows = solve_triangular(lower, axes * root, trans="T", lower=True, check_finite=False).T
-    return rows, measured, axes @ (measured / np.sqrt(1.0 + told))
+    return rows, measured, axes @ (measured / np.sqrt(1.0 + gain))
 
 
 def _samples(angle: ArrayLike, velocity: ArrayLike) -> tuple[Array, Array]:
-    """Return inertial samples (n, 3) of both kinds, checked."""
+    """Check inertial samples, and return them as two arrays (n, 3)."""
     out = []
     for name, values in (("angle", angle), ("velocity", velocity)):
         array = np.atleast_2d(np.asarray(values, dtype=np.float64))
         if array.ndim != 2 or array.shape[1] != 3:
             shape = np.shape(values)
-            raise InputError(f"inertial.{name}", shape, "samples (n, 3), NaN for a missing one")
+            raise InputError(
+                f"inertial.{name}", shape, "must be an array (n, 3)", "Mark missing samples by NaN."
+            )  # fmt: skip
         out.append(array)
     if len(out[0]) != len(out[1]):
         lengths = tuple(len(a) for a in out)
-        raise InputError("inertial.samples", lengths, "as many of angle as of velocity")
+        raise InputError(
+            "inertial.samples", lengths, "must have as many angle as velocity increments"
+        )
     return out[0], out[1]
 
 
 def _covariance(name: str, given: ArrayLike) -> Array:
     own = np.atleast_2d(np.asarray(given, dtype=np.float64))
     good = own.ndim == 2 and own.shape[0] == own.shape[1] and np.isfinite(own).all()
-    # Singular ones are good; rounding makes their least eigenvalue a little negative.
+    # Singular covariances are valid; rounding can make their smallest eigenvalue negative.
     good = good and own.size > 0 and np.allclose(own, own.T)
     if not (good and np.linalg.eigvalsh(own).min() >= -1e-12 * np.abs(own).max()):
-        raise InputError(name, np.shape(given), "a symmetric covariance that is not negative")
+        raise InputError(
+            name, np.shape(given), "must be a symmetric positive semi-definite covariance"
+        )
     return own

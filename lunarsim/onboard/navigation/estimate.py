@@ -1,4 +1,4 @@
-"""The contract of navigation: an estimate with its covariance."""
+"""Interface of navigation filters, and the estimate that they return."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the onboard computer knows of the lander.
+    """State of the lander as estimated on board.
 
     Attributes
     ----------
@@ -33,9 +33,10 @@ class Estimate:
     mass
         kg.
     covariance
-        Of position (in the site frame), velocity and small rotation in ENU (9, 9), m, m/s, rad.
+        Covariance (9, 9) of position (site frame, m), velocity (m/s) and small rotation in ENU
+        (rad).
     lost
-        Whether what is measured can no longer be explained: the rest is not to be trusted.
+        Whether the measurements contradict the estimate: the other fields are then unreliable.
     """
 
     time: float
@@ -48,7 +49,7 @@ class Estimate:
     lost: bool = False
 
     def ahead(self, seconds: float) -> Estimate:
-        """Return it carried on with present velocity and rate."""
+        """Extrapolate with constant velocity and body rate."""
         attitude = self.attitude.copy()
         turned(attitude, self.rate * seconds)
         return replace(
@@ -58,37 +59,37 @@ class Estimate:
 
     @property
     def tilt_sigma(self) -> float:
-        """Greatest standard deviation of the tilt about a level axis, rad."""
+        """Larger standard deviation of the tilt about the two horizontal axes, rad."""
         return float(np.sqrt(max(np.diag(self.covariance)[6:8].max(), 0.0)))
 
 
 @dataclass(frozen=True)
-class GroundTurn:
-    """By what the ground as it was seen has turned, since the lander's tilt was corrected.
+class MapRotation:
+    """Rotation of the mapped terrain by corrections of the lander's tilt.
 
-    What was seen with a tilt that is known to be wrong now lies where it does by that tilt; scans
-    that lie one on the other all turn alike, about the point on which the local frame hangs.
+    A map built with a tilt error is itself tilted. When the filter corrects the tilt, everything
+    mapped before rotates about one point, the anchor of the local frame.
 
     Attributes
     ----------
     rotation
-        Sum of all corrections so far (3, 3), ENU.
+        Product of all corrections so far (3, 3), ENU.
     pivot
-        Of the turn, local frame (3,), m.
+        Centre of the rotation, local frame (3,), m.
     """
 
     rotation: Array
     pivot: Array
 
     def since(self, before: Array) -> tuple[Array, float]:
-        """Return the turn (3, 3) since the rotation was another (3, 3), and its angle, rad."""
+        """Return the rotation (3, 3) since `before` (3, 3), and its angle, rad."""
         turn = self.rotation @ before.T
         return turn, float(np.linalg.norm(turn - turn.T) / np.sqrt(8.0))
 
 
 @dataclass(frozen=True)
 class NavigationEvent:
-    """Something that navigation reports.
+    """Event reported by navigation.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ class NavigationEvent:
     name
         For instance "lock", "lock-lost" or "relock".
     details
-        Figures for the record.
+        Values for the flight record.
     """
 
     time: float
@@ -106,17 +107,17 @@ class NavigationEvent:
 
 
 class Navigation(ABC):
-    """Anything that turns measurements into an `Estimate`.
+    """Turn measurements into an `Estimate`.
 
     Attributes
     ----------
     events
-        What it has reported so far.
+        Events reported so far.
     own_azimuth
-        Whether the local frame points where the lander says that it began to, not as the site
-        frame does.
+        Whether the azimuth of the local frame is the lander's initial estimate and not that of the
+        site frame.
     steps
-        Whether measurements move its position in steps.
+        Whether measurements change the estimated position in steps.
     """
 
     events: list[NavigationEvent]
@@ -126,64 +127,68 @@ class Navigation(ABC):
     @property
     @abstractmethod
     def site_to_local(self) -> Shift:
-        """Where the site frame is taken to lie in the local one."""
+        """Estimated transformation from the site frame to the local frame."""
 
     @abstractmethod
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in one measurement of a named sensor; what it cannot use changes nothing."""
+        """Process one measurement of a named sensor; ignore one that cannot be used."""
 
     @abstractmethod
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the estimate at `time` with the mass (kg) that the computer keeps."""
+        """Return the estimate at `time` (s) with the mass (kg) given by the computer."""
 
     @property
     def adrift(self) -> bool:
-        """Whether nothing holds the lander to the ground that it has mapped.
+        """Whether neither a map nor tracked rocks bound the position error.
 
-        What its velocity errs by then adds up until touchdown.
+        Velocity errors then accumulate until touchdown.
         """
         return True
 
     def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what its sensor is known to err by.
+        """Return a measurement and its pose, corrected for the estimated sensor errors.
 
-        As mappers are to take it. Without an estimate of such errors it is as it came.
+        Mappers use the result. A navigation without estimates of sensor errors returns its
+        arguments.
 
         Parameters
         ----------
         sensor, measurement
-            What was measured.
+            Name of the sensor, and its measurement.
         now
-            The estimate after it was taken in.
+            Estimate after the measurement was processed.
         """
         return measurement, now
 
     @property
-    def ground_turn(self) -> GroundTurn | None:
-        """By what mapped ground has turned; None where nothing is known of it."""
+    def ground_turn(self) -> MapRotation | None:
+        """Rotation of the mapped terrain by tilt corrections; None if not estimated."""
         return None
 
 
 @runtime_checkable
 class ThrustAware(Protocol):
-    """A navigation that makes something of the thrust that the engine was asked for."""
+    """Navigation that uses the commanded thrust."""
 
     def commanded(self, thrust: float, seconds: float) -> None:
-        """Note the thrust (N) over the last so many seconds, before what was measured in them."""
+        """Record the thrust (N) commanded over the last `seconds`.
+
+        It is called before the measurements of that time are processed.
+        """
         ...
 
 
 class NavigationPart(Protocol):
-    """What the registry knows of a navigation: a frozen dataclass of its settings.
+    """Settings of a navigation in the registry: a frozen dataclass.
 
     Attributes
     ----------
     needs
-        Types of measurements without which it cannot work.
+        Measurement types that the navigation requires.
     takes
-        Types that it uses if there are any, besides.
+        Measurement types that it uses if available.
     needs_prior_map, uses_prior_map
-        Whether it cannot work without a prior map, and whether it makes something of one.
+        Whether it requires a prior map, and whether it uses one if available.
     """
 
     needs: ClassVar[tuple[type, ...]]
@@ -192,5 +197,5 @@ class NavigationPart(Protocol):
     uses_prior_map: ClassVar[bool]
 
     def build(self, briefing: Briefing) -> Navigation:
-        """Return the navigation of one flight."""
+        """Build the navigation filter of one flight."""
         ...

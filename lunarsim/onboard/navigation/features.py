@@ -1,4 +1,4 @@
-"""What of a raster stands out from its surroundings."""
+"""Extract local height features from a raster."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ from scipy import ndimage
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Least share of the square around a post that must be known.
-_LEAST = 0.6
+# Minimum known fraction of the square around a post.
+_MIN_KNOWN_SHARE = 0.6
 
 
-def above_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
-    """Return heights above the plane fitted to the known posts around, and where there is one.
+def subtract_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
+    """Subtract the plane fitted to the known posts in the square around each post.
 
-    Swells and the tilt of a wrong attitude are gone; what is left are features. Voids leave a
-    plane as it is as long as they are few.
+    This removes long undulations and the tilt by an attitude error, and leaves local features. A
+    few voids hardly change the plane.
 
     Parameters
     ----------
     height
-        (rows, cols), m; anything where it is not known.
+        Heights (rows, cols), m; unknown posts may have any value.
     known
-        (rows, cols).
+        Whether each height is known (rows, cols).
     reach
-        The square around a post has 2 `reach` + 1 posts a side.
+        Half width of the square; it has 2 `reach` + 1 posts per side.
 
     Returns
     -------
     above
-        (rows, cols), m; 0 where there is none.
+        Heights above the planes (rows, cols), m; 0 without a plane.
     kept
-        Where the post itself is known, and six tenths of the square around it, on all its sides.
+        Whether there is a plane (rows, cols): the post and 60 % of its square are known, and the
+        known posts surround it.
     """
     side = 2 * reach + 1
     offset = np.arange(-reach, reach + 1, dtype=np.float64) / max(reach, 1)
@@ -49,12 +50,12 @@ def above_plane(height: Array, known: Mask, reach: int) -> tuple[Array, Mask]:
     x, y = moment(weight, 1, 0), moment(weight, 0, 1)
     xx, xy, yy = moment(weight, 2, 0), moment(weight, 1, 1), moment(weight, 0, 2)
     z, xz, yz = moment(filled, 0, 0), moment(filled, 1, 0), moment(filled, 0, 1)
-    # Cramer's rule for the plane's height at the post.
+    # Height of the plane at the central post by Cramer's rule.
     a, b, c = xx * yy - xy * xy, x * yy - y * xy, x * xy - y * xx
     det = n * a - x * b + y * c
-    # The variance of the plane there, in units of a post's: large where all lie to one side.
-    kept = known & (n >= _LEAST * side * side)
-    kept &= a <= 4.0 * det / (_LEAST * side * side)
+    # Limit the variance of the plane: it is large if all known posts lie on one side.
+    kept = known & (n >= _MIN_KNOWN_SHARE * side * side)
+    kept &= a <= 4.0 * det / (_MIN_KNOWN_SHARE * side * side)
     safe = np.where(kept, det, 1.0)
     plane = (z * a - xz * b + yz * c) / safe
     return np.where(kept, filled - plane, 0.0), kept

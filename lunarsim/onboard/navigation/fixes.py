@@ -1,4 +1,4 @@
-"""Navigation that takes the fixes of another system as they come."""
+"""Navigation with the position fixes of an external system."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lunarsim.messages.measurements import InertialSamples, NavigationFix
 from lunarsim.onboard.navigation.arrivals import Arrivals
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 
-# Without a fix for so long nobody knows where the lander is, s.
-_LONGEST = 2.0
+# Maximum age of a fix before navigation is lost, s.
+_MAX_FIX_AGE_S = 2.0
 
 
 @dataclass(frozen=True)
 class Fixes:
-    """Takes the fixes of another system as they come."""
+    """Use the fixes of an external navigation system unchanged."""
 
     needs: ClassVar[tuple[type, ...]] = (NavigationFix,)
     takes: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -28,30 +28,30 @@ class Fixes:
     uses_prior_map: ClassVar[bool] = False
 
     def build(self, briefing: Briefing) -> FixNavigation:
-        """Return the navigation of one flight."""
+        """Build the navigation of one flight."""
         return FixNavigation(briefing.start, briefing.step)
 
 
 class FixNavigation(Navigation):
-    """The last fix is the estimate; before the first it is the start's.
+    """Use the last fix as the estimate, and the initial estimate before the first.
 
-    A fix that is not finite, whose attitude is no rotation or whose covariance is negative tells
-    nothing, and one that comes out of order is left out (`Arrivals`). After 2 s without one it is
-    lost.
+    A fix is ignored if it is not finite, its attitude is not a unit quaternion or a variance is
+    negative. `Arrivals` rejects fixes that are out of order. Navigation is lost if there is no fix
+    for 2 s.
 
     Parameters
     ----------
     start
-        Where the descent begins.
+        Initial estimate.
     step
-        Between samples of gyroscopes, if there are any, s.
+        Time between gyroscope samples, if there are any, s.
     """
 
     steps: ClassVar[bool] = False
 
     def __init__(self, start: StartEstimate, step: float) -> None:
         self._step = step
-        self._arrivals = Arrivals(step, self._note)
+        self._arrivals = Arrivals(step, self._add_event)
         self._rate = np.zeros(3)
         self.events: list[NavigationEvent] = []
         sigmas = np.repeat([start.position_sigma, start.velocity_sigma, start.attitude_sigma], 3)
@@ -61,28 +61,28 @@ class FixNavigation(Navigation):
 
     @property
     def adrift(self) -> bool:
-        """Fixes do not drift."""
+        """False, since fixes do not drift."""
         return False
 
     @property
     def site_to_local(self) -> Shift:
-        """Fixes are of the site frame, and so is the local frame."""
+        """The identity: the local frame is the site frame of the fixes."""
         return Shift()
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Keep a fix, and the rate of gyroscopes.
+        """Store a fix, or the rate measured by the gyroscopes.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards, or arrays are not of the shapes that they should be.
+            If `time` (s) runs backwards, or an array has a wrong shape.
         """
         measurement = self._arrivals.admit(sensor, measurement, time)
         if isinstance(measurement, NavigationFix):
-            if _tells(measurement):
+            if _is_valid(measurement):
                 self._fix = measurement
         elif isinstance(measurement, InertialSamples):
             angle = measurement.angle[np.isfinite(measurement.angle).all(axis=1)]
@@ -92,18 +92,18 @@ class FixNavigation(Navigation):
     def estimate(self, time: float, mass: float) -> Estimate:
         """Return the last fix with the given mass (kg)."""
         f = self._fix
-        lost = time - f.time > _LONGEST
+        lost = time - f.time > _MAX_FIX_AGE_S
         return Estimate(
             time, f.position, f.velocity, f.attitude, self._rate, mass, f.covariance, lost
         )
 
 
-def _tells(fix: NavigationFix) -> bool:
-    """Tell whether a fix can be believed: finite, a rotation, a covariance that is not negative."""
+def _is_valid(fix: NavigationFix) -> bool:
+    """Return whether a fix is finite with a unit quaternion and valid variances."""
     shapes = {"position": (3,), "velocity": (3,), "attitude": (4,), "covariance": (9, 9)}
     for name, shape in shapes.items():
-        given = np.shape(getattr(fix, name))
-        if given != shape:
-            raise InputError(f"fix.{name}", given, f"an array {shape}")
+        shape_given = np.shape(getattr(fix, name))
+        if shape_given != shape:
+            raise InputError(f"fix.{name}", shape_given, f"must have shape {shape}")
     finite = all(np.isfinite(getattr(fix, name)).all() for name in shapes)
     return bool(finite and is_rotation(fix.attitude) and (np.diag(fix.covariance) >= 0.0).all())

@@ -1,4 +1,4 @@
-"""Strap-down inertial navigation with its error state (shadow EKF paper, Eqs. 1-8)."""
+"""Strapdown inertial navigation and its error state (shadow EKF paper, Eqs. 1-8)."""
 
 from __future__ import annotations
 
@@ -15,22 +15,26 @@ from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES, TriadError
 from lunarsim.models.instruments import InertialInstrument
 from lunarsim.onboard.navigation import _inertial_kernels as kernels
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.navigation.sample_guard import CONFIRM, SampleGuard, SampleLimits
+from lunarsim.onboard.navigation.sample_guard import (
+    CONFIRMATION_COUNT,
+    ImuOutlierDetector,
+    SampleLimits,
+)
 
 Array = NDArray[np.float64]
 
-# Where the errors lie in the error state, Eq. 1.
+# Positions in the error state, Eq. 1.
 POSITION, VELOCITY, ACCELEROMETER = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE, GYROSCOPE = slice(9, 12), slice(12, 15)
 INERTIAL = 15
-# No lander starts farther from the middle of its terrain, or faster, m and m/s; and no ground that
-# one lands on pulls harder, m/s^2.
-_FARTHEST, _FASTEST, _HEAVIEST = 1e6, 2e4, 100.0
+# Plausibility limits of the initial state: distance from the terrain centre (m), speed (m/s) and
+# gravity (m/s^2).
+_MAX_DISTANCE_M, _MAX_SPEED_M_S, _MAX_GRAVITY_M_S2 = 1e6, 2e4, 100.0
 
 
 @dataclass(frozen=True)
 class StartSigmas:
-    """Standard deviations at the start, each an axis.
+    """Standard deviations of the initial state, per axis.
 
     Attributes
     ----------
@@ -48,56 +52,62 @@ class StartSigmas:
         for name in ("position", "velocity", "attitude"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"navigation.{name}", value, "a positive number")
+                raise InputError(f"navigation.{name}", value, "must be a positive number")
 
 
-def _checked_start(
+def _check_start(
     position: Array, velocity: Array, attitude: Array, gravity: float, step: float
 ) -> Array:
-    """Return position, velocity and attitude (10,) that a lander may begin with."""
+    """Check the initial state; return it as one array (10,)."""
     start = np.concatenate((position, velocity, attitude)).astype(np.float64)
     if start.shape != (10,) or not np.isfinite(start).all():
-        raise InputError("navigation.start", start.tolist(), "ten finite numbers")
+        raise InputError("navigation.start", start.tolist(), "must be ten finite numbers")
     if not is_rotation(start[6:]):
-        raise InputError("navigation.attitude", start[6:].tolist(), "a unit quaternion")
-    if np.abs(start[:3]).max() > _FARTHEST:
+        raise InputError("navigation.attitude", start[6:].tolist(), "must be a unit quaternion")
+    if np.abs(start[:3]).max() > _MAX_DISTANCE_M:
         raise InputError(
-            "navigation.position", start[:3].tolist(), f"at most {_FARTHEST:g} m either way"
+            "navigation.position",
+            start[:3].tolist(),
+            f"must be at most {_MAX_DISTANCE_M:g} m in magnitude per axis",
         )
-    if np.abs(start[3:6]).max() > _FASTEST:
+    if np.abs(start[3:6]).max() > _MAX_SPEED_M_S:
         raise InputError(
-            "navigation.velocity", start[3:6].tolist(), f"at most {_FASTEST:g} m/s either way"
+            "navigation.velocity",
+            start[3:6].tolist(),
+            f"must be at most {_MAX_SPEED_M_S:g} m/s in magnitude per axis",
         )
-    if not 0.0 < gravity <= _HEAVIEST:
+    if not 0.0 < gravity <= _MAX_GRAVITY_M_S2:
         raise InputError(
-            "navigation.gravity", gravity, f"above 0 and at most {_HEAVIEST:g} m/s^2, downward"
+            "navigation.gravity",
+            gravity,
+            f"must be positive (downward) and at most {_MAX_GRAVITY_M_S2:g} m/s^2",
         )
     if not (np.isfinite(step) and step > 0.0):
-        raise InputError("navigation.step", step, "a positive number of seconds")
+        raise InputError("navigation.step", step, "must be a positive number of seconds")
     return start
 
 
 class StrapdownState:
-    """Position, velocity, attitude and biases, carried by inertial samples.
+    """Position, velocity, attitude and biases, propagated with inertial samples.
 
     Parameters
     ----------
     position, velocity, attitude
-        Estimate at the start: ENU (3,) and (3,), quaternion body to ENU (4,).
+        Initial estimate: ENU (3,) m and (3,) m/s, quaternion body to ENU (4,).
     gravity
         Downward acceleration, m/s^2.
     step
         Time between inertial samples, s.
     gyroscopes, accelerometers
-        Error models of the unit.
+        Error models of the inertial unit.
     limits
-        What the lander can do, by which samples are judged; left out: nothing is known of it.
+        Limits of the lander's dynamics, to reject outliers; default: limits of any lander.
 
     Raises
     ------
     InputError
-        If anything is not finite, the attitude is no rotation, gravity or the step is not positive,
-        or a figure is beyond what any lander has (1,000 km, 20 km/s, 100 m/s^2).
+        If a value is not finite, the attitude is not a unit quaternion, gravity or the step is not
+        positive, or a value exceeds the plausibility limits (1,000 km, 20 km/s, 100 m/s^2).
     """
 
     def __init__(
@@ -112,12 +122,12 @@ class StrapdownState:
         accelerometers: TriadErrors = ACCELEROMETERS,
         limits: SampleLimits | None = None,
     ) -> None:
-        start = _checked_start(position, velocity, attitude, gravity, step)
+        start = _check_start(position, velocity, attitude, gravity, step)
         self._x = np.concatenate((start[:6], np.zeros(3), normalised(start[6:]), np.zeros(3)))
         self._gravity = np.array([0.0, 0.0, -gravity])
         self.step = step
-        self._guard = SampleGuard(limits or SampleLimits.unknown(), step)
-        self._told: list[tuple[str, dict[str, Any]]] = []
+        self._outlier_detector = ImuOutlierDetector(limits or SampleLimits.unknown(), step)
+        self._pending_events: list[tuple[str, dict[str, Any]]] = []
         self._density = np.array(
             [
                 accelerometers.random_walk,
@@ -126,15 +136,15 @@ class StrapdownState:
                 gyroscopes.bias_walk,
             ]
         )
-        # A lander that flies blind may change its thrust by 1 m/s^2 and turn by 2 deg in a second.
-        self._blind = np.array([1.0, 0.035])
-        self._held = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
-        # What the gyroscopes' scale factors and misalignments make of a turn since the start.
-        off = np.full((3, 3), gyroscopes.misalignment**2)
-        np.fill_diagonal(off, gyroscopes.scale_factor**2)
-        self._of_turn = off
-        self._turned = np.zeros(3)
-        # Scale factor and misalignment act as biases under steady thrust, here of 3 m/s^2.
+        # Random walk while samples are missing: 1 m/s^2 of thrust and 2 deg of rotation in 1 s.
+        self._missing_density = np.array([1.0, 0.035])
+        self._last_sample = np.concatenate((np.zeros(3), [0.0, 0.0, gravity]))
+        # Variance of the attitude per squared rotation, by scale factors and misalignments.
+        variance = np.full((3, 3), gyroscopes.misalignment**2)
+        np.fill_diagonal(variance, gyroscopes.scale_factor**2)
+        self._variance_per_rotation = variance
+        self._rotation_since_start = np.zeros(3)
+        # Scale factor and misalignment act as biases under constant thrust, here 3 m/s^2.
         self._bias_sigma = (
             float(
                 np.hypot(
@@ -147,7 +157,7 @@ class StrapdownState:
 
     @classmethod
     def of(cls, briefing: Briefing) -> tuple[StrapdownState, StartSigmas]:
-        """Return the state that a briefing starts with, and its standard deviations.
+        """Return the initial state of a briefing, and its standard deviations.
 
         Raises
         ------
@@ -158,7 +168,9 @@ class StrapdownState:
             (i for i in briefing.instruments.values() if isinstance(i, InertialInstrument)), None
         )
         if unit is None:
-            raise InputError("sensors", sorted(briefing.instruments), "an inertial unit among them")
+            raise InputError(
+                "sensors", sorted(briefing.instruments), "must include an inertial unit"
+            )
         s = briefing.start
         sigmas = StartSigmas(
             max(s.position_sigma, 1e-3), max(s.velocity_sigma, 1e-4), max(s.attitude_sigma, 1e-6)
@@ -175,7 +187,7 @@ class StrapdownState:
         return state, sigmas
 
     def covariance(self, errors: StartSigmas) -> Array:
-        """Return the covariance (15, 15) of the error state at the start."""
+        """Return the initial covariance of the error state (15, 15)."""
         sigmas = (
             errors.position, errors.velocity, self._bias_sigma[0], errors.attitude,
             self._bias_sigma[1],
@@ -199,31 +211,31 @@ class StrapdownState:
 
     @property
     def biases(self) -> tuple[Array, Array]:
-        """Accelerometer (3,), m/s^2, and gyroscope bias (3,), rad/s."""
+        """Biases of accelerometers (3,), m/s^2, and gyroscopes (3,), rad/s."""
         return self._x[6:9], self._x[13:16]
 
     @property
     def bias_sigma(self) -> tuple[float, float]:
-        """What the unit's figures say of both biases, 1 sigma an axis, m/s^2 and rad/s."""
+        """Specified accelerometer and gyroscope bias, 1 sigma per axis, m/s^2 and rad/s."""
         return self._bias_sigma
 
     @property
     def rate(self) -> Array:
         """Body rate of the last sample (3,), rad/s."""
-        return np.asarray(self._held[:3] - self._x[13:16])
+        return np.asarray(self._last_sample[:3] - self._x[13:16])
 
     def estimate(self, covariance: Array, time: float, mass: float) -> Estimate:
-        """Return the state as the rest of the loop takes it.
+        """Return the estimate of the lander's state.
 
         Parameters
         ----------
         covariance
-            Of an error state that begins with this one's (15 or more, square).
+            Covariance (n, n) of an error state whose first 15 errors are those of this state.
         time, mass
             s, kg.
         """
         keep = np.r_[0:6, 9:12]
-        # Attitude errors are kept in body axes here, in ENU there.
+        # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
         turn[6:, 6:] = quat_to_matrix(self.attitude)
         return Estimate(
@@ -232,63 +244,74 @@ class StrapdownState:
         )  # fmt: skip
 
     def propagate(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
-        """Carry the state over samples (n, 3); NaN stands for a missing one.
+        """Propagate the state with samples (n, 3); NaN marks missing samples.
 
-        So does one that no lander could give, see `SampleGuard`. Where rate or force jump as no
-        lander can, and stay there, the biases may have jumped by as much.
+        Samples that exceed the lander's dynamics count as missing (`ImuOutlierDetector`). If rate
+        or specific force jump beyond these limits and stay there, the bias variances are increased
+        by the squared jump.
 
         Returns
         -------
         transition, noise
-            Of the error state over all samples (15, 15).
+            Transition matrix and process noise of the error state over all samples (15, 15).
         """
         angle, velocity = np.atleast_2d(angle), np.atleast_2d(velocity)
-        judged = self._guard.judge(angle, velocity)
-        if judged.refused:
-            self._told.append(("samples-refused", {"count": judged.refused}))
-        gone = judged.gone.reshape(-1, 1)
-        if gone.any():
-            angle, velocity = np.where(gone, np.nan, angle), np.where(gone, np.nan, velocity)
+        screened = self._outlier_detector.screen(angle, velocity)
+        if screened.rejected:
+            self._pending_events.append(("samples-refused", {"count": screened.rejected}))
+        is_missing = screened.is_missing.reshape(-1, 1)
+        if is_missing.any():
+            angle, velocity = (
+                np.where(is_missing, np.nan, angle),
+                np.where(is_missing, np.nan, velocity),
+            )
         self._x, transition, noise = kernels.propagate(
-            self._x, self._held, angle, velocity, self.step,
-            self._gravity, self._density, self._blind,
+            self._x, self._last_sample, angle, velocity, self.step,
+            self._gravity, self._density, self._missing_density,
         )  # fmt: skip
         turn = np.nansum(angle, axis=0)
-        before, self._turned = self._turned, self._turned + turn
-        # Turning back takes the error back; nothing is claimed for that.
-        grown = np.maximum(self._of_turn @ (self._turned**2 - before**2), 0.0)
-        noise[ATTITUDE, ATTITUDE] += np.diag(grown)
-        if judged.jump.any():
-            rate, force = float(judged.jump[:3].max()), float(judged.jump[3:].max())
-            self._told.append(("samples-jumped", {"rate": rate, "force": force}))
-            self._let_biases_go(noise, judged.jump, len(angle))
+        before, self._rotation_since_start = (
+            self._rotation_since_start,
+            self._rotation_since_start + turn,
+        )
+        # A reverse rotation would cancel the error; the filter takes no credit for that.
+        growth = np.maximum(
+            self._variance_per_rotation @ (self._rotation_since_start**2 - before**2), 0.0
+        )
+        noise[ATTITUDE, ATTITUDE] += np.diag(growth)
+        if screened.jump.any():
+            rate, force = float(screened.jump[:3].max()), float(screened.jump[3:].max())
+            self._pending_events.append(("samples-jumped", {"rate": rate, "force": force}))
+            self._add_bias_jump(noise, screened.jump, len(angle))
         return transition, noise
 
-    def _let_biases_go(self, noise: Array, jump: Array, samples: int) -> None:
-        """Add to the noise (15, 15) what a jump of rate and force (6,) may be a fault of."""
-        seconds = (samples + CONFIRM) * self.step
-        for bias, carried, of in (
+    def _add_bias_jump(self, noise: Array, jump: Array, samples: int) -> None:
+        """Add a jump of rate and specific force (6,) to the process noise (15, 15)."""
+        seconds = (samples + CONFIRMATION_COUNT) * self.step
+        for bias, admit_and_propagate, of in (
             (GYROSCOPE, ATTITUDE, jump[:3]), (ACCELEROMETER, VELOCITY, jump[3:])
         ):  # fmt: skip
             noise[bias, bias] += np.diag(of**2)
-            noise[carried, carried] += np.diag((seconds * of) ** 2)
+            noise[admit_and_propagate, admit_and_propagate] += np.diag((seconds * of) ** 2)
 
-    def tell(self) -> list[tuple[str, dict[str, Any]]]:
-        """Return what was not believed of samples since this was asked last: name and details."""
-        told, self._told = self._told, []
-        return told
+    def pop_events(self) -> list[tuple[str, dict[str, Any]]]:
+        """Return name and details of the rejections since the last call."""
+        events, self._pending_events = self._pending_events, []
+        return events
 
     def correct(self, error: Array) -> None:
-        """Add an estimated error (15,); the attitude by Eq. 8, so that its norm stays 1.
+        """Add an estimated error (15,); the attitude by Eq. 8, which preserves its norm.
 
         Raises
         ------
         InputError
-            If it is not 15 finite numbers; the state stays as it was.
+            If the error is not 15 finite numbers; the state is then unchanged.
         """
         error = np.asarray(error, np.float64)
         if error.shape != (INERTIAL,) or not np.isfinite(error).all():
-            raise InputError("navigation.error", error.tolist(), f"{INERTIAL} finite numbers")
+            raise InputError(
+                "navigation.error", error.tolist(), f"must be {INERTIAL} finite numbers"
+            )
         self._x[0:9] += error[0:9]
         gibbs = np.concatenate((0.5 * error[ATTITUDE], [1.0]))
         self._x[9:13] = normalised(quat_multiply(self._x[9:13], gibbs))

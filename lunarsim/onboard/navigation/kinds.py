@@ -1,4 +1,4 @@
-"""The kinds of navigation that stand on one error state."""
+"""Navigation part kinds that use the error-state filter."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 @dataclass(frozen=True)
 class InertialNavigation:
-    """Inertial unit, scans against each other and against a prior map, ranges, speeds, stars.
+    """Use all sensors: IMU, LiDAR, altimeter, velocimeter and star tracker.
 
-    Whatever of these there is.
+    All but the IMU are optional. Scans are matched with each other and, if there is one, with a
+    prior map.
     """
 
-    relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
     takes: ClassVar[tuple[type, ...]] = (
@@ -43,13 +44,13 @@ class InertialNavigation:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> Navigator:
-        """Return the filter of one flight."""
+        """Build the navigation filter of one flight."""
         return _navigator(briefing, float(np.tan(self.relief)), rocks=self.rocks)
 
 
 @dataclass(frozen=True)
 class PriorMapNavigation:
-    """Inertial unit and LiDAR scans that find their place on a prior map (quadtree paper)."""
+    """Match LiDAR scans with a prior map, and propagate with the IMU (quadtree paper)."""
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples, LidarScan)
     takes: ClassVar[tuple[type, ...]] = (AltimeterReading, DopplerReading, AttitudeReading)
@@ -57,7 +58,7 @@ class PriorMapNavigation:
     uses_prior_map: ClassVar[bool] = True
 
     def build(self, briefing: Briefing) -> Navigator:
-        """Return the filter of one flight.
+        """Build the navigation filter of one flight.
 
         Raises
         ------
@@ -65,15 +66,18 @@ class PriorMapNavigation:
             If there is no prior map.
         """
         if briefing.prior_map is None:
-            raise InputError("prior_map", None, "a table: this navigation finds its place on it")
+            raise InputError(
+                "prior_map", None, "must be a table for this navigation",
+                "Give a prior map or choose another navigation.",
+            )  # fmt: skip
         return _navigator(briefing, LevelGround().relief)
 
 
 @dataclass(frozen=True)
 class RockNavigation(InertialNavigation):
-    """As `InertialNavigation`, and the rocks that a camera sees by their shadows."""
+    """Extend `InertialNavigation` by rocks that the camera detects by their shadows."""
 
-    relief: float = quantity(6.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
+    relief: float = quantity(6.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
 
     rocks: ClassVar[bool] = True
 

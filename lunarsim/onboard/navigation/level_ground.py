@@ -1,4 +1,4 @@
-"""What navigation knows of the ground's height before it has measured any."""
+"""Prior knowledge of the terrain height before any measurement."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ import numpy as np
 from lunarsim.errors import InputError
 from lunarsim.messages.briefing import Briefing
 
-# The block of what the ground lies above or below the target, and how it grows: heights of relief
-# differ by its slope times this length after as many metres, m.
+# Name of the block of the terrain height relative to the target elevation, and the length (m) that
+# scales its random walk: over this distance heights differ by the slope times this length.
 GROUND = "ground"
-_CORRELATION = 10.0
-# Heights of the ground so far apart differ by its slope over a metre times this power of the way:
-# lunar mare up to a kilometre (Rosenburg et al. 2011; highland is rougher yet, 0.95).
-_HURST = 0.76
-# Ground is never known better than this, m.
-_LEAST_GROUND = 0.1
+_LENGTH_SCALE_M = 10.0
+# Exponent of the height difference over a distance in metres, for a slope measured over 1 m: lunar
+# mare up to a kilometre (Rosenburg et al. 2011; highland is rougher, 0.95).
+_HURST_EXPONENT = 0.76
+# Minimum standard deviation of the terrain height, m.
+_MIN_HEIGHT_SIGMA_M = 0.1
 
 
 @dataclass(frozen=True)
 class LevelGround:
-    """What is known of the height of the ground, to make something of ranges.
+    """Prior estimate of the terrain height, used to interpret ranges.
 
     Attributes
     ----------
     elevation
-        m.
+        Estimated elevation of the terrain, m.
     sigma
-        Of that elevation under the lander at the start, m; None: it is taken to be so everywhere.
+        Standard deviation of the terrain height below the initial position, m; if None, the
+        elevation is exact everywhere.
     relief
-        Tangent of the slope by which it rises and falls from there.
+        Tangent of the typical terrain slope.
     """
 
     elevation: float = 0.0
@@ -42,24 +43,27 @@ class LevelGround:
         for name, value in (("sigma", self.sigma), ("relief", self.relief)):
             if value is not None and not (np.isfinite(value) and value >= 0.0):
                 raise InputError(
-                    f"navigation.ground_{name}", value, "a number that is not negative"
+                    f"navigation.ground_{name}", value, "must be a non-negative number"
                 )
         if not np.isfinite(self.elevation):
-            raise InputError("navigation.ground_elevation", self.elevation, "a finite height")
+            raise InputError(
+                "navigation.ground_elevation", self.elevation, "must be a finite height"
+            )
 
     @classmethod
     def of(cls, briefing: Briefing, relief: float) -> LevelGround:
-        """Return what a mission knows of the ground under the start.
+        """Return the prior terrain height below the initial position.
 
-        That is the target's elevation, off by what the mission says of it and by how much relief,
-        whose slope over a metre has this tangent, lies higher or lower so far away.
+        The estimate is the target elevation. Its error combines the elevation error in the briefing
+        and the height difference over the distance to the target; `relief` is the tangent of the
+        slope over 1 m.
         """
-        away = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
-        rise = relief * away**_HURST
+        distance = float(np.linalg.norm((briefing.start.position - briefing.target)[:2]))
+        rise = relief * distance**_HURST_EXPONENT
         sigma = float(np.hypot(briefing.start.ground_sigma, rise))
-        return cls(float(briefing.target[2]), max(sigma, _LEAST_GROUND), relief)
+        return cls(float(briefing.target[2]), max(sigma, _MIN_HEIGHT_SIGMA_M), relief)
 
     @property
     def growth(self) -> float:
-        """By how much the variance of the difference of two heights grows with a metre, m^2/m."""
-        return self.relief**2 * _CORRELATION
+        """Growth of the variance of a height difference with distance, m^2/m."""
+        return self.relief**2 * _LENGTH_SCALE_M

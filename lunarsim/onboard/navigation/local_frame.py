@@ -1,11 +1,10 @@
-"""Where the site frame lies in the local one: four errors of the state, a block of their own.
+"""Local frame of the filter and its transformation to the site frame.
 
-The local frame is where the lander says that it began: its position at the start and its azimuth
-then have no error in it. What the mission tells of them errs, and so does the place of the target
-and of a prior map in the local frame. Scans against scans say nothing of that: no such measurement
-has these errors in its Jacobian, so that position and azimuth stay as unknown as they were. What
-does say something (a map, the stars, ranges to ground of known height) moves the site, and the
-lander as far as it errs with it.
+The local frame is defined by the initial estimate: in it, the initial position and azimuth have no
+error. The errors of this estimate become errors of the target and the prior map in the local frame,
+four states in their own block. Scan-to-scan odometry does not depend on these states, so it leaves
+the uncertainty of position and azimuth unchanged. Absolute measurements (a map, stars, ranges to
+terrain of known height) correct these states, and the lander as far as it is correlated with them.
 """
 
 from __future__ import annotations
@@ -38,22 +37,22 @@ Index = NDArray[np.int64]
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def blank_block() -> dict[str, Array]:
-    """Return the block for an error state; `LocalFrame` gives it its covariance."""
+def empty_map_block() -> dict[str, Array]:
+    """Return an empty block for an error state; `LocalFrame` sets its covariance."""
     return {MAP: np.zeros((4, 4))}
 
 
 class LocalFrame:
-    """The transform between local and site frame, as the error state knows it.
+    """Transformation between the local frame and the site frame.
 
-    Site coordinates of a local point x are c + R (x - c - d): c is where the lander was told to
-    begin, d and the angle of R (about up) are the block's values.
+    Site coordinates of a local point x are c + R (x - c - d). Here c is the initial position
+    estimate; d and the angle of R about up are the values of the block.
 
     Parameters
     ----------
     state
-        Error state with the block; its lander is as the mission told, in the site frame. Moves
-        what position and azimuth err by from the lander to the block.
+        Error state with the block and the initial estimate in the site frame. The constructor
+        moves the errors of position and azimuth from the lander to the block.
     """
 
     def __init__(self, state: ErrorState) -> None:
@@ -61,39 +60,39 @@ class LocalFrame:
         self.pivot = state.inertial.position.copy()
         block = state.block(MAP)
         self.columns = np.arange(block.start, block.stop)
-        _begin(state, self.columns)
+        _move_initial_errors(state, self.columns)
 
-    # --- what is believed -----------------------------------------------------------------
+    # --- estimate -------------------------------------------------------------------------
 
     @property
     def azimuth(self) -> float:
-        """By which the local frame is turned against the site frame, rad."""
+        """Rotation angle about up from the local to the site frame, rad."""
         return float(self.state.value(MAP)[3])
 
     @property
     def rotation(self) -> Array:
-        """From the local to the site frame (3, 3)."""
+        """Rotation matrix from the local to the site frame (3, 3)."""
         return turned_about_up(self.azimuth)
 
     @property
     def shift(self) -> Shift:
-        """From the site frame to the local frame."""
+        """Transformation from the site frame to the local frame."""
         d = self.state.value(MAP)[:3]
         return Shift(self.pivot + d - self.rotation.T @ self.pivot, -self.azimuth)
 
     def to_site(self, points: ArrayLike) -> Array:
-        """Return site coordinates of local points (..., 3), m."""
+        """Transform local points (..., 3) to the site frame, m."""
         d = self.state.value(MAP)[:3]
         local = np.asarray(points, np.float64)
         return np.asarray((local - self.pivot - d) @ self.rotation.T + self.pivot)
 
-    def in_site(self, seen: SeenScan) -> SeenScan:
-        """Return a scan of the local frame in the site frame."""
+    def in_site(self, corrected: SeenScan) -> SeenScan:
+        """Transform a scan from the local frame to the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
-        return seen.turned(self.rotation, turn, self.to_site(np.zeros(3)))
+        return corrected.turned(self.rotation, turn, self.to_site(np.zeros(3)))
 
     def estimate_in_site(self, estimate: Estimate) -> Estimate:
-        """Return an estimate of the local frame in the site frame."""
+        """Transform an estimate from the local frame to the site frame."""
         turn = quat_from_rotation_vector(self.azimuth * _UP)
         return replace(
             estimate,
@@ -102,16 +101,16 @@ class LocalFrame:
             attitude=quat_multiply(turn, estimate.attitude),
         )
 
-    # --- how it errs ----------------------------------------------------------------------
+    # --- errors ---------------------------------------------------------------------------
 
     def pose_columns(self) -> Index:
-        """Return where what a pose in the site frame depends on lies in the state (10,)."""
+        """Return the state indices that a pose in the site frame depends on (10,)."""
         return np.concatenate((POSE, self.columns))
 
     def pose_jacobian(self) -> Array:
-        """Return how the errors of the pose in the site frame depend on those (6, 10).
+        """Return the Jacobian of the pose in the site frame (6, 10).
 
-        Rows: position (ENU) and small rotation (body axes).
+        Columns: `pose_columns`. Rows: position (ENU) and small rotation (body axes).
         """
         r, own = self.rotation, self.state.inertial
         out = np.zeros((6, 10))
@@ -122,7 +121,10 @@ class LocalFrame:
         return out
 
     def covariance_in_site(self) -> Array:
-        """Return that of position, velocity and small rotation (body axes), site frame (9, 9)."""
+        """Return the covariance of position, velocity, rotation in the site frame (9, 9).
+
+        The rotation is about body axes.
+        """
         r, own = self.rotation, self.state.inertial
         pose = self.pose_jacobian()
         at = np.concatenate((POSE, self.columns, np.arange(VELOCITY.start, VELOCITY.stop)))
@@ -132,18 +134,20 @@ class LocalFrame:
         out[3:6, 9] = np.cross(_UP, r @ own.velocity)
         return np.asarray(out @ self.state.own(at) @ out.T)
 
-    def hang(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
-        """Let the local frame hang on a point on the ground instead of where the lander began.
+    def anchor(self, jacobian: Array, columns: Index, places: list[slice]) -> None:
+        """Anchor the local frame to a terrain point instead of the initial position.
 
-        What is mapped about the point then stays where it is when the attitude is corrected, and
-        the lander moves. Nothing is learnt by it: errors are counted from another point.
+        A correction of the attitude then leaves the mapped terrain near this point in place, and
+        moves the lander. The step adds no information: it only changes the reference point of the
+        errors.
 
         Parameters
         ----------
         jacobian, columns
-            How the point's error (3,) depends on errors of the state (3, k), (k,).
+            Jacobian of the point (3, k) with respect to errors of the state, and their indices
+            (k,).
         places
-            Where other positions in the local frame lie in the state, besides the lander's.
+            Slices of all other positions in the local frame in the state, without the lander's.
         """
         row = np.zeros((3, self.state.size))
         row[:, columns] = jacobian
@@ -155,23 +159,23 @@ class LocalFrame:
         p[:] = change @ p @ change.T
 
 
-def _begin(state: ErrorState, columns: Index) -> None:
-    """Give the block what the mission's word on position and azimuth errs by.
+def _move_initial_errors(state: ErrorState, columns: Index) -> None:
+    """Set the block's covariance from the errors of the initial position and azimuth.
 
-    What is told errs in the site frame: z = (position, velocity, body rotation, ...). In the local
-    one, turned by the error of azimuth a, the lander's position has no error, its attitude errs by
-    the tilt that is left, and its velocity besides by what the turn does to it.
+    The initial errors z = (position, velocity, body rotation, ...) refer to the site frame. The
+    local frame is rotated by the azimuth error. In it, the position has no error, the attitude
+    error is the tilt, and the velocity error includes the effect of the rotation.
     """
     own: StrapdownState = state.inertial
     p = state.covariance
     up = quat_to_matrix(own.attitude)[2]
-    from_told = np.zeros((state.size, state.size))
-    np.fill_diagonal(from_told, 1.0)
-    from_told[columns] = 0.0
-    # The lander's position in the site frame errs by -d: see `LocalFrame`.
-    from_told[columns[:3], POSITION] = -np.eye(3)
-    from_told[POSITION] = 0.0
-    from_told[columns[3], ATTITUDE] = up
-    from_told[ATTITUDE, ATTITUDE] -= np.outer(up, up)
-    from_told[VELOCITY, ATTITUDE] -= np.outer(np.cross(_UP, own.velocity), up)
-    p[:] = from_told @ p @ from_told.T
+    transform = np.zeros((state.size, state.size))
+    np.fill_diagonal(transform, 1.0)
+    transform[columns] = 0.0
+    # The position of the lander in the site frame has the error -d; see `LocalFrame`.
+    transform[columns[:3], POSITION] = -np.eye(3)
+    transform[POSITION] = 0.0
+    transform[columns[3], ATTITUDE] = up
+    transform[ATTITUDE, ATTITUDE] -= np.outer(up, up)
+    transform[VELOCITY, ATTITUDE] -= np.outer(np.cross(_UP, own.velocity), up)
+    p[:] = transform @ p @ transform.T

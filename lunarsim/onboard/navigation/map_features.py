@@ -1,4 +1,4 @@
-"""What stands out on a map, and how well scanned ground fits it at a place."""
+"""Features of a prior map, and the likelihood of scanned terrain at a place on it."""
 
 from __future__ import annotations
 
@@ -11,68 +11,71 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.messages.prior_map import PriorMap
 from lunarsim.onboard.navigation import _place_kernels as k
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Up to such posts rocks and small craters stand out, m; a scan covers many of them.
-_FINE = 1.0
-# Places that stand for all of a map, to tell how well ground fits where it does not belong.
-_SAMPLE = 2048
+# Up to this posting rocks and small craters are visible, m; a scan covers many of them.
+_MAX_FINE_POSTING_M = 1.0
+# Number of places that represent the entire map in the mean likelihood of a tile.
+_SAMPLE_PLACES = 2048
 
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """How places are judged.
+    """Parameters of the comparison between scanned terrain and a map.
 
     Attributes
     ----------
     width
-        What is wider is no feature, m; at least 4 posts either way, and at most 8: where posts are
-        wide they tell by swells, which what was swept covers.
-    changed
-        Probability that the map shows another ground than there is under a tile.
+        Maximum width of a feature, m. The half width is limited to 4 to 8 posts; with widely spaced
+        posts the features are undulations, which the swept area must cover.
+    changed_probability
+        Probability that the terrain below a tile has changed since the map was made.
     outlier
-        Share of posts that do not agree though the tile does: shadows of rocks, single changes.
+        Fraction of disagreeing posts in a matching tile, from rock shadows and single changes.
     model_sigma
-        What else sets a scan's mean over a post's square apart from the post, m.
-    alike
-        Over such a length posts agree or fail as one, m: a rock hides the ground behind it.
+        Standard deviation of the difference between a scan's mean over the square of a post and the
+        post, apart from the map's noise, m.
+    correlation_length
+        Correlation length of the agreement of posts, m: a rock hides the terrain behind it.
 
     Raises
     ------
     InputError
-        If one is out of range.
+        If a value is out of range.
     """
 
     width: float = 50.0
-    changed: float = 0.2
+    changed_probability: float = 0.2
     outlier: float = 0.05
     model_sigma: float = 0.03
-    alike: float = 0.7
+    correlation_length: float = 0.7
 
     def __post_init__(self) -> None:
-        for name in ("changed", "outlier"):
+        for name in ("changed_probability", "outlier"):
             if not 0.0 < getattr(self, name) < 1.0:
-                raise InputError(f"features.{name}", getattr(self, name), "between 0 and 1")
-        for name in ("width", "model_sigma", "alike"):
+                raise InputError(f"features.{name}", getattr(self, name), "must be between 0 and 1")
+        for name in ("width", "model_sigma", "correlation_length"):
             if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(f"features.{name}", getattr(self, name), "a positive number")
+                raise InputError(
+                    f"features.{name}", getattr(self, name), "must be a positive number"
+                )
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Scanned posts that are compared as one.
+    """Scanned posts that are compared with the map together.
 
     Attributes
     ----------
     height
-        Above the plane around (r, c), m.
+        Heights above the local planes (r, c), m.
     weight
-        1 where a post is compared, else 0 (r, c).
+        1 for posts to be compared, else 0 (r, c).
     variance
-        Of a residual (r, c), m^2.
+        Variance of the height residuals (r, c), m^2.
     """
 
     height: Array
@@ -82,14 +85,14 @@ class Tile:
 
 @dataclass(frozen=True)
 class _Density:
-    """How common heights above the planes around are on a map.
+    """Probability density of heights above the local planes of a map.
 
     Attributes
     ----------
     height
-        Ascending (n,), m.
+        Ascending heights (n,), m.
     rare
-        Logarithm of one over their density (n,), in 1 / m.
+        Negative logarithm of their density (n,), for a density in 1/m.
     """
 
     height: Array
@@ -97,45 +100,45 @@ class _Density:
 
     @classmethod
     def of(cls, values: Array, sigma: float) -> _Density:
-        """Return the density of heights (m,) that err by `sigma`."""
+        """Estimate the density from heights (m,) with standard deviation `sigma`."""
         width = 0.2 * sigma
         top = float(np.abs(values).max()) if len(values) else sigma
         top = min(top + 4.0 * sigma, 2000.0 * width)
         edges = np.arange(-top, top + width, width)
         count, _ = np.histogram(np.clip(values, -top, top), edges)
         density = ndimage.gaussian_filter1d(count / (max(len(values), 1) * width), 1.5)
-        # What the map shows nowhere may still be somewhere.
+        # Heights that do not occur on the map can still occur in reality.
         density += 1e-3 / (2.0 * top)
         return cls(0.5 * (edges[1:] + edges[:-1]), -np.log(density))
 
-    def rarity(self, height: Array) -> Array:
-        """Return the logarithm of one over the density of heights, in 1 / m."""
+    def negative_log_density(self, height: Array) -> Array:
+        """Return the negative logarithm of the density at given heights, density in 1/m."""
         return np.asarray(np.interp(height, self.height, self.rare))
 
 
 class MapFeatures:
-    """A map as scanned ground is compared with it.
+    """Map prepared for the comparison with scanned terrain.
 
-    How likely is what the map shows at a place if the tile lies there, against what the map shows
-    anywhere? Noise agrees with flat ground everywhere, so only features tell; and since features
-    come in clusters, a tile's likelihood is taken relative to its mean over places all over the
-    map: on average over those it tells nothing.
+    The likelihood of the map heights for a tile at a place is divided by their density over the
+    entire map. Noise agrees with flat terrain everywhere, so only features give information. Since
+    features occur in clusters, the likelihood of a tile is also divided by its mean over places
+    all over the map.
 
     Parameters
     ----------
     prior
-        The map.
+        Prior map.
     settings
-        How places are judged.
+        Parameters of the comparison.
 
     Attributes
     ----------
     shown, kept
-        Heights above the planes around, m, and 1 where there are any, else 0 (rows, cols).
+        Heights above the local planes, m, and 1 where they exist, else 0 (rows, cols).
     reach
-        Planes are fitted to so many posts either way.
+        Half width of the squares for the local planes, in posts.
     together
-        So many posts agree or fail as one.
+        Number of posts that agree or disagree together.
     """
 
     def __init__(self, prior: PriorMap, settings: FeatureSettings | None = None) -> None:
@@ -143,26 +146,26 @@ class MapFeatures:
         self.settings = settings or FeatureSettings()
         posting = prior.grid.posting
         half = 0.5 * self.settings.width / posting
-        self.reach = 4 if posting <= _FINE else int(np.clip(round(half), 4, 8))
-        self.together = max(1.0, (self.settings.alike / posting) ** 2, prior.together)
-        shown, kept = above_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
+        self.reach = 4 if posting <= _MAX_FINE_POSTING_M else int(np.clip(round(half), 4, 8))
+        self.together = max(1.0, (self.settings.correlation_length / posting) ** 2, prior.together)
+        shown, kept = subtract_plane(prior.elevation, np.isfinite(prior.elevation), self.reach)
         self.shown = np.ascontiguousarray(shown, np.float32)
         self.kept = np.ascontiguousarray(kept, np.float32)
         self._density = _Density.of(shown[kept], prior.sigma)
-        self._rarity = np.ascontiguousarray(self._density.rarity(shown), np.float32)
+        self._rarity = np.ascontiguousarray(self._density.negative_log_density(shown), np.float32)
         row, col = np.nonzero(kept)
-        some = slice(None, None, max(1, len(row) // _SAMPLE))
+        some = slice(None, None, max(1, len(row) // _SAMPLE_PLACES))
         self._places = row[some], col[some]
 
     @property
     def variance(self) -> float:
-        """Of the residual of a post that a scan covers evenly, m^2."""
+        """Variance of the residual of an evenly scanned post, m^2."""
         return self.prior.sigma**2 + self.settings.model_sigma**2
 
     def likelihood(self, tile: Tile, row: IntArray, col: IntArray) -> tuple[Array, Array]:
-        """Return log-likelihood ratios of a tile at places (n,), and the share compared (n,).
+        """Return a tile's log-likelihood ratios and covered shares at places (n,), (n,).
 
-        A place is the row and column of the map's post under the tile's first.
+        A place is the row and column of the map post below the first post of the tile.
         """
         total = float(tile.weight.sum())
         if total == 0.0 or len(row) == 0:
@@ -179,8 +182,8 @@ class MapFeatures:
         )  # fmt: skip
         return ratio / self.together, covered / total
 
-    def usual(self, tile: Tile) -> float | None:
-        """Return the logarithm of a tile's mean likelihood ratio over the map; None off it."""
+    def mean_log_ratio(self, tile: Tile) -> float | None:
+        """Return the log of a tile's mean likelihood ratio over the map; None off it."""
         middle = np.array(tile.height.shape) // 2
         ratio, share = self.likelihood(
             tile, self._places[0] - middle[0], self._places[1] - middle[1]
@@ -192,26 +195,28 @@ class MapFeatures:
         return float(best + np.log(np.mean(np.exp(scaled - best))))
 
     def exact(self, tile: Tile) -> float:
-        """Return the log-likelihood ratio of a tile where it fits exactly."""
-        fits = self._density.rarity(tile.height) - 0.5 * np.log(2.0 * np.pi * tile.variance)
+        """Return the log-likelihood ratio of a tile at a place where it fits exactly."""
+        fits = self._density.negative_log_density(tile.height) - 0.5 * np.log(
+            2.0 * np.pi * tile.variance
+        )
         return float((tile.weight * fits).sum()) / self.together
 
-    def factor(self, ratio: Array, share: Array, usual: float, places: float) -> Array:
-        """Return the logarithm of what a tile multiplies the probability of places by (n,).
+    def factor(self, ratio: Array, share: Array, mean_log_ratio: float, places: float) -> Array:
+        """Return the log of a tile's factor on the probability of places (n,).
 
-        What the map does not know tells nothing; ground that may have changed speaks against a
-        place no more than that allows; and no tile tells more than one place from as many as there
-        are.
+        Unknown parts of the map give no information. The probability of changed terrain limits the
+        evidence against a place. The evidence for a place is limited to a factor of the number of
+        places.
 
         Parameters
         ----------
         ratio, share
-            See `likelihood`.
-        usual
-            See there.
+            Log-likelihood ratios and covered shares (n,), from `likelihood`.
+        mean_log_ratio
+            Logarithm of the mean likelihood ratio, from `mean_log_ratio`.
         places
-            How many there are.
+            Number of possible places.
         """
-        changed = self.settings.changed
-        top = max(usual, float(ratio.max(initial=-np.inf)) - float(np.log(places)))
+        changed = self.settings.changed_probability
+        top = max(mean_log_ratio, float(ratio.max(initial=-np.inf)) - float(np.log(places)))
         return np.asarray(np.logaddexp(ratio - share * top + np.log1p(-changed), np.log(changed)))

@@ -1,4 +1,4 @@
-"""Whether scans can be told their place on a map at all, from the map alone."""
+"""Forecast from a prior map whether scans can be located on it."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeature
 
 Array = NDArray[np.float64]
 
-# Scales at which features are looked for, in doublings of a post; and by how many deviations of
-# noise they must stand out: one in 16,000 posts does without any.
-_SCALES, _SURE = 4, 4.0
+# Number of scales, in doublings of a post; minimum size of a feature in standard deviations of the
+# noise (one in 16,000 posts exceeds it without a feature).
+_SCALES, _THRESHOLD_SIGMAS = 4, 4.0
 
 
 @dataclass(frozen=True)
 class LockForecast:
-    """What a map tells of the ground planned to be scanned.
+    """Forecast for the terrain that is planned to be scanned.
 
     Attributes
     ----------
     expected
-        Logarithm of how much likelier the right place is expected to become than the likeliest
-        wrong one.
+        Expected log-likelihood ratio of the right place to the most probable wrong place.
     needed
-        What that must be for a lock, with so many places to tell apart.
+        Log-likelihood ratio needed for a lock, given the number of possible places.
     rival
-        By how much the likeliest wrong place is off, east and north (2,), m.
+        Offset of the most probable wrong place, east and north (2,), m.
     """
 
     expected: float
@@ -42,16 +41,16 @@ class LockForecast:
 
     @property
     def can_lock(self) -> bool:
-        """Whether it suffices."""
+        """Whether the expected ratio suffices for a lock."""
         return self.expected >= self.needed
 
     def __str__(self) -> str:
         word = "can lock" if self.can_lock else "cannot lock"
         east, north = self.rival
         return (
-            f"{word}: the map tells the right place from the likeliest wrong one "
-            f"({east:+.0f} m east, {north:+.0f} m north) by {self.expected:.0f} nats, "
-            f"{self.needed:.0f} are needed"
+            f"{word}: log-likelihood ratio of the right place to the most probable wrong one "
+            f"({east:+.0f} m east, {north:+.0f} m north): {self.expected:.0f} expected, "
+            f"{self.needed:.0f} needed"
         )
 
 
@@ -64,51 +63,51 @@ def can_lock(
     certainty: float = 0.99999,
     settings: FeatureSettings | None = None,
 ) -> LockForecast:
-    """Forecast from a map alone whether a sweep can be told its place on it.
+    """Forecast whether a swept area can be located on a map.
 
-    The features of the swept square are freed from the map's noise, scale by scale: what noise
-    would hardly ever show is kept. A scan of them fits the map at its right place by the sum of
-    their squares over twice the variance better than level ground would, and at a wrong place by
-    the less the less the map is like them there. Counted are the share of the map that is held to
-    be up to date and errors that are alike. Features that drown in the noise one by one are not
-    seen: a forecast errs towards "cannot lock".
+    The features of the swept square are separated from the noise of the map, scale by scale, with a
+    threshold that noise rarely exceeds. At the right place, a scan of these features fits better
+    than flat terrain by the sum of their squares over twice the variance. At a wrong place the
+    gain is smaller by the mismatch with the map there. The probability of changed terrain and the
+    correlation of errors are taken into account. Features below the noise are neglected, so the
+    forecast is conservative.
 
     Parameters
     ----------
     prior
-        The map.
+        Prior map.
     middle
-        Of the square to be swept (east, north), m.
+        Centre of the square to be swept (east, north), m.
     swept
         Its side, m.
     place_sigma
-        Deviation of the place before, an axis, m.
+        Prior standard deviation of the position, per axis, m.
     certainty
-        Probability of the best place that a lock takes.
+        Probability of the best place that a lock requires.
     settings
-        How places are judged.
+        Parameters of the comparison between terrain and map.
     """
     _check(swept, place_sigma, certainty)
     features = MapFeatures(prior, settings)
     posting = prior.grid.posting
     reach = max(2, int(np.ceil(3.0 * place_sigma / posting)))
-    ground, added, shown = (
+    features_window, added, shown = (
         _window(of, prior, middle, swept, reach)
-        for of in (*_denoised(features), features.shown * features.kept)
+        for of in (*_extract_features(features), features.shown * features.kept)
     )
-    inner = (slice(reach, ground.shape[0] - reach),) * 2
-    template = ground[inner]
+    inner = (slice(reach, features_window.shape[0] - reach),) * 2
+    template = features_window[inner]
     alike = fftconvolve(shown, template[::-1, ::-1], mode="valid")
-    # The noise that is kept along with features fits itself.
-    gap = alike[reach, reach] - float(added[inner].sum()) - alike
-    told = 0.5 * np.maximum(gap, 0.0) / (features.variance * features.together)
-    expected = (1.0 - features.settings.changed) * told
+    # Noise that passes the threshold correlates with itself.
+    mismatch = alike[reach, reach] - float(added[inner].sum()) - alike
+    log_ratio = 0.5 * np.maximum(mismatch, 0.0) / (features.variance * features.together)
+    expected = (1.0 - features.settings.changed_probability) * log_ratio
     n = np.arange(-reach, reach + 1)
-    far = np.hypot(*np.meshgrid(n, n)) > 3.0
-    # A wrong place farther off is the less likely from the beginning.
-    away = 0.5 * posting**2 * (n[:, None] ** 2 + n[None, :] ** 2) / place_sigma**2
-    total = np.where(far, expected + away, np.inf)
-    row, col = np.unravel_index(int(np.argmin(total)), total.shape)
+    is_far = np.hypot(*np.meshgrid(n, n)) > 3.0
+    # A more distant wrong place has a lower prior probability.
+    prior_cost = 0.5 * posting**2 * (n[:, None] ** 2 + n[None, :] ** 2) / place_sigma**2
+    cost = np.where(is_far, expected + prior_cost, np.inf)
+    row, col = np.unravel_index(int(np.argmin(cost)), cost.shape)
     places = max(2.0 * np.pi * (place_sigma / posting) ** 2, 1.0)
     needed = float(np.log(places) - np.log1p(-certainty))
     return LockForecast(
@@ -117,19 +116,19 @@ def can_lock(
 
 
 def _check(swept: float, place_sigma: float, certainty: float) -> None:
-    """Refuse what no sweep can be."""
+    """Check the arguments of a forecast."""
     if not (np.isfinite(swept) and swept > 0.0):
-        raise InputError("swept_m", swept, "a positive length in metres")
+        raise InputError("swept_m", swept, "must be a positive length in metres")
     if not (np.isfinite(place_sigma) and place_sigma > 0.0):
-        raise InputError("place_sigma_m", place_sigma, "a positive deviation in metres")
+        raise InputError("place_sigma_m", place_sigma, "must be a positive length in metres")
     if not 0.0 < certainty < 1.0:
-        raise InputError("certainty", certainty, "a probability between 0 and 1")
+        raise InputError("certainty", certainty, "must be a probability between 0 and 1")
 
 
 def _window(
     of: NDArray[Any], prior: PriorMap, middle: tuple[float, float], swept: float, reach: int
 ) -> Array:
-    """Return the swept square and so many posts around it, 0 beyond the map."""
+    """Return the swept square with a margin of `reach` posts, 0 outside the map."""
     row, col = (int(part) for part in prior.grid.cell(middle))
     half = max(1, round(0.5 * swept / prior.grid.posting)) + reach
     out = np.zeros((2 * half + 1, 2 * half + 1))
@@ -141,13 +140,12 @@ def _window(
     return out
 
 
-def _denoised(features: MapFeatures) -> tuple[Array, Array]:
-    """Return what of a map's features noise would hardly ever show (rows, cols), m.
+def _extract_features(features: MapFeatures) -> tuple[Array, Array]:
+    """Return the features of a map above the noise threshold (rows, cols), m.
 
-    And the mean product of what noise is kept with the map's own (rows, cols), m^2.
-
-    Undecimated wavelets (differences of binomial smoothings), of which is kept what exceeds some
-    deviations of the noise at its scale: hard thresholds, as of Donoho and Johnstone (1994).
+    The second array is the mean product of the retained noise with the map's noise (rows, cols),
+    m^2. The method is hard thresholding of undecimated wavelets, which are differences of binomial
+    smoothings (Donoho and Johnstone 1994).
     """
     left: Array = np.asarray(features.shown * features.kept, np.float64)
     impulse: Array = np.zeros((129, 129))
@@ -156,7 +154,7 @@ def _denoised(features: MapFeatures) -> tuple[Array, Array]:
     if alike > 0.0:
         impulse = np.asarray(ndimage.gaussian_filter(impulse, min(alike, 16.0)), np.float64)
         impulse /= np.sqrt((impulse**2).sum())
-    limit = _SURE * np.sqrt(features.variance)
+    limit = _THRESHOLD_SIGMAS * np.sqrt(features.variance)
     out, added, whole = np.zeros(left.shape), np.zeros(left.shape), impulse
     for scale in range(_SCALES + 1):
         last = scale == _SCALES
@@ -170,7 +168,7 @@ def _denoised(features: MapFeatures) -> tuple[Array, Array]:
 
 
 def _smoothed(of: Array, step: int) -> Array:
-    """Return a raster smoothed by binomial weights that lie `step` apart."""
+    """Smooth a raster with binomial weights at a distance of `step` posts."""
     kernel = np.zeros(4 * step + 1)
     kernel[::step] = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0
     for axis in (0, 1):

@@ -1,4 +1,4 @@
-"""The navigator: one error state, and parts that take measurements into it."""
+"""Navigation filter: one error state and the processors of its measurements."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from lunarsim._blas import one_blas_thread
 from lunarsim.frames import Shift, quat_from_rotation_vector, quat_to_matrix
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.error_state import KEY, ErrorState
+from lunarsim.onboard.navigation.error_state import REFERENCE_POSE, ErrorState
 from lunarsim.onboard.navigation.estimate import (
     Estimate,
-    GroundTurn,
+    MapRotation,
     Navigation,
     NavigationEvent,
 )
@@ -28,63 +28,68 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
+from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
+from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
 from lunarsim.onboard.navigation.map_matcher import MapMatcher
-from lunarsim.onboard.navigation.parts import Part, Shared, most_of, scanner_blocks
+from lunarsim.onboard.navigation.measurement_processor import (
+    FilterContext,
+    MeasurementProcessor,
+    maximum_sigmas,
+    scanner_blocks,
+)
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
+from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
 from lunarsim.onboard.navigation.scan_odometry import (
     ScanOdometry,
-    key_block,
-    plausible,
-    width_of,
+    reference_pose_block,
+    remove_implausible_ranges,
+    scan_width,
 )
-from lunarsim.onboard.navigation.watch import Watch
 
 Array = NDArray[np.float64]
 
 
 class Navigator(Navigation):
-    """Error-state filter: inertial samples carry it, its parts take in what else is measured.
+    """Error-state Kalman filter with a list of measurement processors.
 
-    The lander's pose is kept in the local frame, which begins where the lander says that it is and
-    then hangs on the ground of the first scan; where the site lies in it is estimated with it
-    (`LocalFrame`). Each measurement goes to the parts in their order; what one has used counts no
-    second time. Scans are fitted to the map; where that fails, they are compared with an earlier
-    one. Rocks by their shadows are states behind all others; what pictures show of them comes from
-    the mapper that tracks them, and corrects the same state.
+    Inertial samples propagate it. The pose is kept in the local frame. This frame starts at the
+    initial position estimate and is then anchored to the terrain of the first scan; its offset from
+    the site frame is part of the state (`LocalFrame`). Each measurement is offered to the
+    processors in order, and is used once only. A scan is registered on the map; if that fails, it
+    is registered on an earlier scan. Rocks detected by their shadows are states at the end of the
+    error state; the hazard mapper that tracks them provides the observations.
 
     Parameters
     ----------
     inertial
-        State at the start, as the mission tells it, site frame.
+        Initial state estimate, site frame.
     errors
         Its standard deviations.
     prior
-        The map; None: scans are compared with each other alone.
+        Prior map; if None, scans are only registered on each other.
     settings
-        Limits of the registration.
+        Settings of the scan registration.
     instruments
         Calibrations of the sensors, by name.
     ground
-        What is known of the ground's height.
+        Prior knowledge of the terrain height.
     rocks
         Whether rocks are tracked.
 
     Attributes
     ----------
     state, frame
-        All that errs, and where the site lies in the local frame.
+        The error state, and the transformation between site frame and local frame.
     events
-        What has been reported so far.
+        Events reported so far.
     parts
-        In the order in which they are offered measurements.
+        Measurement processors, in the order in which they are offered measurements.
     matcher
-        The part that knows the map; None without one.
+        Processor that registers scans on the prior map; None without a map.
     rocks
-        The rocks; None if none are tracked.
+        Filter of the rock positions; None if no rocks are tracked.
     """
 
     own_azimuth: ClassVar[bool] = True
@@ -100,159 +105,170 @@ class Navigator(Navigation):
         ground: LevelGround | None = None,
         rocks: bool = False,
     ) -> None:
-        level, known, limits = ground or LevelGround(), instruments or {}, settings
+        terrain, calibrations, limits = ground or LevelGround(), instruments or {}, settings
         limits = limits or RegistrationSettings()
-        blocks = key_block() | blocks_of(known, level) | blank_block() | scanner_blocks(known)
+        blocks = (
+            reference_pose_block()
+            | aiding_blocks(calibrations, terrain)
+            | empty_map_block()
+            | scanner_blocks(calibrations)
+        )
         self.state = ErrorState(inertial, errors, blocks=blocks)
         self.frame = LocalFrame(self.state)
         self.events: list[NavigationEvent] = []
-        self._aids = Aids(self.state, known, level, self.events)
-        self._arrivals = Arrivals(inertial.step, self._note)
-        shared = Shared(self.state, self._aids, self.events, most_of(self.state))
+        self._aiding = AidingMeasurements(self.state, calibrations, terrain, self.events)
+        self._arrivals = Arrivals(inertial.step, self._add_event)
+        shared = FilterContext(self.state, self._aiding, self.events, maximum_sigmas(self.state))
         self.matcher = None if prior is None else MapMatcher(shared, self.frame, prior, limits)
-        self.parts: list[Part] = [] if self.matcher is None else [self.matcher]
-        self.parts += [ScanOdometry(shared, limits), self._aids]
-        self.rocks = RockFilter(self.state, self._aids) if rocks else None
-        self._shared = shared
-        self._hangs = False
+        self.parts: list[MeasurementProcessor] = [] if self.matcher is None else [self.matcher]
+        self.parts += [ScanOdometry(shared, limits), self._aiding]
+        self.rocks = RockFilter(self.state, self._aiding) if rocks else None
+        self._context = shared
+        self._is_anchored = False
         self._noisy: set[str] = set()
-        self._ground_turn: GroundTurn | None = None
-        self.state.listeners.append(self._turn_ground)
+        self._map_rotation: MapRotation | None = None
+        self.state.listeners.append(self._rotate_map)
 
     # --- state ----------------------------------------------------------------------------
 
     @property
     def inertial(self) -> StrapdownState:
-        """The lander's state, local frame."""
+        """State of the lander, local frame."""
         return self.state.inertial
 
     @property
     def covariance(self) -> Array:
-        """Of the error state: the lander's (15) in the local frame, all blocks, rocks (3 n)."""
+        """Covariance of the error state: lander (15, local frame), blocks, rocks (3 n)."""
         return self.state.covariance
 
     @property
-    def watches(self) -> dict[str, Watch]:
-        """What watches over the kinds of measurements, by "sensor kind"; of rocks as "rocks"."""
-        seen = {} if self.rocks is None else self.rocks.pictures.watches
-        return {**self._aids.watches, **{f"rocks' {kind}": w for kind, w in seen.items()}}
+    def watches(self) -> dict[str, InnovationMonitor]:
+        """Innovation monitors by "sensor kind"; those of rocks by "rocks' kind"."""
+        corrected = {} if self.rocks is None else self.rocks.pictures.watches
+        return {**self._aiding.watches, **{f"rocks' {kind}": w for kind, w in corrected.items()}}
 
     @property
     def lost(self) -> bool:
-        """Whether what was measured or seen cannot be explained."""
-        return self._aids.lost or (self.rocks is not None and self.rocks.lost)
+        """Whether measurements or rock observations contradict the estimate."""
+        return self._aiding.lost or (self.rocks is not None and self.rocks.lost)
 
     @property
     def locked(self) -> bool:
-        """Whether scans agree with the map."""
+        """Whether scans agree with the prior map."""
         return self.matcher is not None and self.matcher.locked
 
     @property
     def found(self) -> bool:
-        """Whether the lander has been found on the map at least once."""
+        """Whether a scan was located on the prior map at least once."""
         return self.matcher is not None and self.matcher.found
 
     @property
     def adrift(self) -> bool:
-        """Whether neither a map nor rocks in view hold the lander."""
+        """Whether neither the prior map nor tracked rocks bound the position error."""
         return not self.locked and (self.rocks is None or self.rocks.count == 0)
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state as the rest of the loop takes it, local frame."""
-        found = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
-        # Attitude errors are kept in body axes here, in ENU there.
+        """Return the state of the lander in the local frame."""
+        local = self.inertial.estimate(self.state.own(np.arange(INERTIAL)), time, mass)
+        # The error state has attitude errors in body axes, `Estimate` has them in ENU.
         turn = np.eye(9)
         turn[6:, 6:] = self.frame.rotation @ quat_to_matrix(self.inertial.attitude)
         covariance = turn @ self.frame.covariance_in_site() @ turn.T
-        return replace(found, covariance=covariance, lost=self.lost)
+        return replace(local, covariance=covariance, lost=self.lost)
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame: what its covariance refers to."""
+        """Return the state of the lander in the site frame."""
         return self.frame.estimate_in_site(self.estimate(time, mass))
 
     @property
     def site_to_local(self) -> Shift:
-        """Where the site frame is taken to lie in the local one."""
+        """Estimated transformation from the site frame to the local frame."""
         return self.frame.shift
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+        """Process a measurement; ignore one that is unusable or out of order.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards.
+            If `time` (s) is before the time of an earlier call.
         """
-        measurement = self._arrivals.carried(sensor, measurement, time, self.propagate)
-        for name, details in self.inertial.tell():
+        measurement = self._arrivals.admit_and_propagate(sensor, measurement, time, self.propagate)
+        for name, details in self.inertial.pop_events():
             self.events.append(NavigationEvent(time, name, details))
         if measurement is None:
             return
         scan = isinstance(measurement, LidarScan)
         if scan:
-            measurement = without_spikes(plausible(measurement))
-            if not np.isfinite(width_of(measurement)) or self._drowns(sensor, measurement, time):
+            measurement = remove_spikes(remove_implausible_ranges(measurement))
+            if not np.isfinite(scan_width(measurement)) or self._check_noise(
+                sensor, measurement, time
+            ):
                 return
-            self._hang(sensor, measurement)
+            self._anchor_frame(sensor, measurement)
         with one_blas_thread():
-            self._offer(sensor, measurement, time)
+            self._offer_to_processors(sensor, measurement, time)
 
-    def _drowns(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Tell whether a scan is all noise, and report when that begins and ends."""
+    def _check_noise(self, sensor: str, scan: LidarScan, time: float) -> bool:
+        """Return whether a scan is too noisy; report when this begins and ends."""
         noisy = is_noisy(scan)
         if noisy != (sensor in self._noisy):
             (self._noisy.add if noisy else self._noisy.discard)(sensor)
             name = "scans-refused" if noisy else "scans-accepted"
-            self._note(time, name, {"sensor": sensor, "noise": noise_of(scan)})
+            self._add_event(time, name, {"sensor": sensor, "noise": range_noise(scan)})
         return noisy
 
-    def _offer(self, sensor: str, measurement: Any, time: float) -> None:
-        """Offer a measurement to the parts in their order."""
+    def _offer_to_processors(self, sensor: str, measurement: Any, time: float) -> None:
+        """Offer a measurement to the processors in order."""
         used = False
         for part in self.parts:
             used = part.take(sensor, measurement, time, used=used) or used
 
     def corrected(self, sensor: str, measurement: Any, now: Estimate) -> tuple[Any, Estimate]:
-        """Return a measurement and where it was taken, less what its sensor is known to err by."""
+        """Return a measurement and its pose, corrected for the estimated sensor errors."""
         if not isinstance(measurement, LidarScan):
             return measurement, now
-        seen = self._shared.seen(sensor, measurement)
-        return seen.scan, replace(now, position=seen.position, attitude=seen.attitude)
+        corrected = self._context.correct_scan(sensor, measurement)
+        return corrected.scan, replace(
+            now, position=corrected.position, attitude=corrected.attitude
+        )
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
         self.state.propagate(angle, velocity)
-        self._aids.travel()
-        self._aids.doubt_units()
+        self._aiding.add_terrain_noise()
+        self._aiding.check_sensor_biases()
 
     @property
-    def ground_turn(self) -> GroundTurn | None:
-        """By what ground seen since the first scan has turned, as tilts were corrected."""
-        return self._ground_turn
+    def ground_turn(self) -> MapRotation | None:
+        """Rotation of the mapped terrain since the first scan, by tilt corrections."""
+        return self._map_rotation
 
-    def _turn_ground(self, error: Array) -> None:
-        """Note by how much a correction turns what has been seen: tilts alone, not azimuths."""
-        if self._ground_turn is None:
+    def _rotate_map(self, error: Array) -> None:
+        """Add a tilt correction to the rotation of the mapped terrain, without azimuth."""
+        if self._map_rotation is None:
             return
         tilt = quat_to_matrix(self.inertial.attitude) @ error[ATTITUDE] * [1.0, 1.0, 0.0]
         turn = quat_to_matrix(quat_from_rotation_vector(tilt))
-        self._ground_turn = replace(self._ground_turn, rotation=turn @ self._ground_turn.rotation)
+        self._map_rotation = replace(
+            self._map_rotation, rotation=turn @ self._map_rotation.rotation
+        )
 
-    def _hang(self, sensor: str, scan: LidarScan) -> None:
-        """Let the local frame hang on the ground of the first scan."""
-        if self._hangs:
+    def _anchor_frame(self, sensor: str, scan: LidarScan) -> None:
+        """Anchor the local frame to the terrain of the first scan."""
+        if self._is_anchored:
             return
-        self._hangs = True
-        seen = self._shared.seen(sensor, scan)
-        columns, jacobian = self._shared.local_errors(sensor)
-        middle = np.nanmean(seen.points(), axis=0)
-        self._ground_turn = GroundTurn(np.eye(3), middle)
-        places = [self.state.block(KEY).start]
+        self._is_anchored = True
+        corrected = self._context.correct_scan(sensor, scan)
+        columns, jacobian = self._context.local_jacobian(sensor)
+        middle = np.nanmean(corrected.points(), axis=0)
+        self._map_rotation = MapRotation(np.eye(3), middle)
+        places = [self.state.block(REFERENCE_POSE).start]
         if self.rocks is not None:
             places += self.rocks.places()[:, 0].tolist()
-        self.frame.hang(
-            seen.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
+        self.frame.anchor(
+            corrected.point_jacobian(middle) @ jacobian, columns, [slice(k, k + 3) for k in places]
         )

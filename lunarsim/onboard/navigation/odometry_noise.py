@@ -1,4 +1,4 @@
-"""What heights of two scans differ by where neither pose errs: noise of a comparison."""
+"""Noise model of scan-to-scan height differences."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Squares of deviations by which a slope must stand out from the noise.
-_STANDS_OUT = 6.0
-# Squares err by no less, m.
-_LEAST = 3e-4
+# Factor on the noise variance of a slope below which the slope is set to the median.
+_MIN_SLOPE_RATIO = 6.0
+# Minimum standard deviation of the height of a square, m.
+_MIN_SIGMA_M = 3e-4
 
 
-def slopes(new: Array, old: Array) -> Array:
-    """Return the normals (m, 3) by which two scans are compared.
+def comparison_normals(new: Array, old: Array) -> Array:
+    """Return the normals (m, 3) for the comparison of two scans.
 
-    Slopes of a scan have its noise, which on smooth ground is all there is: it would look like
-    ground that tells where it lies (errors in variables; Fuller 1987, section 1.1). How much of it
-    there is shows where the two differ; slopes are drawn to the usual one by so much, and those
-    that do not stand out are it.
+    Measured slopes contain the scan noise, which dominates on smooth terrain and would look like
+    position information (errors in variables; Fuller 1987, section 1.1). The difference of the two
+    scans gives the noise. Slopes are shrunk towards the median slope by this noise, and slopes that
+    do not exceed it are set to the median.
 
     Parameters
     ----------
@@ -28,40 +28,46 @@ def slopes(new: Array, old: Array) -> Array:
     """
     slope = 0.5 * (new[:, :2] + old[:, :2])
     middle = np.median(slope, axis=0)
-    off = slope - middle
+    deviation = slope - middle
     noise = (1.4826 * float(np.median(np.abs(new[:, :2] - old[:, :2])))) ** 2 / 4.0
-    stands = np.maximum(1.0 - _STANDS_OUT * noise / np.maximum(np.sum(off**2, axis=1), 1e-300), 0.0)
+    shrinkage = np.maximum(
+        1.0 - _MIN_SLOPE_RATIO * noise / np.maximum(np.sum(deviation**2, axis=1), 1e-300), 0.0
+    )
     out = np.ones_like(new)
-    out[:, :2] = middle + stands[:, None] * off
+    out[:, :2] = middle + shrinkage[:, None] * deviation
     return out
 
 
-def variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
-    """Return by what squares (m,) err, m^2, as what a fit leaves of them (m,) shows.
+def height_variances(normal: Array, left: Array, used: NDArray[np.bool_]) -> Array:
+    """Estimate height variances of squares (m,), m^2, from residuals of a fit (m,).
 
-    Steep ones, on the edges of rocks, err by more: what is seen there hangs on from where.
+    The variance grows with the squared slope: at the edges of rocks the measured height depends on
+    the viewpoint.
     """
     square = left**2
-    steep = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
-    flat = used & (steep <= np.median(steep[used]))
-    least = max(float(np.mean(square[flat])), _LEAST**2)
-    rest = used & ~flat
-    more = float(np.sum(steep[rest]))
-    growth = max(float(np.sum(square[rest])) - least * int(rest.sum()), 0.0)
-    return np.asarray(least + (growth / more if more > 0.0 else 0.0) * steep)
+    squared_slope = np.sum((normal[:, :2] - np.median(normal[:, :2], axis=0)) ** 2, axis=1)
+    is_flat = used & (squared_slope <= np.median(squared_slope[used]))
+    min_variance = max(float(np.mean(square[is_flat])), _MIN_SIGMA_M**2)
+    is_steep = used & ~is_flat
+    slope_sum = float(np.sum(squared_slope[is_steep]))
+    growth = max(float(np.sum(square[is_steep])) - min_variance * int(is_steep.sum()), 0.0)
+    return np.asarray(
+        min_variance + (growth / slope_sum if slope_sum > 0.0 else 0.0) * squared_slope
+    )
 
 
-def second_order(prior: Array, ways: Array) -> float:
-    """Return the variance of what the fit, being linear, has wrong, alike in all squares, m^2.
+def linearisation_variance(prior: Array, displacements: Array) -> float:
+    """Return the variance of the linearisation error of a fit, m^2.
 
-    Directions that are not known turn the ways (2, 3) that the lander and the ground seen have gone
-    between the two scans; the square of the angle moves their ends.
+    It is common to all squares. Attitude errors rotate the displacements (2, 3) of the lander and
+    of the observed terrain between the two scans. The squared angle times the displacement is the
+    second-order error.
 
     Parameters
     ----------
     prior
-        Covariance of the pose, the pose kept, and the scanner's errors.
+        Prior covariance of the pose, the reference pose and the scanner errors.
     """
     angles = 0.5 * float(np.trace(prior[3:6, 3:6]) + np.trace(prior[9:12, 9:12]))
     angles += float(np.trace(prior[13:16, 13:16]))
-    return float(angles**2 * np.sum(ways**2))
+    return float(angles**2 * np.sum(displacements**2))

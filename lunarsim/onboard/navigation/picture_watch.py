@@ -1,7 +1,7 @@
-"""Whether what pictures show of rocks can still be explained.
+"""Monitor whether observations of rocks in camera images agree with the estimate.
 
-Three things are watched: where rocks are seen against where they were expected, how many of those
-that should be seen are, and whether shadows fall away from where the Sun is taken to be.
+Three quantities are monitored: the innovations of rock positions, the detected fraction of the
+rocks that are expected in view, and whether the shadows point away from the assumed Sun direction.
 """
 
 from __future__ import annotations
@@ -10,46 +10,52 @@ from enum import Enum
 
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.estimate import NavigationEvent
-from lunarsim.onboard.navigation.watch import Verdict, Watch, WatchSettings
+from lunarsim.onboard.navigation.innovation_monitor import (
+    InnovationMonitor,
+    InnovationMonitorSettings,
+    MonitorResult,
+)
 
-# Errors of rocks' places last over many pictures, so innovations are alike for some 40 of them.
-# Rocks may be begun anew once; a Sun that is elsewhere cannot be explained.
-_WATCHED = {
-    "places": WatchSettings(correlation=40.0, patience=2),
-    "expected": WatchSettings(patience=2),
-    "shadows": WatchSettings(patience=None, window_s=3.0),
+# Errors of rock positions persist over many images, so about 40 innovations count as one. The rocks
+# may be reset once; a wrong Sun direction cannot be explained.
+_MONITOR_SETTINGS = {
+    "places": InnovationMonitorSettings(correlated_count=40.0, max_inflations=2),
+    "expected": InnovationMonitorSettings(max_inflations=2),
+    "shadows": InnovationMonitorSettings(max_inflations=None, window_s=3.0),
 }
 
 
 class Remedy(Enum):
-    """What is to be done about rocks."""
+    """Corrective action for the tracked rocks."""
 
     NONE = "none"
     DOUBT = "doubt"
     RENEW = "renew"
 
 
-class PictureWatch:
-    """Watches pictures, and says when they cannot be believed.
+class ImageInnovationMonitor:
+    """Monitor the rock observations of camera images.
 
     Parameters
     ----------
     events
-        To which "doubted", "renewed", "lost" and "believed" are added.
+        List that receives the events "doubted", "renewed", "lost" and "believed".
     """
 
     def __init__(self, events: list[NavigationEvent]) -> None:
         self._events = events
-        self.watches = {kind: Watch(settings) for kind, settings in _WATCHED.items()}
-        self._doubted = {kind: -float("inf") for kind in _WATCHED}
+        self.watches = {
+            kind: InnovationMonitor(settings) for kind, settings in _MONITOR_SETTINGS.items()
+        }
+        self._last_alarm = {kind: -float("inf") for kind in _MONITOR_SETTINGS}
 
     @property
     def lost(self) -> bool:
-        """Whether what was seen cannot be explained."""
-        return any(watch.lost for watch in self.watches.values())
+        """Whether the observations contradict the estimate."""
+        return any(monitor.lost for monitor in self.watches.values())
 
-    def note(self, kind: str, time: float, outcome: Outcome) -> Remedy:
-        """Note what came of a picture at a time (s); return what is to be done.
+    def record(self, kind: str, time: float, outcome: Outcome) -> Remedy:
+        """Add the outcome of an image; return the corrective action.
 
         Parameters
         ----------
@@ -58,23 +64,23 @@ class PictureWatch:
         time
             s.
         outcome
-            What came of it.
+            Outcome of the update.
         """
-        watch = self.watches[kind]
-        before, verdict = watch.lost, watch.note(time, outcome)
-        if verdict is Verdict.WELL:
-            if before and not watch.lost:
-                self._note(time, "believed", kind)
+        monitor = self.watches[kind]
+        before, result = monitor.lost, monitor.record(time, outcome)
+        if result is MonitorResult.CONSISTENT:
+            if before and not monitor.lost:
+                self._add_event(time, "believed", kind)
             return Remedy.NONE
-        if verdict is Verdict.LOST:
+        if result is MonitorResult.LOST:
             if not before:
-                self._note(time, "lost", kind)
+                self._add_event(time, "lost", kind)
             return Remedy.RENEW
-        # First the state may be wider than was thought; what is doubted again soon is begun anew.
-        again = time - self._doubted[kind] < 3.0 * watch.settings.window_s
-        self._doubted[kind] = time
-        self._note(time, "renewed" if again else "doubted", kind)
+        # The first alarm inflates the covariance; another one soon after it resets the rocks.
+        again = time - self._last_alarm[kind] < 3.0 * monitor.settings.window_s
+        self._last_alarm[kind] = time
+        self._add_event(time, "renewed" if again else "doubted", kind)
         return Remedy.RENEW if again else Remedy.DOUBT
 
-    def _note(self, time: float, name: str, kind: str) -> None:
+    def _add_event(self, time: float, name: str, kind: str) -> None:
         self._events.append(NavigationEvent(time, name, {"measurement": f"rocks' {kind}"}))

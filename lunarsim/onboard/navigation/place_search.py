@@ -1,4 +1,4 @@
-"""Where on a map the scanned ground lies, from tens of metres off: a posterior over all places."""
+"""Search for the place of scanned terrain on a map by a posterior over shifts."""
 
 from __future__ import annotations
 
@@ -11,72 +11,72 @@ from scipy import ndimage
 from scipy.special import ndtr
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import MapFeatures, Tile
 from lunarsim.onboard.navigation.submap import Submap
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Places whose logarithm of the probability lies so far below the best's are not compared further.
-_HOPELESS = 14.0
-# Places that the height is told by.
-_SAMPLE = 2048
-# Deviations of the prior within which places are looked at.
-_DEVIATIONS = 3.5
-# Up to so many places are told apart by half posts, more by whole ones; and at most so many a side.
-_BY_HALVES, _WIDEST = 250_000, 2000
-# Where there are so many places, what tells less even if it fits exactly is not compared.
-_LEAST_TOLD = 5.0
+# Places with a log probability this far below the maximum are not evaluated further.
+_MAX_LOG_DEFICIT = 14.0
+# Number of places for the estimate of the height.
+_HEIGHT_SAMPLE_PLACES = 2048
+# Standard deviations of the prior within which places are searched.
+_SEARCH_SIGMAS = 3.5
+# Maximum number of places with a spacing of half a post, else a whole post; maximum per side.
+_MAX_HALF_POST_PLACES, _MAX_PLACES_PER_SIDE = 250_000, 2000
+# Minimum log-likelihood ratio of a tile at an exact fit, in a search with many places.
+_MIN_TILE_INFORMATION = 5.0
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How tiles are cut out of what was scanned, and what drifts.
+    """Parameters of the tiles and of the drift.
 
     Attributes
     ----------
     tile
-        Side of the tiles that are compared as one, m; 4 to 16 posts.
-    deaf_s
-        A tile that grows no more for so long is compared as it is, s.
-    held_s
-        A speed that is wrong stays so for so long, s: what places drift by.
+        Side of a tile, m; limited to 4 to 16 posts.
+    idle_s
+        Time without new posts after which an incomplete tile is compared, s.
+    drift_correlation_s
+        Correlation time of the velocity error that lets the shift drift, s.
 
     Raises
     ------
     InputError
-        If one is not positive.
+        If a value is not positive.
     """
 
     tile: float = 8.0
-    deaf_s: float = 1.0
-    held_s: float = 4.0
+    idle_s: float = 1.0
+    drift_correlation_s: float = 4.0
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"search.{f.name}", value, "a positive number")
+                raise InputError(f"search.{f.name}", value, "must be a positive number")
 
 
 @dataclass(frozen=True)
 class Match:
-    """Where the scanned ground lies on the map.
+    """Estimated place of the scanned terrain on the map.
 
     Attributes
     ----------
     shift
-        To be added to local coordinates (3,), ENU, m.
+        Shift from local to map coordinates (3,), ENU, m.
     covariance
-        Of the shift (3, 3), m^2.
+        Covariance of the shift (3, 3), m^2.
     certainty
-        Probability that it lies within one and a half posts of there.
+        Probability that the true shift lies within 1.5 posts.
     share
-        Of the posts that agree there.
+        Fraction of the posts that agree at this place.
     up, up_variance
-        Mean and variance of the vertical shift over all places, by their probability, m and m^2: on
-        level ground the height is known before the place.
+        Mean and variance of the vertical shift over all places, weighted by their probability, m
+        and m^2. On horizontal terrain the height is known before the place.
     """
 
     shift: Array
@@ -88,17 +88,17 @@ class Match:
 
 
 @dataclass(frozen=True)
-class _Tile:
-    """A tile at every half post.
+class _SampledTile:
+    """Tile sampled at every half post.
 
     Attributes
     ----------
     first
-        Row and column of the first post, in halves of a post from the map's first.
+        Row and column of the first post, in half posts from the first post of the map.
     whole
         Heights, weights and variances at every half post (r, c).
     level
-        Of the ground itself (r, c), m.
+        Terrain heights (r, c), m.
     """
 
     first: tuple[int, int]
@@ -106,27 +106,27 @@ class _Tile:
     level: Array
 
     def lay(self, a: int, b: int) -> Tile:
-        """Return every other post, from the first or from half a post farther north and east."""
+        """Return every second post, starting at an offset of `a` rows and `b` columns."""
         cut = (slice(a, None, 2), slice(b, None, 2))
         return Tile(self.whole.height[cut], self.whole.weight[cut], self.whole.variance[cut])
 
 
 class PlaceSearch:
-    """Posterior over shifts from the local frame to a map, kept over a flight.
+    """Posterior over shifts from the local frame to a map, updated during a flight.
 
-    The ground scanned is gathered in the local frame (`Submap`) and compared tile by tile. A tile's
-    likelihood at a place, relative to what it is at all places on average, multiplies the
-    posterior: level ground fits nearly anywhere and tells nothing. A post is compared once: seen
-    again it would only tell its own error again. Where the map may have changed a tile that fails
-    speaks against a place no more than `changed` allows. Between searches the posterior is blurred
-    by the drift of the local frame.
+    The scanned terrain is accumulated in the local frame (`Submap`) and compared tile by tile. The
+    likelihood of a tile at a place, relative to its mean over all places, multiplies the posterior;
+    flat terrain fits nearly everywhere and gives no information. Each post is compared once, since
+    its error is the same in every view. A tile that does not fit lowers the probability of a place
+    by no more than the factor `changed`. Between searches the posterior is blurred by the drift of
+    the local frame.
 
     Parameters
     ----------
     features
-        The map's.
+        Features of the map.
     settings
-        How tiles are cut, and what drifts.
+        Parameters of the tiles and the drift.
     """
 
     def __init__(self, features: MapFeatures, settings: SearchSettings | None = None) -> None:
@@ -137,33 +137,33 @@ class PlaceSearch:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all that was scanned."""
+        """Delete all scanned terrain and the posterior."""
         g = self.prior.grid
         corner = (g.x0 - 0.5 * g.posting, g.y0 - 0.5 * g.posting)
         self._submap = Submap(*corner, 0.5 * g.posting)
-        self._tiles: list[_Tile] = []
+        self._tiles: list[_SampledTile] = []
         self._used: set[tuple[int, int]] = set()
-        self._fresh: dict[tuple[int, int], tuple[int, float]] = {}
-        self._ways, self._unit = 2, 0.5 * g.posting
+        self._growing: dict[tuple[int, int], tuple[int, float]] = {}
+        self._offsets, self._unit = 2, 0.5 * g.posting
         self._origin = (0, 0)
         self._log = np.zeros((0, 0))
         self._time: float | None = None
 
     @property
     def evidence(self) -> tuple[Array, tuple[int, int]]:
-        """Logarithm of the evidence at every place (rows, cols), and the shift of its first.
+        """Log evidence at every place (rows, cols), and the shift of the first place.
 
-        Shifts north and east, in whole or half posts: see `spacing`.
+        The shift is (north, east) in units of `spacing`.
         """
         return self._log, self._origin
 
     @property
     def spacing(self) -> float:
-        """Distance of the places, m: half a post, or a whole one where there are many."""
+        """Distance of the places, m: half a post, or a whole one if there are many places."""
         return self._unit
 
     def add(self, points: Array) -> None:
-        """Take in a scan's points in the local frame (n, 3), m; NaN for none."""
+        """Add the points of a scan in the local frame (n, 3), m; NaN marks missing points."""
         self._submap.add(points)
 
     # --- search ---------------------------------------------------------------------------
@@ -171,55 +171,57 @@ class PlaceSearch:
     def search(
         self, time: float, mean: Array, covariance: Array, speed_sigma: float = 0.0
     ) -> Match | None:
-        """Compare what is new, and return the place by all that was compared so far.
+        """Compare new tiles, and return the most probable place by all tiles so far.
 
         Parameters
         ----------
         time
             s.
         mean, covariance
-            Of the shift as the rest of navigation knows it (2,), (2, 2), east and north, m and m^2.
+            Prior mean (2,) and covariance (2, 2) of the shift, east and north, m and m^2.
         speed_sigma
-            Deviation of the speed at which the local frame drifts, an axis, m/s.
+            Standard deviation of the drift velocity of the local frame, per axis, m/s.
 
         Returns
         -------
         match
-            None before anything was compared.
+            Most probable place; None before the first comparison.
 
         Raises
         ------
         InputError
-            If time runs backwards, or what is known is no number, covariance or deviation.
+            If time runs backwards, or an argument is not finite or out of range.
         """
-        _check_known(mean, covariance, speed_sigma)
+        _check_prior(mean, covariance, speed_sigma)
         if not (np.isfinite(time) and (self._time is None or time >= self._time)):
-            raise InputError("time", time, f"at least {self._time} s: time does not run backwards")
+            raise InputError(
+                "time", time, f"must be finite and not before the last time ({self._time} s)"
+            )
         self._cover(mean, covariance)
         self._blur(time, speed_sigma)
-        away = self._away(mean, covariance)
-        due = self._due(time)
-        usual = [self.features.usual(tile.lay(0, 0)) for tile in due]
-        told = [
+        prior_distance = self._prior_distance(mean, covariance)
+        complete = self._complete_tiles(time)
+        mean_log_ratios = [self.features.mean_log_ratio(tile.lay(0, 0)) for tile in complete]
+        information = [
             0.0 if mean is None else self.features.exact(tile.lay(0, 0)) - mean
-            for tile, mean in zip(due, usual, strict=True)
+            for tile, mean in zip(complete, mean_log_ratios, strict=True)
         ]
-        least = _LEAST_TOLD * min(1.0, self._log.size / _BY_HALVES)
-        # What tells most comes first: the rest need be compared at fewer places.
-        for n in np.argsort(np.negative(told), kind="stable"):
-            if usual[n] is not None and told[n] >= least:
-                self._compare(due[n], away, usual[n])
-        self._tiles += due
-        return self._match(away, mean, covariance) if self._tiles else None
+        least = _MIN_TILE_INFORMATION * min(1.0, self._log.size / _MAX_HALF_POST_PLACES)
+        # Tiles with the most information first: the others need fewer places then.
+        for n in np.argsort(np.negative(information), kind="stable"):
+            if mean_log_ratios[n] is not None and information[n] >= least:
+                self._add_evidence(complete[n], prior_distance, mean_log_ratios[n])
+        self._tiles += complete
+        return self._best_match(prior_distance, mean, covariance) if self._tiles else None
 
     def _cover(self, mean: Array, covariance: Array) -> None:
-        """Make the posterior reach as far as the prior does; what is new has told nothing yet."""
+        """Extend the posterior to the reach of the prior; add places without evidence."""
         posting = self.prior.grid.posting
-        far = _DEVIATIONS * np.sqrt(np.diag(covariance)) + 2.0 * posting
+        far = _SEARCH_SIGMAS * np.sqrt(np.diag(covariance)) + 2.0 * posting
         if not self._log.size:
-            self._ways = 2 if np.prod(4.0 * far / posting) <= _BY_HALVES else 1
-            self._unit = posting / self._ways
-        far = np.minimum(far, 0.5 * _WIDEST * self._unit)
+            self._offsets = 2 if np.prod(4.0 * far / posting) <= _MAX_HALF_POST_PLACES else 1
+            self._unit = posting / self._offsets
+        far = np.minimum(far, 0.5 * _MAX_PLACES_PER_SIDE * self._unit)
         low = np.floor((np.asarray(mean) - far) / self._unit).astype(int)[::-1]
         high = np.ceil((np.asarray(mean) + far) / self._unit).astype(int)[::-1]
         if self._log.size:
@@ -236,18 +238,20 @@ class PlaceSearch:
             self._log, self._origin = grown, (int(low[0]), int(low[1]))
 
     def _blur(self, time: float, speed_sigma: float) -> None:
-        """Let places drift since the last search."""
+        """Blur the posterior by the drift since the last search."""
         before, self._time = self._time, time
         if before is None or time <= before or not self._tiles:
             return
-        sigma = speed_sigma * np.sqrt((time - before) * self.settings.held_s) / self._unit
+        sigma = (
+            speed_sigma * np.sqrt((time - before) * self.settings.drift_correlation_s) / self._unit
+        )
         if sigma > 0.0:
             best = self._log.max()
             p = ndimage.gaussian_filter(np.exp(self._log - best), sigma, mode="nearest")
             self._log = best + np.log(np.maximum(p, 1e-300))
 
-    def _away(self, mean: Array, covariance: Array) -> Array:
-        """Return half the squared distance of every place from the mean, in units of the prior."""
+    def _prior_distance(self, mean: Array, covariance: Array) -> Array:
+        """Return half the squared Mahalanobis distance of every place from the prior mean."""
         rows, cols = self._log.shape
         y = self._unit * (self._origin[0] + np.arange(rows))[:, None] - mean[1]
         x = self._unit * (self._origin[1] + np.arange(cols))[None, :] - mean[0]
@@ -256,17 +260,17 @@ class PlaceSearch:
             0.5 * (inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2)
         )
 
-    # --- what was scanned -----------------------------------------------------------------
+    # --- scanned terrain ------------------------------------------------------------------
 
-    def _due(self, time: float) -> list[_Tile]:
-        """Return the tiles that are whole by now, or grow no more."""
+    def _complete_tiles(self, time: float) -> list[_SampledTile]:
+        """Return the new tiles that are complete or no longer grow."""
         height, known = self._submap.posts()
         if not known.any():
             return []
         first = self._submap.first
-        # Whole posts only are counted: the first of the four ways to lay posts over the squares.
+        # Count only whole posts, the first of the four offsets of posts over the half-post squares.
         skip = (first[0] % 2, first[1] % 2)
-        whole = above_plane(
+        whole = subtract_plane(
             height[skip[0] :: 2, skip[1] :: 2], known[skip[0] :: 2, skip[1] :: 2],
             self.features.reach,
         )[1]  # fmt: skip
@@ -276,97 +280,99 @@ class PlaceSearch:
         place, count = np.unique(
             np.column_stack((row // self._wide, col // self._wide)), axis=0, return_counts=True
         )
-        due = []
+        complete = []
         full = self._wide**2
         for key, n in zip(map(tuple, place.tolist()), count.tolist(), strict=True):
             if key in self._used:
                 continue
-            seen, since = self._fresh.get(key, (0, time))
+            seen, since = self._growing.get(key, (0, time))
             if n > seen:
-                self._fresh[key] = (n, time)
+                self._growing[key] = (n, time)
                 since = time
-            old = time - since >= self.settings.deaf_s - 1e-9
+            old = time - since >= self.settings.idle_s - 1e-9
             if n >= 0.95 * full or (old and n >= 0.25 * full):
                 self._used.add(key)
-                due.append(key)
-        return [self._cut(key, height, known) for key in due]
+                complete.append(key)
+        return [self._cut(key, height, known) for key in complete]
 
-    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _Tile:
-        """Return a tile at every half post, out of what was scanned."""
-        # A half post more on either side, for the four ways to lay posts, and two for slopes.
-        side, room = 2 * self._wide, 2 * self.features.reach + 2
-        south, west = (side * key[i] - room - self._submap.first[i] for i in (0, 1))
-        many = side + 2 * room
+    def _cut(self, key: tuple[int, int], height: Array, known: NDArray[np.bool_]) -> _SampledTile:
+        """Cut a tile at every half post out of the scanned terrain."""
+        # Margin of half a post per side for the four offsets, and of two posts for slopes.
+        side, margin = 2 * self._wide, 2 * self.features.reach + 2
+        south, west = (side * key[i] - margin - self._submap.first[i] for i in (0, 1))
+        many = side + 2 * margin
         z, seen = _cut(height, south, west, many), _cut(known, south, west, many)
         above, kept = np.zeros(z.shape), np.zeros(z.shape, np.bool_)
         for a in (0, 1):
             for b in (0, 1):
-                above[a::2, b::2], kept[a::2, b::2] = above_plane(
+                above[a::2, b::2], kept[a::2, b::2] = subtract_plane(
                     z[a::2, b::2], seen[a::2, b::2], self.features.reach
                 )
-        # A place lies up to half a spacing beside the truth.
+        # The true place can differ from a sampled one by half the spacing.
         spread = np.zeros(z.shape)
         for axis in (0, 1):
             rise = np.gradient(above, axis=axis)
             near = ndimage.minimum_filter1d(kept, 3, axis=axis)
-            spread += (2.0 / self._ways * np.where(near, rise, 0.0)) ** 2 / 12.0
-        inner = (slice(room, room + side),) * 2
+            spread += (2.0 / self._offsets * np.where(near, rise, 0.0)) ** 2 / 12.0
+        inner = (slice(margin, margin + side),) * 2
         weight, variance = kept.astype(np.float64), self.features.variance + spread
         whole = Tile(above[inner], weight[inner], variance[inner])
-        return _Tile((side * key[0], side * key[1]), whole, z[inner])
+        return _SampledTile((side * key[0], side * key[1]), whole, z[inner])
 
     # --- evidence -------------------------------------------------------------------------
 
-    def _compare(self, tile: _Tile, away: Array, usual: float) -> None:
+    def _add_evidence(
+        self, tile: _SampledTile, prior_distance: Array, mean_log_ratios: float
+    ) -> None:
         """Multiply the posterior by the likelihood of a tile."""
-        log = self._log - away
-        row, col = np.nonzero(log >= log.max() - _HOPELESS)
+        log = self._log - prior_distance
+        row, col = np.nonzero(log >= log.max() - _MAX_LOG_DEFICIT)
         ratio, share = np.zeros(len(row)), np.zeros(len(row))
-        north, east, ways = row + self._origin[0], col + self._origin[1], self._ways
+        north, east, ways = row + self._origin[0], col + self._origin[1], self._offsets
         for a in range(ways):
             for b in range(ways):
-                # A shift by an odd number of halves takes posts that begin a half later.
-                mine = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
-                ratio[mine], share[mine] = self.features.likelihood(
-                    tile.lay(a, b), (north[mine] + a) // ways + tile.first[0] // 2,
-                    (east[mine] + b) // ways + tile.first[1] // 2,
+                # A shift by an odd number of half posts uses the posts with an offset of a half.
+                selected = np.flatnonzero(((north + a) % ways == 0) & ((east + b) % ways == 0))
+                ratio[selected], share[selected] = self.features.likelihood(
+                    tile.lay(a, b), (north[selected] + a) // ways + tile.first[0] // 2,
+                    (east[selected] + b) // ways + tile.first[1] // 2,
                 )  # fmt: skip
-        self._log[row, col] += self.features.factor(ratio, share, usual, log.size)
+        self._log[row, col] += self.features.factor(ratio, share, mean_log_ratios, log.size)
 
     # --- outcome --------------------------------------------------------------------------
 
-    def _match(self, away: Array, mean: Array, covariance: Array) -> Match:
-        """Weigh all places, and all that lie farther off by what was known before."""
-        log = self._log - away
+    def _best_match(self, prior_distance: Array, mean: Array, covariance: Array) -> Match:
+        """Normalise the posterior, with the prior probability of all places beyond it."""
+        log = self._log - prior_distance
         best = log.max()
         p = np.exp(log - best)
         every = 2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / self._unit**2
         with np.errstate(divide="ignore"):
-            beyond = float(np.log(every * self._beyond(mean, covariance)) - best)
+            beyond = float(np.log(every * self._prior_beyond(mean, covariance)) - best)
         p /= p.sum() + np.exp(min(beyond, 700.0))
         row, col = np.unravel_index(int(np.argmax(p)), p.shape)
         rows, cols = np.indices(p.shape)
-        near = np.hypot(rows - row, cols - col) <= 1.5 * self._ways + 1e-9
+        near = np.hypot(rows - row, cols - col) <= 1.5 * self._offsets + 1e-9
         certainty = float(p[near].sum())
         q = p[near] / certainty
         north = self._unit * (rows[near] + self._origin[0])
         east = self._unit * (cols[near] + self._origin[1])
         middle = np.array([q @ east, q @ north])
-        # Half a post's width is left open besides the spread of the posterior.
+        # Add half a post to the spread of the posterior for its finite resolution.
         spread = np.array([q @ (east - middle[0]) ** 2, q @ (north - middle[1]) ** 2])
         spread += (0.5 * self.prior.grid.posting) ** 2
         share, rise, error = self._agreement(int(row), int(col))
-        up, up_variance = self._level(p)
+        up, up_variance = self._vertical_shift(p)
         return Match(
             np.array([*middle, up if rise is None else rise]),
             np.diag([*spread, error]), certainty, share, up, up_variance,
         )  # fmt: skip
 
-    def _beyond(self, mean: Array, covariance: Array) -> float:
-        """Return the share of the prior beyond the places searched, at most.
+    def _prior_beyond(self, mean: Array, covariance: Array) -> float:
+        """Return an upper bound of the prior probability beyond the searched places.
 
-        By its tails past each side, and not by what places within add up to: of a prior narrower
-        than their distance that may be anything.
+        It sums the tails past each side. The sum over the searched places would be inaccurate for a
+        prior narrower than their spacing.
         """
         sigma = np.sqrt(np.diag(covariance))
         low = self._unit * (np.array(self._origin[::-1]) - 0.5)
@@ -374,15 +380,15 @@ class PlaceSearch:
         past = ndtr((low - mean) / sigma) + ndtr((mean - high) / sigma)
         return min(float(past.sum()), 1.0)
 
-    def _under(
-        self, tile: _Tile, row: IntArray, col: IntArray
+    def _posts_below(
+        self, tile: _SampledTile, row: IntArray, col: IntArray
     ) -> tuple[tuple[slice, slice], IntArray, IntArray]:
-        """Return which posts of a tile lie on posts of the map at places, and on which (n, r, c).
+        """Return slices of a tile's posts, and map rows (n, r) and columns (n, c) below.
 
-        All places given must ask for the same of the four ways to lay posts.
+        All places must use the same of the four offsets of posts.
         """
         north, east = row + self._origin[0], col + self._origin[1]
-        ways = self._ways
+        ways = self._offsets
         a, b = int(-north[0] % ways), int(-east[0] % ways)
         n = np.arange(self._wide)
         r = ((north + a) // ways + tile.first[0] // 2)[:, None] + n
@@ -390,32 +396,34 @@ class PlaceSearch:
         return (slice(a, None, 2), slice(b, None, 2)), r, c
 
     def _agreement(self, row: int, col: int) -> tuple[float, float | None, float]:
-        """Return the share of posts that agree at a place, and how far the map lies above, m.
+        """Return share of agreeing posts, height difference and its variance at a place.
 
-        The height is that of the last tiles, with its variance.
+        The height difference is map minus scan, m, from the last six tiles.
         """
-        agreed, offered, rises = 0, 0, []
+        agreed, compared, rises = 0, 0, []
         for n, tile in enumerate(reversed(self._tiles)):
-            cut, r, c = self._under(tile, np.array([row]), np.array([col]))
+            cut, r, c = self._posts_below(tile, np.array([row]), np.array([col]))
             shown, elevation = (
                 _at(of, r[0], c[0]) for of in (self.features.shown, self.prior.elevation)
             )
             both = (tile.whole.weight[cut] > 0.0) & (_at(self.features.kept, r[0], c[0]) > 0.0)
             gap = shown - tile.whole.height[cut]
             agree = both & (gap**2 <= 9.0 * tile.whole.variance[cut])
-            agreed, offered = agreed + int(agree.sum()), offered + int(both.sum())
+            agreed, compared = agreed + int(agree.sum()), compared + int(both.sum())
             if n < 6:
                 rises.append((elevation - tile.level[cut])[agree])
         rise = np.concatenate(rises)
         posting, sigma = self.prior.grid.posting, self.prior.sigma
         error = sigma**2 * self.prior.together / max(len(rise), 1) + (0.4 * posting) ** 2
         found = float(np.median(rise)) if len(rise) else None
-        return agreed / offered if offered else 0.0, found, float(error)
+        return agreed / compared if compared else 0.0, found, float(error)
 
-    def _level(self, p: Array) -> tuple[float, float]:
-        """Return mean and variance of the vertical shift over all places, by their probability."""
-        # Places of one lay of posts stand for all, thinned to what is quick.
-        every = self._ways * max(1, int(np.sqrt(p.size / self._ways**2 / _SAMPLE)))
+    def _vertical_shift(self, p: Array) -> tuple[float, float]:
+        """Return mean and variance of the vertical shift, weighted by the posterior."""
+        # Use the places with one offset of posts only, and thin them for speed.
+        every = self._offsets * max(
+            1, int(np.sqrt(p.size / self._offsets**2 / _HEIGHT_SAMPLE_PLACES))
+        )
         best = np.unravel_index(int(np.argmax(p)), p.shape)
         row, col = (np.arange(int(b) % every, n, every) for b, n in zip(best, p.shape, strict=True))
         block = (every, every)
@@ -424,7 +432,7 @@ class PlaceSearch:
         keep = mass > 1e-6 * mass.max()
         row, col, mass = row[keep], col[keep], mass[keep]
         tile = self._tiles[-1]
-        cut, r, c = self._under(tile, row, col)
+        cut, r, c = self._posts_below(tile, row, col)
         ours = tile.whole.weight[cut] > 0.0
         i, j = np.nonzero(ours)
         some = slice(None, None, max(1, len(i) // 32))
@@ -441,20 +449,20 @@ class PlaceSearch:
         return up, float(weight @ (mean - up) ** 2)
 
 
-def _check_known(mean: Array, covariance: Array, speed_sigma: float) -> None:
-    """Refuse what cannot be known of a place."""
+def _check_prior(mean: Array, covariance: Array, speed_sigma: float) -> None:
+    """Check the prior of a search."""
     if np.shape(mean) != (2,) or not np.isfinite(mean).all():
-        raise InputError("mean", mean, "two numbers, m")
+        raise InputError("mean", mean, "must be two finite numbers, m")
     p = np.asarray(covariance, dtype=np.float64)
     fits = p.shape == (2, 2) and np.isfinite(p).all() and np.allclose(p, p.T, rtol=1e-6)
     if not (fits and p[0, 0] > 0.0 and np.linalg.det(p) > 0.0):
-        raise InputError("covariance", covariance, "a positive definite matrix (2, 2), m^2")
+        raise InputError("covariance", covariance, "must be a positive definite matrix (2, 2), m^2")
     if not 0.0 <= speed_sigma < np.inf:
-        raise InputError("speed_sigma", speed_sigma, "0 or a positive number, m/s")
+        raise InputError("speed_sigma", speed_sigma, "must be a non-negative number, m/s")
 
 
 def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
-    """Return a square of a raster, 0 where it lies beyond."""
+    """Return a square of a raster, with 0 outside the raster."""
     out = np.zeros((side, side), of.dtype)
     r0, r1 = max(row, 0), min(row + side, of.shape[0])
     c0, c1 = max(col, 0), min(col + side, of.shape[1])
@@ -464,7 +472,7 @@ def _cut(of: NDArray[Any], row: int, col: int, side: int) -> NDArray[Any]:
 
 
 def _at(of: NDArray[Any], row: IntArray, col: IntArray, *, paired: bool = False) -> Array:
-    """Return a raster at rows (r,) by columns (c,), or at pairs of them; NaN beyond it."""
+    """Return a raster at rows (r,) by columns (c,) or at pairs; NaN outside of it."""
     if not paired:
         row, col = np.broadcast_arrays(row[:, None], col[None, :])
     inside = (row >= 0) & (row < of.shape[0]) & (col >= 0) & (col < of.shape[1])

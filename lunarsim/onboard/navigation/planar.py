@@ -1,4 +1,4 @@
-"""Closed forms for many symmetric or square matrices of two rows."""
+"""Closed-form operations on many 2 x 2 matrices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def inverse(a: Array) -> Array:
-    """Return the inverses of matrices (n, 2, 2)."""
+    """Invert matrices (n, 2, 2)."""
     out = np.empty_like(a)
     out[:, 0, 0], out[:, 1, 1] = a[:, 1, 1], a[:, 0, 0]
     out[:, 0, 1], out[:, 1, 0] = -a[:, 0, 1], -a[:, 1, 0]
@@ -24,7 +24,7 @@ def largest_eigenvalue(a: Array) -> Array:
 
 
 def squared_distance(offset: Array, a: Array) -> Array:
-    """Return the squared Mahalanobis lengths (n,) of vectors (n, 2) for covariances (n, 2, 2)."""
+    """Return squared Mahalanobis norms (n,) for covariances (n, 2, 2)."""
     x, y = offset.T
     determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
     square = a[:, 1, 1] * x * x - (a[:, 0, 1] + a[:, 1, 0]) * x * y + a[:, 0, 0] * y * y
@@ -32,8 +32,8 @@ def squared_distance(offset: Array, a: Array) -> Array:
 
 
 def positive(covariance: Array) -> NDArray[np.bool_]:
-    """Return which covariances (n, 2, 2) are finite and positive (n,)."""
+    """Return which covariances (n, 2, 2) are finite and positive definite (n,)."""
     with np.errstate(invalid="ignore"):
         determinant = np.linalg.det(covariance)
-        found = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
-    return np.asarray(np.isfinite(covariance).all((1, 2)) & found)
+        is_positive = (covariance[:, 0, 0] > 0.0) & (determinant > 0.0)
+    return np.asarray(np.isfinite(covariance).all((1, 2)) & is_positive)

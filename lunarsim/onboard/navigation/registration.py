@@ -1,4 +1,4 @@
-"""A scan fitted to a map by least squares."""
+"""Register a scan on a map by robust least squares."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.fit_start import fit_start
+from lunarsim.onboard.navigation.initial_shift import find_initial_shift
 from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.seen_scan import SeenScan
-from lunarsim.onboard.navigation.surface import Surface, surface_of
+from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# A scan's place is certain where so many deviations lie within half a post, or else with such a
-# probability.
-_DEVIATIONS, _CERTAIN = 3.5, 0.9995
-# Posts along a side of the blocks over which residuals are summed; fewer blocks tell nothing.
-_BLOCK, _FEWEST_BLOCKS = 6, 4
+# The scan position is unambiguous if this number of standard deviations is below half a post, or if
+# the best shift has this probability.
+_UNAMBIGUOUS_SIGMAS, _MIN_CERTAINTY = 3.5, 0.9995
+# Side of the blocks for the correlation of residuals, in posts; minimum number of blocks.
+_BLOCK_POSTS, _MIN_BLOCKS = 6, 4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Outcome of a registration, as information on an error state.
+    """Result of a registration, as information on the errors of the scan.
 
     Attributes
     ----------
@@ -33,22 +33,22 @@ class Fit:
         J' W J (d, d).
     vector
         J' W y (d,).
-    used, offered
-        Squares that agree with the map, and all that could be compared.
+    used, compared
+        Number of squares that agree with the map, and of all compared squares.
     misfit
-        Mean square of the residuals used, in units of their variance.
+        Mean square of the residuals of agreeing squares, in units of their variance.
     """
 
     information: Array
     vector: Array
     used: int
-    offered: int
+    compared: int
     misfit: float
 
     @property
     def share(self) -> float:
-        """Share of the squares that agree."""
-        return self.used / self.offered if self.offered else 0.0
+        """Fraction of the squares that agree."""
+        return self.used / self.compared if self.compared else 0.0
 
 
 def fit(
@@ -60,52 +60,52 @@ def fit(
     *,
     expected: Array | None = None,
 ) -> Fit:
-    """Fit an error to residuals, leaving out those that no likely error explains.
+    """Estimate an error from residuals, and exclude outliers.
 
     Parameters
     ----------
     jacobian, residual, variance
-        Of m scalar measurements (m, d), (m,), (m,).
+        Jacobian, residuals and variances of m scalar measurements (m, d), (m,), (m,).
     prior
-        Covariance (d, d) of the error before.
+        Prior covariance of the error (d, d).
     gate
-        Residuals farther than so many deviations from the fit are left out.
+        Maximum residual after the fit, in standard deviations.
     expected
-        Variance of a residual by which they are judged (m,); left out, `variance`, which may be
-        greater because a measurement has been used before. Judged by that, ground that has changed
-        would agree once it has been looked at often enough.
+        Variances for the outlier test (m,); default: `variance`. The latter can be larger because a
+        measurement was used before. With it, changed terrain would pass the test after repeated
+        views.
     """
     d = jacobian.shape[1]
     if len(residual) == 0:
         return Fit(np.zeros((d, d)), np.zeros(d), 0, 0, np.nan)
-    judged = variance if expected is None else expected
+    test_variance = variance if expected is None else expected
     keep = np.ones(len(residual), np.bool_)
-    # The first fit rests on the bulk: a patch that has changed would pull a plain mean along.
+    # Start without the outliers from the median: a changed patch would bias a plain mean.
     middle = np.median(residual)
     spread = 1.4826 * np.median(np.abs(residual - middle))
     if spread > 0.0:
-        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(judged.min())))
+        keep = np.abs(residual - middle) <= gate * max(spread, float(np.sqrt(test_variance.min())))
     for _ in range(4):
         j, w = jacobian[keep], 1.0 / variance[keep]
         information = (j * w[:, None]).T @ j
         vector = (j * w[:, None]).T @ residual[keep]
-        # The prior may be singular: two scans at nearly the same place err alike.
+        # The prior can be singular: errors of two scans from nearly the same place are equal.
         error = prior @ np.linalg.solve(np.eye(d) + information @ prior, vector)
-        after = residual - jacobian @ error
-        agree = after**2 <= gate**2 * judged
-        if np.array_equal(agree, keep):
+        residual_after = residual - jacobian @ error
+        is_agreeing = residual_after**2 <= gate**2 * test_variance
+        if np.array_equal(is_agreeing, keep):
             break
-        keep = agree
+        keep = is_agreeing
     used = int(keep.sum())
-    misfit = float(np.mean(after[keep] ** 2 / judged[keep])) if used else np.nan
+    misfit = float(np.mean(residual_after[keep] ** 2 / test_variance[keep])) if used else np.nan
     j, w = jacobian[keep], 1.0 / variance[keep]
     return Fit(
         (j * w[:, None]).T @ j, (j * w[:, None]).T @ residual[keep], used, len(residual), misfit
     )
 
 
-def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
-    """Tell which squares of a scan (m,) a map has an elevation for."""
+def _is_on_map(surface: ScanSurface, prior: PriorMap) -> NDArray[np.bool_]:
+    """Return which squares of a scan lie on known posts of a map (m,)."""
     g, row, col = prior.grid, surface.row, surface.col
     inside = (col >= 0) & (col < g.cols) & (row >= 0) & (row < g.rows)
     inside[inside] = np.isfinite(prior.elevation[row[inside], col[inside]])
@@ -113,42 +113,42 @@ def _on_known_ground(surface: Surface, prior: PriorMap) -> NDArray[np.bool_]:
 
 
 def register(
-    seen: SeenScan,
+    corrected: SeenScan,
     features: MapFeatures,
     covariance: Array,
     variance: Array,
     *,
     passes: int = 4,
 ) -> tuple[Fit, tuple[IntArray, IntArray]]:
-    """Fit a scan to a map.
+    """Register a scan on a map.
 
-    Gauss-Newton: the scan is averaged afresh with each correction, until the ground moves by less
-    than a twentieth of a post. What is returned refers to the scan as it was given.
+    Gauss-Newton iteration: the scan is averaged again after each correction, until the terrain
+    moves by less than 1/20 of a post. The result refers to the scan as given.
 
     Parameters
     ----------
-    seen, features
-        To be compared: the scan in the frame of the map, and the map's features.
+    corrected, features
+        Scan in the frame of the map, and the features of the map.
     covariance
-        Of the scan's errors (11, 11): see `SeenScan`.
+        Prior covariance of the scan's errors (11, 11); see `SeenScan`.
     variance
-        Of a residual at each post (rows, cols), m^2, greater the more often it has been used.
+        Variance of the residual at each post (rows, cols), m^2; it grows with the number of uses.
     passes
-        At most.
+        Maximum number of iterations.
 
     Returns
     -------
     fit
         Information on the scan's errors.
     posts
-        Rows and columns of the posts compared.
+        Rows and columns of the compared posts.
     """
     prior = features.prior
-    error, level_only, spread = _begin(seen, features, covariance)
+    error, level_only, spread = _initial_error(corrected, features, covariance)
     for _ in range(passes):
-        moved = seen.moved(error)
-        surface = surface_of(moved.points(), prior.grid)
-        inside = _on_known_ground(surface, prior)
+        moved = corrected.moved(error)
+        surface = average_scan(moved.points(), prior.grid)
+        inside = _is_on_map(surface, prior)
         posts = surface.row[inside], surface.col[inside]
         normal, added = _normals(surface.normal[inside], spread if level_only else None)
         jacobian = moved.jacobian(surface.position[inside], normal)
@@ -157,31 +157,31 @@ def register(
         result = fit(jacobian, residual, variance[posts] + added, covariance, expected=expected)
         if result.used == 0:
             break
-        step = solved(result, covariance) - error
+        step = solve_error(result, covariance) - error
         error = error + step
         middle = surface.position[inside].mean(axis=0)
         if np.abs(moved.point_jacobian(middle) @ step).max() < 0.05 * prior.grid.posting:
             break
     if result.used:
-        alike = together(posts, residual - jacobian @ error, expected)
-        share = max(alike, prior.together, 1.0)
+        correlation = residual_correlation(posts, residual - jacobian @ error, expected)
+        share = max(correlation, prior.together, 1.0)
         result = replace(
             result, information=result.information / share, vector=result.vector / share
         )
     return result, posts
 
 
-def solved(found: Fit, covariance: Array) -> Array:
-    """Return the error that a fit and the covariance before make likeliest (d,)."""
+def solve_error(found: Fit, covariance: Array) -> Array:
+    """Return the maximum a posteriori error of a fit with its prior covariance (d,)."""
     both = np.eye(len(covariance)) + found.information @ covariance
     return np.asarray(covariance @ np.linalg.solve(both, found.vector))
 
 
 def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
-    """Return the normals (m, 3) that a fit uses, and what is added to the variances (m,), m^2.
+    """Return normals (m, 3) for a fit, and additional residual variances (m,), m^2.
 
-    With a `spread` (2, 2) the place is not to be told: the slope of the whole, the same for all,
-    ties the level to the place, and slopes that differ from it are errors.
+    If a `spread` (2, 2) is given, the fit must not determine the horizontal position. All normals
+    are then replaced by their mean, and the deviation of each slope adds variance.
     """
     if spread is None or len(normal) == 0:
         return normal, np.zeros(len(normal))
@@ -190,39 +190,51 @@ def _normals(normal: Array, spread: Array | None) -> tuple[Array, Array]:
     return np.broadcast_to(normal.mean(axis=0), normal.shape), added
 
 
-def together(posts: tuple[IntArray, IntArray], residual: Array, variance: Array) -> float:
-    """Return how many times less residuals tell than if each erred on its own.
+def residual_correlation(
+    posts: tuple[IntArray, IntArray], residual: Array, variance: Array
+) -> float:
+    """Return the variance inflation that accounts for the correlation of residuals.
 
-    By their sums over blocks of a few posts: errors of a map that are alike over some metres, and
-    ground that has changed by little, add up there. 1 with too few blocks to tell.
+    It compares sums over blocks of a few posts with their variance for independent residuals. Map
+    errors with a correlation length of some metres and small terrain changes add up in these sums.
+    The result is 1 if there are too few blocks.
     """
-    row, col = (part // _BLOCK for part in posts)
+    row, col = (part // _BLOCK_POSTS for part in posts)
     keep = residual**2 <= 9.0 * variance
     block = (row - row.min()) * (int(np.ptp(col)) + 1) + col - col.min()
     total = np.bincount(block[keep], residual[keep])
     expected = np.bincount(block[keep], variance[keep])
     full = expected > 0.0
-    if full.sum() < _FEWEST_BLOCKS:
+    if full.sum() < _MIN_BLOCKS:
         return 1.0
     return float(np.mean(total[full] ** 2 / expected[full]))
 
 
-def _begin(seen: SeenScan, features: MapFeatures, covariance: Array) -> tuple[Array, bool, Array]:
-    """Return where to begin a fit (11,), whether it may tell the level alone, and the spread.
+def _initial_error(
+    corrected: SeenScan, features: MapFeatures, covariance: Array
+) -> tuple[Array, bool, Array]:
+    """Return initial error of a fit (11,), a flag for heights only, and the spread.
 
-    Slopes tell where a scan lies only as far as they reach, which is half a post on rough ground:
-    where the scan's place is less certain, all places that its stated error allows are compared
-    first. Where several will do, which one it is must not be told.
+    Slopes give the correct position only within half a post on rough terrain. If the position of
+    the scan is less certain, all shifts that its uncertainty allows are compared first. If several
+    shifts are plausible, the fit must not choose between them.
     """
-    surface = seen.surface(features.prior.grid)
+    surface = corrected.surface(features.prior.grid)
     error, none = np.zeros(len(covariance)), np.zeros((2, 2))
     if len(surface) == 0:
         return error, False, none
-    across = seen.point_jacobian(surface.position.mean(axis=0))[:2]
-    place = across @ covariance @ across.T
-    if _DEVIATIONS * np.sqrt(np.diag(place).max()) <= 0.5 * features.prior.grid.posting:
+    horizontal_jacobian = corrected.point_jacobian(surface.position.mean(axis=0))[:2]
+    position_covariance = horizontal_jacobian @ covariance @ horizontal_jacobian.T
+    if (
+        _UNAMBIGUOUS_SIGMAS * np.sqrt(np.diag(position_covariance).max())
+        <= 0.5 * features.prior.grid.posting
+    ):
         return error, False, none
-    start = fit_start(surface, features, place)
-    if start.certainty < _CERTAIN:
+    start = find_initial_shift(surface, features, position_covariance)
+    if start.certainty < _MIN_CERTAINTY:
         return error, True, start.spread
-    return covariance @ across.T @ np.linalg.solve(place, start.shift), False, none
+    return (
+        covariance @ horizontal_jacobian.T @ np.linalg.solve(position_covariance, start.shift),
+        False,
+        none,
+    )

@@ -1,4 +1,4 @@
-"""How scans are compared with a map and with each other."""
+"""Settings of the scan registration."""
 
 from __future__ import annotations
 
@@ -12,60 +12,61 @@ from lunarsim.onboard.navigation.registration import Fit
 
 @dataclass(frozen=True)
 class RegistrationSettings:
-    """How scans are compared with the map and with each other.
+    """Settings of the registration of scans on a map and on each other.
 
     Attributes
     ----------
     model_sigma
-        What else sets a scan's mean over a post's square apart from the post: rocks that hide the
-        ground behind them, points that lie unevenly, m.
-    least_squares
-        Fewest squares for a registration.
-    least_share
-        Least share of them that must agree with the map.
-    greatest_misfit
-        Mean square of their residuals, in units of their variance, above which there is no match.
-    chance, map_chance
-        Of a good correction to be refused: by a scan kept or a search, and by a fit to the map,
-        where ground that has changed in part draws a fit aside by a few deviations.
+        Standard deviation of the difference between a scan's mean over the square of a post and the
+        post, apart from the map's noise, m. Causes are occlusion by rocks and uneven sampling.
+    min_squares
+        Minimum number of squares for a registration.
+    min_agreement
+        Minimum fraction of squares that agree with the map.
+    max_misfit
+        Maximum mean square of their residuals, in units of their variance.
+    rejection_probability, map_rejection_probability
+        Probability to reject a valid correction, from a reference scan or a search
+        (`rejection_probability`) and from a fit to the map (`map_rejection_probability`). Partly
+        changed terrain biases the latter by a few standard deviations.
     certainty
-        Probability of the best place that a search must reach to be believed.
-    level_sigma
-        Of a height taken from the level of the ground before the place is known, m.
+        Minimum probability of the best place of a search.
+    height_sigma
+        Standard deviation of a height that is derived before the place is known, m.
     search_s
-        Between two searches, s.
+        Time between two searches, s.
     lost_s
-        If nothing that covers posts enough agrees for so long the lock is lost, s.
-    gather_s
-        Scans that cover too few posts are gathered for so long at most, s.
+        Time without agreement of a large enough scan after which the lock is lost, s.
+    max_accumulation_s
+        Maximum time over which small scans are accumulated, s.
     odometry_postings
-        Least and greatest squares in which scans are compared with each other, m: a
-        twenty-fourth of a scan's width between them.
+        Minimum and maximum side of the squares for scan-to-scan odometry, m. Between these limits
+        it is 1/24 of the width of a scan.
     odometry_sigma
-        Of the difference of their heights there, m.
-    key_share
-        A scan is compared with an earlier one until less than this share of it lies on that one.
+        Standard deviation of the height difference of two scans in a square, m.
+    min_overlap
+        Minimum overlap with the reference scan; below it the reference scan is replaced.
 
     Raises
     ------
     InputError
-        If one is out of range.
+        If a value is out of range.
     """
 
     model_sigma: float = 0.03
-    least_squares: int = 12
-    least_share: float = 0.7
-    greatest_misfit: float = 1.6
-    chance: float = 4e-5
-    map_chance: float = 1e-3
+    min_squares: int = 12
+    min_agreement: float = 0.7
+    max_misfit: float = 1.6
+    rejection_probability: float = 4e-5
+    map_rejection_probability: float = 1e-3
     certainty: float = 0.99999
-    level_sigma: float = 0.5
+    height_sigma: float = 0.5
     search_s: float = 0.5
     lost_s: float = 2.0
-    gather_s: float = 5.0
+    max_accumulation_s: float = 5.0
     odometry_postings: tuple[float, float] = (0.05, 0.4)
     odometry_sigma: float = 0.03
-    key_share: float = 0.8
+    min_overlap: float = 0.8
 
     def __post_init__(self) -> None:
         if not (
@@ -75,22 +76,28 @@ class RegistrationSettings:
             raise InputError(
                 "navigation.odometry_postings",
                 self.odometry_postings,
-                "two lengths, the least first",
+                "must be two positive lengths in ascending order",
             )
-        for name in ("least_share", "chance", "map_chance", "certainty", "key_share"):
+        for name in (
+            "min_agreement",
+            "rejection_probability",
+            "map_rejection_probability",
+            "certainty",
+            "min_overlap",
+        ):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
-                raise InputError(f"navigation.{name}", value, "above 0 and at most 1")
-        for name in ("model_sigma", "least_squares", "greatest_misfit", "level_sigma", "search_s",
-                     "lost_s", "gather_s", "odometry_sigma"):  # fmt: skip
+                raise InputError(f"navigation.{name}", value, "must be above 0 and at most 1")
+        for name in ("model_sigma", "min_squares", "max_misfit", "height_sigma", "search_s",
+                     "lost_s", "max_accumulation_s", "odometry_sigma"):  # fmt: skip
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
-                raise InputError(f"navigation.{name}", value, "a positive number")
+                raise InputError(f"navigation.{name}", value, "must be a positive number")
 
-    def believes(self, found: Fit) -> bool:
-        """Tell whether enough agrees, and well enough."""
+    def believes(self, fit: Fit) -> bool:
+        """Return whether enough squares agree, with small enough residuals."""
         return (
-            found.used >= self.least_squares
-            and found.share >= self.least_share
-            and found.misfit <= self.greatest_misfit
+            fit.used >= self.min_squares
+            and fit.share >= self.min_agreement
+            and fit.misfit <= self.max_misfit
         )

@@ -1,9 +1,9 @@
-"""The augmented multiplicative EKF: the lander and every rock it tracks (Eqs. 1-11).
+"""Augmented multiplicative EKF for the lander and all tracked rocks (Eqs. 1-11).
 
-Its error state holds the lander, what other measurements need, and three coordinates a rock
-(`rock_states.py`). A measured rock depends on position, attitude and its own coordinates, so
-products with its Jacobian cost a few rows of the covariance; all rocks of one image are taken in
-one update, which equals the sequential one.
+The error state contains the lander, the states of other measurements, and three coordinates per
+rock (`rock_states.py`). An observed rock depends on position, attitude and its own coordinates, so
+products with its Jacobian need few rows of the covariance. All rocks of an image are processed in
+one update, which equals the sequential updates.
 """
 
 from __future__ import annotations
@@ -16,67 +16,69 @@ from lunarsim._jit import threads_for
 from lunarsim.errors import InputError
 from lunarsim.frames import turned_about_up
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.navigation._rock_filter_kernels import add_few, measured_rows
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
-from lunarsim.onboard.navigation.error_state import KEY, MAP, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation._rock_filter_kernels import add_outer_products, measured_rows
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
+from lunarsim.onboard.navigation.error_state import MAP, POSE, REFERENCE_POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import ATTITUDE, VELOCITY, StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
+from lunarsim.onboard.navigation.picture_watch import ImageInnovationMonitor, Remedy
 from lunarsim.onboard.navigation.planar import inverse, positive
-from lunarsim.onboard.navigation.rock_sight import Sight, sight_of
-from lunarsim.onboard.navigation.rock_states import AXES, RockStates
-from lunarsim.onboard.navigation.wandering_ground import crossings
+from lunarsim.onboard.navigation.rock_sight import Sight, project_points
+from lunarsim.onboard.navigation.rock_states import ROCK_DIM, RockStates
+from lunarsim.onboard.navigation.wandering_ground import intersect_lines
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Turns of the view, rad, and falls of the range, a share, are taken together up to this.
-_LEAST_TURN = 0.02
-# Rocks are not seen from nearer than this, m.
-_NEAREST = 0.1
-# Passes at most that find where a line of sight meets ground that is not level; none is made once
-# heights change by less, m.
-_PASSES, _FOUND = 8, 0.01
-# A height may go beyond what was found there, and fall short of it, by these factors at most.
-_STEPS = (0.2, 3.0)
-# How far beside a region ground that is taken to be level at first may lie, m, and how steep ground
-# may be that rises from the region's middle, a tangent.
-_BESIDE, _STEEPEST = 10.0, 0.36
-# Variances grow at least and at most by these factors where rocks are doubted; standard deviations
-# not beyond: m, m/s, rad.
-_LEAST_GROWTH, _MOST_GROWTH = 4.0, 1e3
-_MOST_PLACE, _MOST_SPEED, _MOST_TURN = 100.0, 10.0, 0.1
+# Minimum rotation of the view (rad), or relative change of the range, for a process-noise step.
+_MIN_VIEW_CHANGE = 0.02
+# Minimum distance of a rock from the camera in the process noise, m.
+_MIN_RANGE_M = 0.1
+# Maximum number of iterations for the intersection of a line of sight with sloping terrain, and the
+# height change at which they stop, m.
+_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M = 8, 0.01
+# Limits of the height step, as a factor on the height difference at the last iterate.
+_STEP_LIMITS = (0.2, 3.0)
+# Margin around a region for points found on horizontal terrain, m, and maximum slope (tangent) of
+# the terrain from the centre of the region.
+_REGION_MARGIN_M, _MAX_SLOPE = 10.0, 0.36
+# Limits of the factor of a covariance inflation, and maximum standard deviations after it: position
+# of rocks and lander (m), velocity (m/s), attitude (rad).
+_MIN_GROWTH, _MAX_GROWTH = 4.0, 1e3
+_MAX_POSITION_SIGMA_M, _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD = 100.0, 10.0, 0.1
 
-# West, east, south and north limits, m.
+# Limits of a region: west, east, south and north, m.
 Region = tuple[float, float, float, float]
 
 
 class RockFilter(RockStates):
-    """Lander and rocks in one filter.
+    """Filter of the lander and the rocks.
 
     Parameters
     ----------
     state
-        Error state of the lander; what stands behind its blocks is this filter's.
-    aids
-        The other measurements of that state, with what is known of the ground.
+        Error state of the lander; the rocks are appended behind its blocks.
+    aiding
+        Processor of the other measurements, with the prior terrain height.
     capacity
-        Rocks for which room is made at first; it grows as needed.
+        Initial number of rocks to allocate; it grows as needed.
 
     Attributes
     ----------
     pictures
-        Whether what pictures show can be believed.
+        Monitor of the image observations.
     events
-        What was reported, by the aids too.
+        Events of this filter and of `aiding`.
     """
 
-    def __init__(self, state: ErrorState, aids: Aids, *, capacity: int = 128) -> None:
-        super().__init__(state, aids.ground, capacity)
-        self.events = aids.events
-        self.pictures = PictureWatch(self.events)
-        self._aids = aids
-        self._eye: Array | None = None
+    def __init__(
+        self, state: ErrorState, aiding: AidingMeasurements, *, capacity: int = 128
+    ) -> None:
+        super().__init__(state, aiding.ground, capacity)
+        self.events = aiding.events
+        self.pictures = ImageInnovationMonitor(self.events)
+        self._aiding = aiding
+        self._last_camera_position: Array | None = None
         self._pixel = 0.0
 
     @classmethod
@@ -88,86 +90,95 @@ class RockFilter(RockStates):
         ground: LevelGround | None = None,
         capacity: int = 128,
     ) -> RockFilter:
-        """Return a filter of lander and rocks alone, in the frame that the lander is told in.
+        """Return a filter of lander and rocks only, in the frame of the initial estimate.
 
         Parameters
         ----------
         inertial
-            The lander's state at the start.
+            Initial state of the lander.
         errors
             Its standard deviations.
         ground
-            What is known of its height; left out: level, at 0 m.
+            Prior knowledge of the terrain height; default: horizontal at 0 m, exact.
         capacity
-            Rocks for which room is made at first.
+            Initial number of rocks to allocate.
         """
         level = ground or LevelGround(0.0, None)
-        state = ErrorState(inertial, errors, blocks=blocks_of({}, level))
-        return cls(state, Aids(state, {}, level, []), capacity=capacity)
+        state = ErrorState(inertial, errors, blocks=aiding_blocks({}, level))
+        return cls(state, AidingMeasurements(state, {}, level, []), capacity=capacity)
 
     @property
     def inertial(self) -> StrapdownState:
-        """The lander's state."""
+        """State of the lander."""
         return self.state.inertial
 
-    # --- the state ------------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
-        """Of the lander's error state (15), what aids need, and the rocks' coordinates (3 n)."""
+        """Covariance of the lander (15), the blocks, and the rock coordinates (3 n)."""
         return self.state.covariance
 
     def ground_points(self, camera: CameraModel, pixel: Array, near: Region | None = None) -> Array:
-        """Return where lines of sight through pixels (n, 2), undistorted, meet the ground (n, 3).
+        """Intersect lines of sight through undistorted pixels (n, 2) with the terrain.
 
-        NaN where they do not, and for those that do so well beside a region that is given: west,
-        east, south and north limits, m.
+        Returns points (n, 3), m; NaN without an intersection, and for points far outside a
+        given region (west, east, south and north limits, m).
         """
-        out = np.full((len(pixel), AXES), np.nan)
+        out = np.full((len(pixel), ROCK_DIM), np.nan)
         if len(pixel) == 0:
             return out
-        eye, per_drop = self._lines(camera, pixel)
+        origin, per_drop = self._sight_lines(camera, pixel)
         middle = None if near is None else np.reshape(near, (2, 2)).mean(axis=1)
         out[:, 2] = self.ground if middle is None else self.ground_at(middle)[0]
-        out[:, :2] = eye[:2] + per_drop * (eye[2] - out[:, 2:])
-        lie = np.isfinite(out[:, :2]).all(1)
+        out[:, :2] = origin[:2] + per_drop * (origin[2] - out[:, 2:])
+        is_finite = np.isfinite(out[:, :2]).all(1)
         if near is not None:
-            lie &= _beside(out[:, :2], per_drop, near)
-            out[~lie] = np.nan
-        out[lie] = self._met(eye, per_drop[lie], out[lie, 2])
+            is_finite &= _is_near_region(out[:, :2], per_drop, near)
+            out[~is_finite] = np.nan
+        out[is_finite] = self._intersect(origin, per_drop[is_finite], out[is_finite, 2])
         return out
 
-    def _met(self, eye: Array, per_drop: Array, height: Array) -> Array:
-        """Return where lines from a place (3,) meet the ground (n, 3), begun at heights (n,), m."""
-        if self.measured is None and self.rocks_tell_ground:
-            # The same passes, line by line and compiled.
-            search = (_PASSES, _FOUND, *_STEPS)
+    def _intersect(self, origin: Array, per_drop: Array, height: Array) -> Array:
+        """Intersect lines from a point (3,) with the terrain (n, 3), with initial heights."""
+        if self.measured is None and self.can_interpolate_height:
+            # The compiled version of the same iteration.
+            search = (_MAX_ITERATIONS, _HEIGHT_TOLERANCE_M, *_STEP_LIMITS)
             known = self._known_heights()
-            return crossings(*known, eye, per_drop, height, self._level.growth, search)
-        left, tried, off = np.arange(len(height)), height, np.full(len(height), np.nan)
-        least, met = np.full(len(height), np.inf), np.empty((len(height), AXES))
-        for _ in range(_PASSES):
-            xy = eye[:2] + per_drop[left] * (eye[2] - height)[:, None]
+            return intersect_lines(*known, origin, per_drop, height, self._level.growth, search)
+        indices, last_height, last_gap = (
+            np.arange(len(height)),
+            height,
+            np.full(len(height), np.nan),
+        )
+        least, points = np.full(len(height), np.inf), np.empty((len(height), ROCK_DIM))
+        for _ in range(_MAX_ITERATIONS):
+            xy = origin[:2] + per_drop[indices] * (origin[2] - height)[:, None]
             found = self.ground_at(xy)
-            now = found - height
-            # Of those that never arrive the pass counts that came nearest; NaN: there is no ground.
-            nearer = ~(np.abs(now) >= least[left])
-            met[left[nearer]] = np.column_stack((xy, found))[nearer]
-            least[left[nearer]] = np.abs(now[nearer])
-            on = np.abs(now) > _FOUND
-            if not on.any():
+            gap = found - height
+            # Without convergence, the best iterate counts; NaN: the terrain height is unknown.
+            is_better = ~(np.abs(gap) >= least[indices])
+            points[indices[is_better]] = np.column_stack((xy, found))[is_better]
+            least[indices[is_better]] = np.abs(gap[is_better])
+            is_active = np.abs(gap) > _HEIGHT_TOLERANCE_M
+            if not is_active.any():
                 break
-            # Where the line would meet ground that goes on as it did from the last height to this.
+            # Secant step: intersect the line with the terrain slope between the last two iterates.
             with np.errstate(invalid="ignore", divide="ignore"):
-                step = now / np.clip((off - now) / (height - tried), *_STEPS)
-            onward = np.where(np.isfinite(step), height + step, found)
-            left, tried, off, height = left[on], height[on], now[on], onward[on]
-        return met
+                step = gap / np.clip((last_gap - gap) / (height - last_height), *_STEP_LIMITS)
+            next_height = np.where(np.isfinite(step), height + step, found)
+            indices, last_height, last_gap, height = (
+                indices[is_active],
+                height[is_active],
+                gap[is_active],
+                next_height[is_active],
+            )
+        return points
 
-    def _lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
-        """Return the camera's place (3,) and how far lines through pixels (n, 2) go east and north.
+    def _sight_lines(self, camera: CameraModel, pixel: Array) -> tuple[Array, Array]:
+        """Return camera position (3,) and horizontal advance of lines per drop (n, 2).
 
-        That is for each metre that they go down (n, 2); NaN where they do not.
+        The advance is east and north per metre downwards; NaN for lines that do not descend.
         """
         view = camera.view(self.inertial)
         tangent = (pixel - [view.cx, view.cy]) / [view.fx, view.fy]
@@ -176,29 +187,29 @@ class RockFilter(RockStates):
             return view.position, np.where(ray[:, 2:] < 0.0, ray[:, :2] / -ray[:, 2:], np.nan)
 
     def in_frame(self, direction: Array) -> Array:
-        """Return a direction (3,) of the site frame in that of lander and rocks."""
+        """Transform a direction (3,) from the site frame to the frame of the filter."""
         if not self.state.has(MAP):
             return direction
         return turned_about_up(-float(self.state.value(MAP)[3])) @ direction
 
     @property
     def lost(self) -> bool:
-        """Whether what was measured or seen cannot be explained."""
-        return self._aids.lost or self.pictures.lost
+        """Whether measurements or rock observations contradict the estimate."""
+        return self._aiding.lost or self.pictures.lost
 
     # --- time -----------------------------------------------------------------------------
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one."""
+        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples."""
         self.state.propagate(angle, velocity)
-        self._aids.travel()
-        self._aids.doubt_units()
+        self._aiding.add_terrain_noise()
+        self._aiding.check_sensor_biases()
 
     # --- rocks ----------------------------------------------------------------------------
 
     def sight(self, camera: CameraModel, points: Array | None = None) -> Sight:
-        """Return where rocks at points (n, 3), or those tracked, should be seen (Eqs. 10-11)."""
-        return sight_of(self.inertial, camera, self.xyz if points is None else points)
+        """Predict the pixels of points (n, 3), or of the tracked rocks (Eqs. 10-11)."""
+        return project_points(self.inertial, camera, self.xyz if points is None else points)
 
     def innovation_covariance(self, sight: Sight) -> Array:
         """Return the covariance of the predicted pixels of all rocks (n, 2, 2)."""
@@ -227,35 +238,35 @@ class RockFilter(RockStates):
         radius_floor: float = 0.0,
         gate: float = np.inf,
     ) -> Outcome:
-        """Take in what was seen of rocks in one image.
+        """Update lander and rocks with the rock observations of one image.
 
-        What is not finite, or has no positive variance, tells nothing.
+        Observations that are not finite or have no positive variance are ignored.
 
         Parameters
         ----------
         index
-            Rocks (m,), each at most once.
+            Indices of the rocks (m,), without repetition.
         sight
-            Prediction for all rocks, made at the present state.
+            Prediction for all rocks from the current state.
         pixel, pixel_covariance
             Measured centres (m, 2) and their covariances (m, 2, 2).
         radius, radius_variance
             Measured radii (m,), m and m^2.
         common
-            Standard deviation of an error that all pixels of the image share, an axis, pixels:
-            shadows stand for rocks with an error that depends on the view, so it does not
-            average out over the rocks.
+            Standard deviation of an error common to all pixels of the image, per axis, pixels. The
+            offset between a rock and its shadow depends on the view, so it does not average out
+            over the rocks.
         radius_floor
-            Share of one look's variance below which that of a radius does not fall: looks from
-            nearly the same place err alike.
+            Minimum variance of a radius relative to that of one observation, since observations
+            from nearly the same place have correlated errors.
         gate
-            Normalised innovation squared a degree of freedom, beyond which the places of the image
-            are refused as a whole.
+            Maximum normalised innovation squared per degree of freedom; above it all positions of
+            the image are rejected.
 
         Returns
         -------
         outcome
-            Of the pixel coordinates; chi-squared with two degrees of freedom a rock.
+            Outcome for the pixel coordinates, with two degrees of freedom per rock.
         """
         self.update_radii(index, radius, radius_variance, radius_floor)
         good = np.isfinite(pixel).all(1) & positive(pixel_covariance)
@@ -275,7 +286,7 @@ class RockFilter(RockStates):
         common: float,
         gate: float,
     ) -> Outcome:
-        """Correct lander and rocks."""
+        """Update lander and rock positions."""
         m = len(index)
         a, b = sight.by_pose[index], sight.by_rock[index]
         columns = self.places(index)
@@ -283,101 +294,102 @@ class RockFilter(RockStates):
             p = self.state.for_rows(POSE, columns)
             hp = measured_rows(p, self.state.size, POSE, a, columns, b)
         s = hp[:, POSE] @ a.reshape(2 * m, 6).T
-        own = hp[:, columns.ravel()].reshape(2 * m, m, AXES)
+        own = hp[:, columns.ravel()].reshape(2 * m, m, ROCK_DIM)
         s += np.einsum("kmj,mij->kmi", own, b).reshape(2 * m, 2 * m)
         block = 2 * np.arange(m)[:, None] + np.arange(2)
         s[block[:, :, None], block[:, None, :]] += pixel_covariance
         s[::2, ::2] += common**2
         s[1::2, 1::2] += common**2
         innovation = (pixel - sight.pixel[index]).ravel()
-        return self.state.absorb(hp, s, innovation, 2 * m * gate)
+        return self.state.update_with_innovation(hp, s, innovation, 2 * m * gate)
 
     def turn(
         self, sun: Array, along: float, across: float, shared: float, *,
         closing: float = 0.0, pixel: float = 0.0,
     ) -> None:  # fmt: skip
-        """Let what shadows tell of rocks' centres wander as the view turns and draws near.
+        """Add process noise to the rock positions when the view rotates or comes closer.
 
-        How a patch lies about its rock depends on where it is seen from. What the model of shadows
-        has wrong of that is a rock's own in part and in part the same for all; what is shared lies
-        along the Sun. A camera of other pixels shows the same rocks with more or fewer of them, as
-        if from another range.
+        The offset between a shadow patch and its rock depends on the viewpoint. The error of the
+        shadow model has an individual part and a common part; the common part lies along the Sun
+        direction. A camera with another pixel size resolves the rocks as if from another range.
 
         Parameters
         ----------
         sun
-            Direction towards the Sun (3,), ENU.
+            Direction to the Sun (3,), ENU.
         along, across
-            Standard deviation of a rock's own after a radian, along the Sun and across, in radii.
+            Individual standard deviation after a rotation of 1 rad, along the Sun direction and
+            across it, in rock radii.
         shared
-            The same of what all share.
+            Common standard deviation after a rotation of 1 rad, in rock radii.
         closing
-            Of what all share when what a pixel spans has changed by a factor e, be it by the range
-            or the camera; in what the coarser pixel spans.
+            Common standard deviation after a change of the pixel footprint by a factor e, by range
+            or by camera; in units of the larger footprint.
         pixel
-            What a pixel spans at a range of 1 m, m.
+            Footprint of a pixel at a range of 1 m, m.
         """
-        eye = self.inertial.position.copy()
+        origin = self.inertial.position.copy()
         other, coarser = 0.0, pixel
         if min(pixel, self._pixel) > 0.0:
             other, coarser = abs(float(np.log(pixel / self._pixel))), max(pixel, self._pixel)
-        if self._eye is None or self.count == 0:
-            self._eye, self._pixel = eye, pixel
+        if self._last_camera_position is None or self.count == 0:
+            self._last_camera_position, self._pixel = origin, pixel
             return
-        old, new = self.xyz - self._eye, self.xyz - eye
+        old, new = self.xyz - self._last_camera_position, self.xyz - origin
         angle = np.arctan2(
             np.linalg.norm(np.cross(old, new), axis=1), np.einsum("ij,ij->i", old, new)
         )
-        far = np.maximum(np.linalg.norm(new, axis=1), _NEAREST)
-        nearer = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _NEAREST)))
-        if max(np.median(angle), np.median(nearer), other) < _LEAST_TURN:
+        far = np.maximum(np.linalg.norm(new, axis=1), _MIN_RANGE_M)
+        is_better = np.abs(np.log(far / np.maximum(np.linalg.norm(old, axis=1), _MIN_RANGE_M)))
+        if max(np.median(angle), np.median(is_better), other) < _MIN_VIEW_CHANGE:
             return
-        self._eye, self._pixel = eye, pixel
+        self._last_camera_position, self._pixel = origin, pixel
         level = sun[:2] / np.hypot(sun[0], sun[1])
         root = np.sqrt(angle) * self.radius
-        range_ = closing * np.sqrt(nearer + other) * coarser * far
-        self._wander_together(np.stack((shared * root, range_)), level)
+        range_ = closing * np.sqrt(is_better + other) * coarser * far
+        self._add_common_noise(np.stack((shared * root, range_)), level)
         axes = np.array([[*level, 0.0], [-level[1], level[0], 0.0]])
         i = self.places()
         own = (axes.T * [along**2, across**2]) @ axes
         own = 0.5 * (own + own.T)  # symmetric to the last bit
         self.state.for_rows()[i[:, :, None], i[:, None, :]] += (root**2)[:, None, None] * own
 
-    def _wander_together(self, sigma: Array, axis: Array) -> None:
-        """Let all rocks have moved along a level axis (2,), by m numbers times sigma (m, n), m."""
+    def _add_common_noise(self, sigma: Array, axis: Array) -> None:
+        """Add common noise of m sources, sigma (m, n) in m, along a horizontal axis (2,)."""
         size = self.state.size
-        move = np.zeros((len(sigma), self.count, AXES))
+        move = np.zeros((len(sigma), self.count, ROCK_DIM))
         move[..., :2] = sigma[..., None] * axis
         with threads_for(4e-3 * size**2):
-            add_few(
+            add_outer_products(
                 self.state.for_rows()[self.first : size, self.first : size],
                 move.reshape(len(sigma), -1),
             )
 
     def judge(self, kind: str, time: float, outcome: Outcome) -> Remedy:
-        """Watch what came of a picture, see `PictureWatch`; widen the state where it is doubted.
+        """Monitor the outcome of an image, and inflate the state after an alarm.
 
-        Rocks that are to be begun anew are left to the caller.
+        The caller must reset the rocks if the returned action asks for it; see
+        `ImageInnovationMonitor`.
         """
-        remedy = self.pictures.note(kind, time, outcome)
+        remedy = self.pictures.record(kind, time, outcome)
         if remedy is not Remedy.NONE and kind != "shadows":
-            excess = self.pictures.watches[kind].excess
-            growth = float(np.clip(excess, _LEAST_GROWTH, _MOST_GROWTH))
+            nis_ratio = self.pictures.watches[kind].nis_ratio
+            growth = float(np.clip(nis_ratio, _MIN_GROWTH, _MAX_GROWTH))
             size = self.state.size
-            most = np.full(size, _MOST_PLACE)
-            most[VELOCITY], most[ATTITUDE] = _MOST_SPEED, _MOST_TURN
+            max_sigma = np.full(size, _MAX_POSITION_SIGMA_M)
+            max_sigma[VELOCITY], max_sigma[ATTITUDE] = _MAX_SPEED_SIGMA_M_S, _MAX_ATTITUDE_SIGMA_RAD
             columns = np.r_[0:6, 9:12, self.first : size]
-            # Had only the pose grown, scans would draw it back to the pose that is kept, and to
-            # where the map was taken to lie.
-            for name in (KEY, MAP):
+            # If only the pose were inflated, scans would pull it back to the reference pose and to
+            # the estimated map offset.
+            for name in (REFERENCE_POSE, MAP):
                 if self.state.has(name):
                     block = self.state.block(name)
-                    most[block.start + 3 : block.stop] = _MOST_TURN
+                    max_sigma[block.start + 3 : block.stop] = _MAX_ATTITUDE_SIGMA_RAD
                     columns = np.r_[columns, block]
-            self.state.inflate(columns, growth, most[columns])
+            self.state.inflate(columns, growth, max_sigma[columns])
         return remedy
 
-    # --- coming and going -----------------------------------------------------------------
+    # --- adding and removing --------------------------------------------------------------
 
     def add(
         self,
@@ -387,20 +399,20 @@ class RockFilter(RockStates):
         radius: Array,
         radius_variance: Array,
     ) -> Index:
-        """Begin to track rocks seen at points (b, 3), with their full cross-covariance.
+        """Add rocks observed at points (b, 3), with their full cross-covariance.
 
-        Their heights follow their neighbours'.
+        Their heights are correlated with those of their neighbours.
 
         Returns
         -------
         index
-            Of the new rocks (b,).
+            Indices of the new rocks (b,).
         """
-        told = self._told(camera, points, pixel_covariance)
+        jacobians = self._position_jacobians(camera, points, pixel_covariance)
         index = self.append(points, radius, radius_variance)
         for rock in index:
-            self.follow_ground(rock)
-        self._stand(index, *told)
+            self.correlate_height(rock)
+        self._set_position_covariance(index, *jacobians)
         return index
 
     def begin_anew(
@@ -412,30 +424,31 @@ class RockFilter(RockStates):
         radius: Array,
         radius_variance: Array,
     ) -> None:
-        """Let rocks (b,) stand where one image shows them at pixels (b, 2), undistorted.
+        """Reset the positions of rocks (b,) to one image's undistorted pixels (b, 2).
 
-        How images before showed them is forgotten, and tells nothing of the lander. Heights stay.
+        The information of earlier images is discarded, and the lander is not corrected. The heights
+        of the rocks do not change.
 
         Raises
         ------
         InputError
-            If a line of sight does not meet the ground; nothing changes then.
+            If a line of sight does not meet the terrain; nothing is changed then.
         """
-        eye, per_drop = self._lines(camera, pixel)
+        origin, per_drop = self._sight_lines(camera, pixel)
         height = self.xyz[index, 2]
-        points = np.column_stack((eye[:2] + per_drop * (eye[2] - height)[:, None], height))
-        told = self._told(camera, points, pixel_covariance)
+        points = np.column_stack((origin[:2] + per_drop * (origin[2] - height)[:, None], height))
+        jacobians = self._position_jacobians(camera, points, pixel_covariance)
         self._xyz[index] = points
         self._r[index] = np.column_stack((radius, radius_variance))
-        self._stand(index, *told)
+        self._set_position_covariance(index, *jacobians)
 
-    def _told(
+    def _position_jacobians(
         self, camera: CameraModel, points: Array, pixel_covariance: Array
     ) -> tuple[Array, Array, Array]:
-        """Return what lines of sight to rocks at points (b, 3) tell of east and north.
+        """Return the Jacobians of rock positions (b, 2) with respect to pose and height.
 
-        From ``by_pose d(pose) + by_rock d(rock) = d(pixel)``: how they err with the pose (b, 2, 6),
-        with the rock's height (b, 2), and the covariance that the pixel adds (b, 2, 2).
+        They follow from ``by_pose d(pose) + by_rock d(rock) = d(pixel)``: by the pose (b, 2, 6), by
+        the rock's height (b, 2), and the covariance from the pixel noise (b, 2, 2).
         """
         sight = self.sight(camera, points)
         back = inverse(sight.by_rock[:, :, :2])
@@ -443,17 +456,21 @@ class RockFilter(RockStates):
         by_height = -(back @ sight.by_rock[:, :, 2:])[:, :, 0]
         own = back @ pixel_covariance @ np.swapaxes(back, 1, 2)
         if not (np.isfinite(by_pose).all() and np.isfinite(own).all()):
-            raise InputError("rocks", points.tolist(), "points on ground in front of the camera")
+            raise InputError(
+                "rocks", points.tolist(), "must be points on the terrain in front of the camera"
+            )
         return by_pose, by_height, own
 
-    def _stand(self, index: Index, by_pose: Array, by_height: Array, own: Array) -> None:
-        """Let east and north of rocks (b,) err as pose, height and pixel have it, see `_told`."""
+    def _set_position_covariance(
+        self, index: Index, by_pose: Array, by_height: Array, own: Array
+    ) -> None:
+        """Set the covariance of rocks' east and north from the result of `_position_jacobians`."""
         b = len(index)
         size, i = self.state.size, self.places(index)
         p, level = self.state.for_rows(POSE, i), i[:, :2].ravel()
         rows = by_pose.reshape(2 * b, 6) @ p[POSE, :size]
         rows += (by_height[:, :, None] * p[i[:, 2], :size][:, None, :]).reshape(2 * b, size)
-        self.state.put(level, rows)
+        self.state.set_rows(level, rows)
         block = rows[:, POSE] @ by_pose.reshape(2 * b, 6).T
         block += rows[:, i[:, 2]].repeat(2, 1) * by_height.ravel()
         at = np.arange(2 * b).reshape(b, 2)
@@ -461,14 +478,19 @@ class RockFilter(RockStates):
         p[np.ix_(level, level)] = 0.5 * (block + block.T)
 
 
-def _beside(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
-    """Return which points (n, 2) may lie in a region, or little beside it.
+def _is_near_region(xy: Array, per_drop: Array, near: Region) -> NDArray[np.bool_]:
+    """Return which points (n, 2) can lie inside a region or its margin.
 
-    They were found as if the ground were as high as the region's middle; along lines that go so far
-    east and north for each metre that they go down (n, 2).
+    The points were found on horizontal terrain at the height of the region's centre, along lines
+    with an advance of `per_drop` (n, 2) per metre of drop.
     """
     west, east, south, north = near
-    rise = _STEEPEST * 0.5 * max(east - west, north - south)
-    off = _BESIDE + rise * np.linalg.norm(per_drop, axis=1)
+    rise = _MAX_SLOPE * 0.5 * max(east - west, north - south)
+    last_gap = _REGION_MARGIN_M + rise * np.linalg.norm(per_drop, axis=1)
     x, y = xy.T
-    return np.asarray((x > west - off) & (x < east + off) & (y > south - off) & (y < north + off))
+    return np.asarray(
+        (x > west - last_gap)
+        & (x < east + last_gap)
+        & (y > south - last_gap)
+        & (y < north + last_gap)
+    )

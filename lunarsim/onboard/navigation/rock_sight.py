@@ -1,4 +1,4 @@
-"""Where rocks should be seen by a camera (Eqs. 10-11)."""
+"""Predict the pixels of rocks in a camera image (Eqs. 10-11)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sight:
-    """Where rocks should be seen, and how that depends on the state.
+    """Predicted pixels of rocks and their Jacobians.
 
     Attributes
     ----------
     pixel
-        Predicted pixels (n, 2), distortion left out (Eq. 10).
+        Predicted pixels (n, 2), without distortion (Eq. 10).
     depth
-        Along the boresight (n,), m; not positive behind the camera.
+        Distance along the boresight (n,), m; not positive behind the camera.
     by_pose
         Derivatives by position and attitude error (n, 2, 6).
     by_rock
@@ -36,15 +36,15 @@ class Sight:
     by_rock: Array
 
 
-def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
-    """Return where rocks at points (n, 3) should be seen from where the lander is (Eqs. 10-11)."""
+def project_points(inertial: StrapdownState, camera: CameraModel, points: Array) -> Sight:
+    """Predict the pixels of points (n, 3) from the estimated pose (Eqs. 10-11)."""
     rotation = quat_to_matrix(inertial.attitude)
     body = (points - inertial.position) @ rotation
-    seen = (body - np.asarray(camera.offset)) @ camera.mount
+    in_camera = (body - np.asarray(camera.offset)) @ camera.mount
     with np.errstate(divide="ignore", invalid="ignore"):
-        pixel = camera.pinhole.project(seen)
-        by_seen = camera.pinhole.jacobian(seen)
-    by_body = by_seen @ camera.mount.T
+        pixel = camera.pinhole.project(in_camera)
+        by_camera = camera.pinhole.jacobian(in_camera)
+    by_body = by_camera @ camera.mount.T
     by_point = by_body @ rotation.T
     # d(body) = [body x] d(attitude); (row @ [body x])_k = (row x body)_k.
     by_attitude = np.empty_like(by_body)
@@ -54,4 +54,4 @@ def sight_of(inertial: StrapdownState, camera: CameraModel, points: Array) -> Si
             by_body[..., a] * body[:, None, b] - by_body[..., b] * body[:, None, a]
         )
     by_pose = np.concatenate((-by_point, by_attitude), axis=-1)
-    return Sight(pixel, seen[:, 2], by_pose, by_point)
+    return Sight(pixel, in_camera[:, 2], by_pose, by_point)

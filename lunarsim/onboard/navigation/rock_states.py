@@ -1,14 +1,14 @@
-"""Rocks behind the blocks of an error state: where they are, how large, and how both err.
+"""Rock states at the end of an error state: positions, radii and their errors.
 
-Rocks do not move and their radius is measured directly, in metres and with errors of its own
-(paper, III.B), so radii are correlated neither with the lander nor with each other: they are kept
-apart as scalar filters, which is exact.
+Rocks do not move, and their radius is measured directly, in metres and with independent errors
+(paper, III.B). Radii are therefore not correlated with the lander or with each other, and exact
+scalar filters estimate them.
 
-The paper's rocks stand on one plane. Here the ground rises and falls: a new rock's height is what
-its neighbours' and that of the ground under the lander tell of it (`wandering_ground.py`), with
-their errors, so that what a height is off by counts once, however often the rock is seen. Where
-somebody else has measured the ground, it has the shape of that, laid on the rocks, and each time
-that it is measured rocks of which less is known are laid on it (`measured_heights.py`).
+The paper assumes that all rocks stand on one plane. Here the height of a new rock is interpolated
+from its neighbours and from the terrain height below the lander (`wandering_ground.py`), together
+with their errors, so that a height error counts once in repeated observations. If another sensor
+has measured the terrain, its shape is used, with an offset from the rocks. After each such
+measurement, rocks with a larger height error are corrected by it (`measured_heights.py`).
 """
 
 from __future__ import annotations
@@ -20,21 +20,25 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
 from lunarsim.onboard.navigation.measured_heights import (
-    COMMON,
-    OWN,
-    GroundHeights,
-    lay,
-    pose_shares,
+    COMMON_SIGMA_M,
+    INDIVIDUAL_SIGMA_M,
+    TerrainHeights,
+    correct_heights,
+    height_jacobian,
 )
-from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS, heights, kriging
+from lunarsim.onboard.navigation.wandering_ground import (
+    NEIGHBOURS,
+    interpolate_heights,
+    kriging_weights,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# East, north and height.
-AXES = 3
-# So many rocks tell how high ground lies that was measured otherwise.
-_LEAST_ROCKS = 5
+# Number of coordinates of a rock: east, north and height.
+ROCK_DIM = 3
+# Minimum number of rocks to estimate the offset of the measured terrain.
+_MIN_ROCKS = 5
 
 
 class RockStates:
@@ -43,76 +47,78 @@ class RockStates:
     Parameters
     ----------
     state
-        Error state of the lander; what stands behind its blocks is the rocks'.
+        Error state of the lander; the rocks are appended behind its blocks.
     level
-        What is known of the ground besides.
+        Prior knowledge of the terrain height.
     capacity
-        Rocks for which room is made at first; it grows as needed.
+        Initial number of rocks to allocate; it grows as needed.
 
     Attributes
     ----------
     state
-        The error state.
+        Error state.
     count
         Number of rocks.
     first
-        Place of the first rock's east in the error state.
+        Index of the first rock's east coordinate in the error state.
     measured
-        Who knows the height of the ground; None: rocks alone tell it.
+        Source of measured terrain heights; None: heights are interpolated between the rocks.
     """
 
     def __init__(self, state: ErrorState, level: LevelGround, capacity: int) -> None:
         if state.tail:
-            raise InputError("navigation.rocks", state.tail, "no errors behind the state's blocks")
+            raise InputError(
+                "navigation.rocks", state.tail, "must be added to an error state without tail"
+            )
         self.state = state
-        self.state.reserve(AXES * capacity)
-        self.state.listeners.append(self._moved)
+        self.state.reserve(ROCK_DIM * capacity)
+        self.state.listeners.append(self._apply_correction)
         self.first = self.state.head
         self.count = 0
-        self.measured: GroundHeights | None = None
+        self.measured: TerrainHeights | None = None
         self._level = level
-        self._xyz = np.zeros((capacity, AXES))
+        self._xyz = np.zeros((capacity, ROCK_DIM))
         self._r = np.zeros((capacity, 2))
-        self._rests = np.zeros(capacity, bool)
+        self._frozen = np.zeros(capacity, bool)
 
-    def _moved(self, error: Array) -> None:
-        """Move the rocks by a correction of the whole error state."""
-        self.xyz[:] += error[self.first :].reshape(-1, AXES)
+    def _apply_correction(self, error: Array) -> None:
+        """Apply a correction of the error state to the rocks."""
+        self.xyz[:] += error[self.first :].reshape(-1, ROCK_DIM)
 
     def rest(self, rocks: NDArray[np.bool_]) -> None:
-        """Leave rocks (n,) as they are until told otherwise; rocks that are added do not rest.
+        """Freeze the marked rocks (n,) until the next call; new rocks are not frozen.
 
-        See `RestingErrors.rest`.
+        See `SchmidtKalmanCovariance.rest`.
         """
-        self._rests[: self.count] = rocks
-        self._note_rests()
+        self._frozen[: self.count] = rocks
+        self._update_frozen()
 
-    def _note_rests(self) -> None:
-        self.state.rest(np.repeat(self._rests[: self.count], AXES))
+    def _update_frozen(self) -> None:
+        self.state.rest(np.repeat(self._frozen[: self.count], ROCK_DIM))
 
     def places(self, index: Index | None = None) -> Index:
-        """Return where rocks' coordinates lie in the error state (n, 3)."""
+        """Return the indices of the rocks' coordinates in the error state (n, 3)."""
         rocks = np.arange(self.count) if index is None else np.asarray(index)
-        return np.asarray(self.first + AXES * rocks[:, None] + np.arange(AXES))
+        return np.asarray(self.first + ROCK_DIM * rocks[:, None] + np.arange(ROCK_DIM))
 
     @property
     def xyz(self) -> Array:
-        """Rocks' centres on the ground (n, 3), ENU, m."""
+        """Centres of the rocks on the terrain (n, 3), ENU, m."""
         return self._xyz[: self.count]
 
     @property
     def xy(self) -> Array:
-        """Rocks' centres (n, 2), east and north, m."""
+        """Centres of the rocks (n, 2), east and north, m."""
         return self._xyz[: self.count, :2]
 
     @property
     def radius(self) -> Array:
-        """Rocks' radii (n,), m."""
+        """Radii of the rocks (n,), m."""
         return self._r[: self.count, 0]
 
     @property
     def radius_variance(self) -> Array:
-        """Variance of the radii (n,), m^2."""
+        """Variances of the radii (n,), m^2."""
         return self._r[: self.count, 1]
 
     def rock_covariance(self) -> Array:
@@ -121,99 +127,98 @@ class RockStates:
         return np.asarray(self.state.for_rows()[i[:, :, None], i[:, None, :]])
 
     def relative_covariance(self) -> Array:
-        """Return the covariance of each rock's place less the lander's position (n, 3, 3), m^2.
+        """Return the covariance of rock positions relative to the lander (n, 3, 3), m^2.
 
-        An error that lander and rocks share moves the map with the lander and misplaces nothing
-        on it.
+        Errors common to lander and rocks shift the map with the lander and cause no error on it.
         """
         own = self.rock_covariance()
         if self.count == 0:
             return own
         p = self.state.for_rows()
-        cross = np.moveaxis(p[np.arange(AXES)[:, None, None], self.places()[None]], 0, 1)
-        return np.asarray(own + p[:AXES, :AXES] - cross - np.swapaxes(cross, 1, 2))
+        cross = np.moveaxis(p[np.arange(ROCK_DIM)[:, None, None], self.places()[None]], 0, 1)
+        return np.asarray(own + p[:ROCK_DIM, :ROCK_DIM] - cross - np.swapaxes(cross, 1, 2))
 
-    def rise_variance(self, near: Index) -> Array:
-        """Return the variance of the difference in height of rocks and others (n, k), m^2.
+    def rise_variance(self, neighbours: Index) -> Array:
+        """Return the variance of height differences between rocks and others (n, k), m^2.
 
         Parameters
         ----------
-        near
-            Numbers of the others (n, k).
+        neighbours
+            Indices of the other rocks (n, k).
         """
         p, height = self.state.for_rows(), self.places()[:, 2]
         own = p[height, height]
-        between = self.state.between(height[:, None], height[near])
-        return np.asarray(own[:, None] + own[near] - 2.0 * between)
+        between = self.state.between(height[:, None], height[neighbours])
+        return np.asarray(own[:, None] + own[neighbours] - 2.0 * between)
 
     @property
     def expected_growth(self) -> float:
-        """By how much the mission expects the variance of heights to grow with a metre, m^2/m.
+        """Prior growth of the variance of terrain heights with distance, m^2/m.
 
-        0 where the ground is taken to lie at one height everywhere.
+        0 if the terrain is modelled as horizontal.
         """
         return self._level.growth if self.state.has(GROUND) else 0.0
 
     @property
     def ground(self) -> float:
-        """Height of the ground under the lander, m."""
-        below = sum(float(self.state.value(name)[at]) for name, at in self._level_parts())
+        """Height of the terrain below the lander, m."""
+        below = sum(float(self.state.value(name)[at]) for name, at in self._height_blocks())
         return self._level.elevation + below
 
-    def _level_parts(self) -> list[tuple[str, int]]:
-        """Return of what the ground's height under the lander is made: blocks and places there.
+    def _height_blocks(self) -> list[tuple[str, int]]:
+        """Return the blocks and indices whose values add up to the height below.
 
-        Elevations are told in the site frame, which may lie higher or lower in the filter's own.
+        Elevations refer to the site frame, which has a vertical offset from the local frame.
         """
         parts = ((GROUND, 0), (MAP, 2))
         return [(name, at) for name, at in parts if self.state.has(name)]
 
     def ground_at(self, xy: ArrayLike) -> Array:
-        """Return the height of the ground at points (b, 2) (b,), m.
+        """Return the terrain height at points (b, 2): (b,), m.
 
-        What was measured, laid on the rocks; where nobody has measured it, what rocks tell.
+        Uses the measured terrain with the offset of the rocks, and elsewhere the rocks.
         """
         at = np.atleast_2d(np.asarray(xy, np.float64))
         if self.measured is None:
-            return self._told_by_rocks(at)
-        height = self.measured.heights(at) + self._above(self.measured)
+            return self._interpolate_height(at)
+        height = self.measured.heights(at) + self._median_offset(self.measured)
         unknown = np.isnan(height)
         if unknown.any():
-            height[unknown] = self._told_by_rocks(at[unknown])
+            height[unknown] = self._interpolate_height(at[unknown])
         return height
 
-    def _above(self, measured: GroundHeights) -> float:
-        """Return by how much the rocks stand above measured ground, in the median, m.
+    def _median_offset(self, measured: TerrainHeights) -> float:
+        """Return the median height of the rocks above the measured terrain, m.
 
-        In the local frame the lander and its rocks drift up and down by decimetres, and what was
-        measured from it stays as it was: only its shape holds.
+        The heights of the lander and its rocks drift in the local frame by decimetres, while the
+        measured terrain is fixed, so only its shape is used.
         """
-        if self.count < _LEAST_ROCKS:
+        if self.count < _MIN_ROCKS:
             return 0.0
         above = self.xyz[:, 2] - measured.heights(self.xy)
         above = above[np.isfinite(above)]
-        return float(np.median(above)) if len(above) >= _LEAST_ROCKS else 0.0
+        return float(np.median(above)) if len(above) >= _MIN_ROCKS else 0.0
 
     @property
-    def rocks_tell_ground(self) -> bool:
-        """Whether the height of the ground is what rocks near by tell."""
+    def can_interpolate_height(self) -> bool:
+        """Whether terrain heights can be interpolated between rocks."""
         return self.count > 0 and self.state.has(GROUND)
 
-    def _told_by_rocks(self, at: Array) -> Array:
-        """Return the height of the ground at points (b, 2) as rocks near by tell it (b,), m."""
-        if not self.rocks_tell_ground:
+    def _interpolate_height(self, at: Array) -> Array:
+        """Interpolate the terrain height at points (b, 2) between rocks (b,), m."""
+        if not self.can_interpolate_height:
             return np.full(len(at), self.ground)
-        return heights(*self._known_heights(), at, self._level.growth)
+        return interpolate_heights(*self._known_heights(), at, self._level.growth)
 
     def _known_heights(self) -> tuple[Array, Array]:
-        """Return places (n, 2) and heights (n,), m, that tell of others: at lander and rocks."""
+        """Return places (n, 2) and heights (n,), m, of the terrain below lander and rocks."""
         places = np.vstack((self.state.inertial.position[:2], self.xy))
         return places, np.append(self.ground, self.xyz[:, 2])
 
     def update_radii(
         self, index: Index, radius: Array, radius_variance: Array, floor: float = 0.0
     ) -> None:
-        """Take in the radii alone of rocks seen, as `update_rocks` does."""
+        """Update only the radii of observed rocks, as `update_rocks` does."""
         radius_variance = np.broadcast_to(radius_variance, np.shape(radius))
         good = np.isfinite(radius) & np.isfinite(radius_variance) & (radius_variance > 0.0)
         index, radius, radius_variance = index[good], radius[good], radius_variance[good]
@@ -222,108 +227,114 @@ class RockStates:
         self._r[index, 0] = r[:, 0] + gain * (radius - r[:, 0])
         self._r[index, 1] = np.maximum((1.0 - gain) * r[:, 1], floor * radius_variance)
 
-    # --- coming and going -----------------------------------------------------------------
+    # --- adding and removing --------------------------------------------------------------
 
     def add_known(self, xy: Array, sigma: Array, radius: Array, radius_variance: Array) -> None:
-        """Begin to track rocks known beforehand (n,), with errors of their own."""
+        """Add rocks with known positions (n,) and independent errors."""
         index = self.append(np.column_stack((xy, self.ground_at(xy))), radius, radius_variance)
         level = self.places(index)[:, :2].ravel()
         for rock in index:
-            self.follow_ground(rock)
+            self.correlate_height(rock)
         self.state.p[level, level] = np.repeat(np.square(sigma), 2)
 
     def append(self, points: Array, radius: Array, radius_variance: Array) -> Index:
-        """Make room for rocks (b,) that err by nothing yet; return their numbers."""
+        """Add rocks (b,) with zero covariance; return their indices."""
         index = np.arange(self.count, self.count + len(points))
         self._reserve(self.count + len(points))
         old = self.state.size
-        self._counted(self.count + len(points))
+        self._set_count(self.count + len(points))
         p, size = self.state.for_rows(), self.state.size
         p[old:size, :size] = 0.0
         p[:size, old:size] = 0.0
         self._xyz[index] = points
         self._r[index] = np.column_stack((radius, radius_variance))
-        self._rests[index] = False
-        self._note_rests()
+        self._frozen[index] = False
+        self._update_frozen()
         return index
 
-    def follow_ground(self, rock: int) -> None:
-        """Let a rock's height err as those of its neighbours and the ground under the lander.
+    def correlate_height(self, rock: int) -> None:
+        """Set a rock's height error from its neighbours and the height below the lander.
 
-        Where the ground was measured, as those of its neighbours there.
+        On measured terrain, only the neighbours on it are used.
         """
         if not self.state.has(GROUND):
             return
         if self.measured is not None:
             known = np.isfinite(self.measured.heights(self._xyz[: rock + 1, :2]))
             if known[rock]:
-                self._follow_measured(rock, np.flatnonzero(known[:rock]))
+                self._correlate_with_measured(rock, np.flatnonzero(known[:rock]))
                 return
         at = self._xyz[rock, :2]
-        near = self._nearest(rock, np.arange(rock))
-        places = np.vstack((self.state.inertial.position[:2], self._xyz[near, :2]))
-        weights, variance = kriging(places[None], at[None], self._level.growth)
-        below = [self.state.block(name).start + at for name, at in self._level_parts()]
-        sources = np.concatenate((below, self.places(near)[:, 2]))
-        shares = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
-        self._follow(rock, sources, shares, float(variance[0]))
+        neighbours = self._nearest(rock, np.arange(rock))
+        places = np.vstack((self.state.inertial.position[:2], self._xyz[neighbours, :2]))
+        weights, variance = kriging_weights(places[None], at[None], self._level.growth)
+        below = [self.state.block(name).start + at for name, at in self._height_blocks()]
+        sources = np.concatenate((below, self.places(neighbours)[:, 2]))
+        weights = np.concatenate((np.full(len(below), weights[0, 0]), weights[0, 1:]))
+        self._set_height_error(rock, sources, weights, float(variance[0]))
 
-    def _follow_measured(self, rock: int, others: Index) -> None:
-        """Let a rock's height err as those of its neighbours on measured ground (k,).
+    def _correlate_with_measured(self, rock: int, others: Index) -> None:
+        """Set the error of a rock's height from its neighbours on measured terrain (k,).
 
-        Without any as the ground does, which was measured from where the lander is.
+        Without neighbours, it depends on the lander's pose, from which the terrain was measured.
         """
-        near = self._nearest(rock, others)
-        if len(near):
-            shares = np.full(len(near), 1.0 / len(near))
-            self._follow(rock, self.places(near)[:, 2], shares, OWN**2)
+        neighbours = self._nearest(rock, others)
+        if len(neighbours):
+            weights = np.full(len(neighbours), 1.0 / len(neighbours))
+            self._set_height_error(
+                rock, self.places(neighbours)[:, 2], weights, INDIVIDUAL_SIGMA_M**2
+            )
         else:
-            shares = pose_shares(self.state, self._xyz[rock])
-            self._follow(rock, POSE, shares, OWN**2 + COMMON**2)
+            weights = height_jacobian(self.state, self._xyz[rock])
+            self._set_height_error(rock, POSE, weights, INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2)
 
-    def _follow(self, rock: int, sources: Index, shares: Array, variance: float) -> None:
-        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, shares, variance)
+    def _set_height_error(self, rock: int, sources: Index, weights: Array, variance: float) -> None:
+        self.state.follow(int(self.places(np.array([rock]))[0, 2]), sources, weights, variance)
 
     def _nearest(self, rock: int, others: Index) -> Index:
-        """Return which of other rocks (k,) are a rock's neighbours."""
-        away = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
-        if len(away) > NEIGHBOURS:
-            # All that are no farther than the last of them: the first count of those as far.
-            near = np.flatnonzero(~(away > np.partition(away, NEIGHBOURS - 1)[NEIGHBOURS - 1]))
-            away, others = away[near], others[near]
-        return others[np.argsort(away, kind="stable")[:NEIGHBOURS]]
+        """Return the nearest neighbours of a rock among others (k,)."""
+        distance = np.hypot(*(self._xyz[others, :2] - self._xyz[rock, :2]).T)
+        if len(distance) > NEIGHBOURS:
+            # Keep all at the same distance as the last one: the stable sort takes the first ones.
+            neighbours = np.flatnonzero(
+                ~(distance > np.partition(distance, NEIGHBOURS - 1)[NEIGHBOURS - 1])
+            )
+            distance, others = distance[neighbours], others[neighbours]
+        return others[np.argsort(distance, kind="stable")[:NEIGHBOURS]]
 
     def lay_on_measured(self) -> Outcome:
-        """Let rocks stand on ground that was measured from the lander just now, see `lay`."""
+        """Correct rock heights by measured terrain; see `correct_heights`."""
         if self.measured is None or not self.state.has(GROUND) or self.count == 0:
             return Outcome(0.0, 0, False)
-        return lay(self, self.measured)
+        return correct_heights(self, self.measured)
 
     def remove(self, index: Index) -> Index:
-        """Stop tracking rocks; those from the end take their places.
+        """Remove rocks; the last rocks move to their indices.
 
         Returns
         -------
         old
-            Old numbers of the rocks left (n,), in their new order.
+            Old indices of the remaining rocks (n,), in their new order.
         """
-        gone = np.zeros(self.count, bool)
-        gone[index] = True
-        left = self.count - int(gone.sum())
-        holes = np.flatnonzero(gone[:left])
-        movers = left + np.flatnonzero(~gone[left:])
-        old = np.arange(left)
+        is_missing = np.zeros(self.count, bool)
+        is_missing[index] = True
+        remaining = self.count - int(is_missing.sum())
+        holes = np.flatnonzero(is_missing[:remaining])
+        movers = remaining + np.flatnonzero(~is_missing[remaining:])
+        old = np.arange(remaining)
         old[holes] = movers
-        self.state.keep(AXES * left, self.places(holes).ravel(), self.places(movers).ravel())
+        self.state.move_and_truncate(
+            ROCK_DIM * remaining, self.places(holes).ravel(), self.places(movers).ravel()
+        )
         self._xyz[holes] = self._xyz[movers]
         self._r[holes] = self._r[movers]
-        self._rests[holes] = self._rests[movers]
-        self._counted(left)
-        self._note_rests()
+        self._frozen[holes] = self._frozen[movers]
+        self._set_count(remaining)
+        self._update_frozen()
         return old
 
     def widen(self, radius_rate: float, seconds: float) -> None:
-        """Let radii wander by a share `radius_rate` in a second: rocks differ from side to side."""
+        """Add process noise to the radii (relative, per sqrt(s)), since sides differ."""
         self._r[: self.count, 1] += (radius_rate * self.radius) ** 2 * seconds
 
     def _reserve(self, count: int) -> None:
@@ -331,12 +342,12 @@ class RockStates:
         if count <= capacity:
             return
         capacity = max(count, 2 * capacity)
-        self.state.reserve(AXES * capacity)
-        for name in ("_xyz", "_r", "_rests"):
+        self.state.reserve(ROCK_DIM * capacity)
+        for name in ("_xyz", "_r", "_frozen"):
             old = getattr(self, name)
             more = np.zeros((capacity, *old.shape[1:]), old.dtype)
             more[: self.count] = old[: self.count]
             setattr(self, name, more)
 
-    def _counted(self, count: int) -> None:
-        self.count, self.state.tail = count, AXES * count
+    def _set_count(self, count: int) -> None:
+        self.count, self.state.tail = count, ROCK_DIM * count

@@ -1,10 +1,10 @@
-"""Whether inertial samples are such as the lander can make.
+"""Reject inertial samples that exceed the dynamics of the lander.
 
-A sample is judged by the last that was believed: from one to the next a lander's rate changes by no
-more than its thrusters can turn it, and its specific force by no more than the engine follows. What
-lies beyond that and the noise counts as missing. Where several such samples in a row agree with
-each other it is no spike: they are believed, and the biases are let go by as much, since either the
-unit or what was believed before is wrong.
+A sample is compared with the last accepted one: from one to the next the angular rate changes by no
+more than the thrusters can cause, and the specific force by no more than the engine can. Samples
+beyond this limit plus the noise count as missing. If several such samples in a row agree with each
+other, they are accepted, and the bias variances are increased by the jump. Either the unit or the
+earlier samples are then wrong.
 """
 
 from __future__ import annotations
@@ -20,41 +20,41 @@ from lunarsim.models.lander import Lander
 
 Array = NDArray[np.float64]
 
-# No lander pushes or turns like this, m/s^2 and rad/s.
-_MOST_FORCE, _MOST_RATE = 500.0, 50.0
-# The vehicle may do so much better than its figures say.
-_MARGIN = 1.25
-# Deviations of the difference of two samples' noise that are still believed: of six axes at 100 Hz
-# one sample in 3 hours is refused for its noise alone.
-_DEVIATIONS = 6.0
-# So many samples in a row that agree with each other, and not with what came before, are believed.
-CONFIRM = 3
+# Maximum specific force and rate of any lander, m/s^2 and rad/s.
+_MAX_FORCE_M_S2, _MAX_RATE_RAD_S = 500.0, 50.0
+# Margin on the rates of change that follow from the specification of the lander.
+_DYNAMICS_MARGIN = 1.25
+# Maximum difference of two samples by noise, in standard deviations: with six axes at 100 Hz about
+# one sample in 3 hours is rejected because of its noise.
+_NOISE_SIGMAS = 6.0
+# Number of samples in a row that must agree with each other to be accepted after a jump.
+CONFIRMATION_COUNT = 3
 
 
 @dataclass(frozen=True)
 class SampleLimits:
-    """What a lander can do, and what its inertial unit's noise adds.
+    """Limits of the inertial samples from the lander's dynamics and the sensor noise.
 
     Attributes
     ----------
     step
-        By which a sample may differ from the one before, rate and specific force (6,), rad/s and
-        m/s^2; infinite where nothing is known of the vehicle.
+        Maximum change of rate and specific force (6,) between samples, rad/s and m/s^2; infinite
+        if the vehicle is unknown.
     noise
-        By which noise may make them differ besides (6,).
-    most
-        Greatest rate and specific force (6,).
+        Maximum additional change by noise (6,), rad/s and m/s^2.
+    maximum
+        Maximum rate and specific force (6,), rad/s and m/s^2.
     """
 
     step: Array
     noise: Array
-    most: Array
+    maximum: Array
 
     @classmethod
     def unknown(cls) -> SampleLimits:
-        """Return those of any lander."""
-        most = np.repeat([_MOST_RATE, _MOST_FORCE], 3)
-        return cls(np.full(6, np.inf), np.zeros(6), most)
+        """Return the limits of an unknown lander."""
+        maximum = np.repeat([_MAX_RATE_RAD_S, _MAX_FORCE_M_S2], 3)
+        return cls(np.full(6, np.inf), np.zeros(6), maximum)
 
     @classmethod
     def of(
@@ -66,139 +66,148 @@ class SampleLimits:
         *,
         slew: float = 0.0,
     ) -> SampleLimits:
-        """Return those of a lander.
+        """Return the limits of a given lander.
 
         Parameters
         ----------
         lander
-            Its figures.
+            Specification of the lander.
         step
-            Between samples, s.
+            Time between samples, s.
         gyroscopes, accelerometers
-            Error models of the unit.
+            Error models of the inertial unit.
         slew
-            Rate that an ideal attitude actuator may take at once, rad/s; 0: thrusters turn it.
+            Rate that an ideal attitude actuator can reach instantly, rad/s; 0 for thrusters.
 
         Raises
         ------
         InputError
-            If the step is not positive, or the rate negative, or either not finite.
+            If the step is not positive, the rate is negative, or either is not finite.
         """
         if not 0.0 < step < np.inf:
-            raise InputError("step", step, "a positive time in seconds")
+            raise InputError("step", step, "must be a positive time in seconds")
         if not 0.0 <= slew < np.inf:
-            raise InputError("slew", slew, "a rate of at least 0 rad/s")
-        turn = np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
-        push = lander.thrust_max / lander.dry_mass
-        follows = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
-        change = _MARGIN * np.concatenate((turn, np.full(3, push * follows)))
+            raise InputError("slew", slew, "must be a non-negative rate in rad/s")
+        rotation = (
+            np.asarray(lander.torque_max) / np.asarray(lander.inertia_dry) * step + 2.0 * slew
+        )
+        acceleration = lander.thrust_max / lander.dry_mass
+        response = 1.0 - np.exp(-step / lander.thrust_lag) if lander.thrust_lag > 0.0 else 1.0
+        change = _DYNAMICS_MARGIN * np.concatenate((rotation, np.full(3, acceleration * response)))
         noise = np.repeat([_noise(unit, step) for unit in (gyroscopes, accelerometers)], 3)
-        most = np.repeat([_MOST_RATE, 2.0 * push + noise[3]], 3)
-        return cls(change, noise, np.minimum(most, cls.unknown().most))
+        maximum = np.repeat([_MAX_RATE_RAD_S, 2.0 * acceleration + noise[3]], 3)
+        return cls(change, noise, np.minimum(maximum, cls.unknown().maximum))
 
 
 def _noise(unit: TriadErrors, step: float) -> float:
-    """Return by how much noise makes two samples' rates differ at most, units/s."""
-    return _DEVIATIONS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
+    """Return the maximum difference of two samples by noise and quantisation, units/s."""
+    return _NOISE_SIGMAS * float(np.sqrt(2.0 / step)) * unit.random_walk + 2.0 * unit.quantum / step
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What came of samples.
+class ScreenedSamples:
+    """Result of the outlier rejection.
 
     Attributes
     ----------
-    gone
-        Which are missing, or count as missing (n,).
-    refused
-        How many there were that are not believed.
+    is_missing
+        Whether each sample is missing or rejected (n,).
+    rejected
+        Number of rejected samples.
     jump
-        By how much rate and specific force (6,) jumped in a way that no lander can, where samples
-        after it agree; 0 for none.
+        Confirmed jump of rate and specific force (6,) beyond the dynamics of the lander, rad/s and
+        m/s^2; 0 for none.
     """
 
-    gone: NDArray[np.bool_]
-    refused: int
+    is_missing: NDArray[np.bool_]
+    rejected: int
     jump: Array
 
 
-class SampleGuard:
-    """Judges inertial samples as they come.
+class ImuOutlierDetector:
+    """Detect outliers in a stream of inertial samples.
 
     Parameters
     ----------
     limits
-        What the lander can do.
+        Limits of the lander's dynamics.
     step
-        Between samples, s.
+        Time between samples, s.
 
     Raises
     ------
     InputError
-        If a limit is NaN or negative, or the step not positive.
+        If a limit is NaN or negative, or the step is not positive.
     """
 
     def __init__(self, limits: SampleLimits, step: float) -> None:
         if not 0.0 < step < np.inf:
-            raise InputError("step", step, "a positive time in seconds")
-        for name in ("step", "noise", "most"):
+            raise InputError("step", step, "must be a positive time in seconds")
+        for name in ("step", "noise", "maximum"):
             limit = np.asarray(getattr(limits, name))
             if limit.shape != (6,) or not (limit >= 0.0).all():
-                raise InputError(f"limits.{name}", limit, "six numbers of at least 0")
+                raise InputError(f"limits.{name}", limit, "must be six non-negative numbers")
         self.limits = limits
         self._step = step
-        # The last sample believed, and how many steps ago; the last that was not, and how many in a
-        # row agree with it.
-        self._last: Array | None = None
-        self._away = 0
-        self._other = np.full(6, np.nan)
-        self._alike = 0
+        # Last accepted sample and the number of steps since; last rejected sample and the number
+        # of samples in a row that agree with it.
+        self._last_accepted: Array | None = None
+        self._steps_since_last = 0
+        self._last_rejected = np.full(6, np.nan)
+        self._agreeing = 0
 
-    def judge(self, angle: Array, velocity: Array) -> Judged:
-        """Judge increments (n, 3), (n, 3), rad and m/s, NaN for missing ones."""
-        given = np.hstack((angle, velocity)) / self._step
+    def screen(self, angle: Array, velocity: Array) -> ScreenedSamples:
+        """Check increments (n, 3) and (n, 3), rad and m/s; NaN marks missing samples."""
+        samples = np.hstack((angle, velocity)) / self._step
         with np.errstate(invalid="ignore"):
-            wild = np.asarray((np.abs(given) > self.limits.most).any(axis=1))
-        here: NDArray[np.bool_] = np.asarray(np.isfinite(given).all(axis=1) & ~wild)
-        refused, jump = int(wild.sum()), np.zeros(6)
+            is_implausible = np.asarray((np.abs(samples) > self.limits.maximum).any(axis=1))
+        is_present: NDArray[np.bool_] = np.asarray(
+            np.isfinite(samples).all(axis=1) & ~is_implausible
+        )
+        rejected, jump = int(is_implausible.sum()), np.zeros(6)
         if not np.isfinite(self.limits.step).any():
-            return Judged(~here, refused, jump)
-        if self._last is None:
-            if not here.any():
-                return Judged(~here, refused, jump)
-            # Which of the first ones is a spike only the others can tell.
-            self._last, self._away = np.median(given[here], axis=0), len(given)
-        if here.all() and self._plain(given, self._last):
-            return Judged(~here, refused, jump)
-        gone = ~here
-        for n in range(len(given)):
-            if not here[n]:
-                self._away += 1
+            return ScreenedSamples(~is_present, rejected, jump)
+        if self._last_accepted is None:
+            if not is_present.any():
+                return ScreenedSamples(~is_present, rejected, jump)
+            # A spike among the first samples shows only in comparison with the others.
+            self._last_accepted, self._steps_since_last = (
+                np.median(samples[is_present], axis=0),
+                len(samples),
+            )
+        if is_present.all() and self._accept_all(samples, self._last_accepted):
+            return ScreenedSamples(~is_present, rejected, jump)
+        is_missing = ~is_present
+        for n in range(len(samples)):
+            if not is_present[n]:
+                self._steps_since_last += 1
                 continue
-            change = np.abs(given[n] - self._last)
-            believed = (change <= self.limits.step * (1 + self._away) + self.limits.noise).all()
-            if believed or self._confirmed(given[n]):
-                if not believed:
+            change = np.abs(samples[n] - self._last_accepted)
+            is_accepted = (
+                change <= self.limits.step * (1 + self._steps_since_last) + self.limits.noise
+            ).all()
+            if is_accepted or self._is_confirmed(samples[n]):
+                if not is_accepted:
                     jump = np.maximum(jump, change)
-                self._last, self._away, self._alike = given[n], 0, 0
+                self._last_accepted, self._steps_since_last, self._agreeing = samples[n], 0, 0
             else:
-                gone[n] = True
-                refused += 1
-                self._away += 1
-        return Judged(gone, refused, jump)
+                is_missing[n] = True
+                rejected += 1
+                self._steps_since_last += 1
+        return ScreenedSamples(is_missing, rejected, jump)
 
-    def _plain(self, given: Array, last: Array) -> bool:
-        """Take in samples that are all there, if none differs much from the one before."""
-        if len(given):
-            change = np.abs(np.diff(given, axis=0, prepend=last[None]))
+    def _accept_all(self, samples: Array, last: Array) -> bool:
+        """Accept samples at once if none is missing and none differs much from the last."""
+        if len(samples):
+            change = np.abs(np.diff(samples, axis=0, prepend=last[None]))
             if (change > self.limits.step + self.limits.noise).any():
                 return False
-            self._last, self._away, self._alike = given[-1], 0, 0
+            self._last_accepted, self._steps_since_last, self._agreeing = samples[-1], 0, 0
         return True
 
-    def _confirmed(self, sample: Array) -> bool:
-        """Tell whether enough samples in a row agree with this one."""
-        agrees = np.abs(sample - self._other) <= self.limits.step + self.limits.noise
-        self._alike = self._alike + 1 if self._alike and bool(agrees.all()) else 1
-        self._other = sample
-        return self._alike >= CONFIRM
+    def _is_confirmed(self, sample: Array) -> bool:
+        """Return whether enough rejected samples in a row agree with this one."""
+        agrees = np.abs(sample - self._last_rejected) <= self.limits.step + self.limits.noise
+        self._agreeing = self._agreeing + 1 if self._agreeing and bool(agrees.all()) else 1
+        self._last_rejected = sample
+        return self._agreeing >= CONFIRMATION_COUNT

@@ -1,8 +1,8 @@
-"""What of a scan is worth comparing: by its own pixels, before any ground is looked for.
+"""Check the pixels of a LiDAR scan for spikes and excess noise.
 
-Neighbouring pixels meet neighbouring ground. One that lies far off all those about it has met a
-fleck of dust or was counted wrong; where all of them scatter far beyond what the scanner states,
-the slopes of the ground drown, and a fit would take noise for ground that tells where it lies.
+Neighbouring pixels see neighbouring terrain. A single range far from all its neighbours is a spike,
+for instance by dust. If all ranges scatter far more than the scanner specifies, the noise hides the
+terrain slopes, and a registration would take noise for terrain features.
 """
 
 from __future__ import annotations
@@ -17,71 +17,77 @@ from lunarsim.messages.measurements import LidarScan
 
 Array = NDArray[np.float64]
 
-# A return farther than this off three of its four neighbours, to the same side, is none of the
-# ground's, m: besides what it may err by, so many deviations.
-_OFF, _DEVIATIONS, _FEWEST = 1.0, 6.0, 3
-# Noise that a scan may have: so many times what is stated, and what rough ground looks like, m.
-_STATED, _ROUGH = 3.0, 0.25
-# Noise that may be stated, m: fits take ranges as exact, and the slopes that weigh them with them.
-_MOST_STATED = 0.15
-# Of a standard normal variable, deviation over median of its size.
-_BY_MEDIAN = 1.4826
+# A range is a spike if it differs from three of its four neighbours, in the same direction, by more
+# than this distance (m) plus a number of standard deviations.
+_MIN_SPIKE_M, _SPIKE_SIGMAS, _MIN_NEIGHBOURS = 1.0, 6.0, 3
+# Maximum noise of a scan: multiple of the specified noise, plus the effect of rough terrain, m.
+_MAX_NOISE_RATIO, _ROUGH_TERRAIN_NOISE_M = 3.0, 0.25
+# Maximum specified noise, m: registrations neglect the range noise in the slopes.
+_MAX_SPECIFIED_NOISE_M = 0.15
+# Ratio of standard deviation to median absolute value of a normal variable with zero mean.
+_SIGMA_PER_MEDIAN = 1.4826
 
 
-def without_spikes(scan: LidarScan) -> LidarScan:
-    """Return a scan without returns that lie far off those about them.
+def remove_spikes(scan: LidarScan) -> LidarScan:
+    """Remove ranges that differ strongly from those of their neighbours.
 
     Raises
     ------
     InputError
-        If its rows and columns do not make up its pixels.
+        If the shape of the scan does not match its number of pixels.
     """
-    r = _image(scan)
+    r = _range_image(scan)
     if min(r.shape) < 3:
         return scan
-    far = _OFF + _DEVIATIONS * np.where(np.isfinite(scan.sigma), scan.sigma, 0.0).reshape(r.shape)
+    far = _MIN_SPIKE_M + _SPIKE_SIGMAS * np.where(np.isfinite(scan.sigma), scan.sigma, 0.0).reshape(
+        r.shape
+    )
     beyond, short = (np.zeros(r.shape, np.int8) for _ in range(2))
     with np.errstate(invalid="ignore"):
-        for here, there in _pairs():
+        for here, there in _neighbour_slices():
             gap = r[here] - r[there]
             beyond[here] += gap > far[here]
             short[here] += gap < -far[here]
-    spike = (np.maximum(beyond, short) >= _FEWEST).ravel()
+    spike = (np.maximum(beyond, short) >= _MIN_NEIGHBOURS).ravel()
     return replace(scan, range=np.where(spike, np.nan, scan.range)) if spike.any() else scan
 
 
-def noise_of(scan: LidarScan) -> float:
-    """Return the noise of a range, 1 sigma, m, by neighbours along the rows; NaN of too few.
+def range_noise(scan: LidarScan) -> float:
+    """Estimate the range noise, 1 sigma, m; NaN with fewer than 100 pixels.
 
-    The median size of how ranges differ from the mean of those on either side, which is 0 on
-    a slope.
+    The estimate is the scaled median of the differences between a range and the mean of its two
+    neighbours in the row. These differences are 0 on a uniform slope.
     """
-    r = _image(scan)
-    bend = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
-    bend = bend[np.isfinite(bend)]
-    if len(bend) < 100:
+    r = _range_image(scan)
+    second_difference = r[:, 1:-1] - 0.5 * (r[:, :-2] + r[:, 2:])
+    second_difference = second_difference[np.isfinite(second_difference)]
+    if len(second_difference) < 100:
         return float("nan")
-    return _BY_MEDIAN * float(np.median(np.abs(bend))) / float(np.sqrt(1.5))
+    return _SIGMA_PER_MEDIAN * float(np.median(np.abs(second_difference))) / float(np.sqrt(1.5))
 
 
 def is_noisy(scan: LidarScan) -> bool:
-    """Tell whether ranges scatter far beyond what the scanner states, or by that alone too far."""
-    stated = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
-    if len(stated) == 0:
+    """Return whether the range noise exceeds its specification, or this is too large."""
+    specified = scan.sigma[np.isfinite(scan.range) & np.isfinite(scan.sigma)]
+    if len(specified) == 0:
         return False
-    usual = float(np.median(stated))
-    return usual > _MOST_STATED or bool(noise_of(scan) > _STATED * usual + _ROUGH)
+    typical = float(np.median(specified))
+    return typical > _MAX_SPECIFIED_NOISE_M or bool(
+        range_noise(scan) > _MAX_NOISE_RATIO * typical + _ROUGH_TERRAIN_NOISE_M
+    )
 
 
-def _image(scan: LidarScan) -> Array:
-    """Return the ranges by row and column."""
+def _range_image(scan: LidarScan) -> Array:
+    """Return the ranges as an image (rows, cols)."""
     if int(np.prod(scan.shape)) != np.size(scan.range):
-        raise InputError("scan.shape", scan.shape, f"rows and columns of {np.size(scan.range)}")
+        raise InputError(
+            "scan.shape", scan.shape, f"must have {np.size(scan.range)} pixels, as many as ranges"
+        )
     return np.reshape(scan.range, scan.shape)
 
 
-def _pairs() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Return pixels and their neighbours, on each of four sides."""
+def _neighbour_slices() -> list[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Return slices of pixels and of their neighbours, for the four sides."""
     every, first, last = slice(None), slice(None, -1), slice(1, None)
     return [
         ((first, every), (last, every)), ((last, every), (first, every)),

@@ -1,4 +1,4 @@
-"""Scans against an earlier scan: how the lander has moved, not where it is."""
+"""Scan-to-scan odometry: estimate motion from the overlap with an earlier scan."""
 
 from __future__ import annotations
 
@@ -11,203 +11,217 @@ from numpy.typing import NDArray
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.onboard.navigation import odometry_noise as noise
-from lunarsim.onboard.navigation.error_state import KEY, POSE
-from lunarsim.onboard.navigation.parts import Shared
-from lunarsim.onboard.navigation.registration import fit, solved, together
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE
+from lunarsim.onboard.navigation.measurement_processor import FilterContext
+from lunarsim.onboard.navigation.registration import fit, residual_correlation, solve_error
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
-from lunarsim.onboard.navigation.surface import Surface
+from lunarsim.onboard.navigation.surface import ScanSurface
 
 Array = NDArray[np.float64]
 
-# No return comes from farther, m.
-_FARTHEST = 20_000.0
-# Deviations beyond which what a fit leaves of a square is not noise; squares tell this many times
-# less than they err by, since the slopes that weigh them err too.
-_FAR_OFF, _SLOPES = 3.0, 1.5
-# A mount differs from a rotation, and a ray's direction from a unit vector, by rounding alone.
-_TURNS = 1e-3
-# A scan kept is averaged afresh when it has been moved by so much of a square: carried on by their
-# slopes its squares no longer hold, and what is found then moves them farther.
-_AFRESH = 0.05
+# Maximum plausible range, m.
+_MAX_RANGE_M = 20_000.0
+# Maximum residual of a square in standard deviations; factor on the variances, since the slopes
+# that weight the squares have errors too.
+_MAX_RESIDUAL_SIGMAS, _SLOPE_VARIANCE_FACTOR = 3.0, 1.5
+# Tolerance on the orthogonality of the mount and on the norm of ray directions.
+_ROTATION_TOLERANCE = 1e-3
+# Displacement of the reference scan, in squares, above which it is averaged again: a linear
+# extrapolation along the slopes is no longer valid then.
+_MAX_DISPLACEMENT_SQUARES = 0.05
 
 
-def key_block() -> dict[str, Array]:
-    """Return the block for an error state."""
-    return {KEY: np.zeros((6, 6))}
+def reference_pose_block() -> dict[str, Array]:
+    """Return the empty block of the reference pose for an error state."""
+    return {REFERENCE_POSE: np.zeros((6, 6))}
 
 
 @dataclass(frozen=True)
-class _Key:
-    """A scan kept to compare later ones with.
+class _ReferenceScan:
+    """Reference scan that later scans are compared with.
 
     Attributes
     ----------
-    sensor, seen
-        Whose, and how it was seen, as far as is known now.
+    sensor, corrected
+        Name of the sensor, and the scan with its current pose estimate.
     grid, surface
-        Its squares as they were averaged last.
-    off
-        By how much it has been moved since, m.
+        Grid, and the scan averaged over its squares.
+    displacement
+        Displacement since the last averaging, m.
     """
 
     sensor: str
     grid: Grid
-    surface: Surface
-    seen: SeenScan
-    off: float = 0.0
+    surface: ScanSurface
+    corrected: SeenScan
+    displacement: float = 0.0
 
-    def moved(self, change: Array) -> _Key:
-        """Return it with errors (11,) added, its squares carried on by their slopes."""
-        middle = self.surface.position.mean(axis=0)
-        off = self.off + float(np.abs(self.seen.point_jacobian(middle) @ change).max())
+    def moved(self, change: Array) -> _ReferenceScan:
+        """Return it with errors (11,) added, extrapolated along the slopes of the squares."""
+        centre = self.surface.position.mean(axis=0)
+        displacement = self.displacement + float(
+            np.abs(self.corrected.point_jacobian(centre) @ change).max()
+        )
         position = self.surface.position.copy()
-        position[:, 2] += self.seen.jacobian(position, self.surface.normal) @ change
+        position[:, 2] += self.corrected.jacobian(position, self.surface.normal) @ change
         surface = replace(self.surface, position=position)
-        return replace(self, surface=surface, seen=self.seen.moved(change), off=off)
+        return replace(
+            self, surface=surface, corrected=self.corrected.moved(change), displacement=displacement
+        )
 
-    def afresh(self) -> _Key:
-        """Return it averaged afresh, if its squares no longer hold."""
-        if self.off <= _AFRESH * self.grid.posting:
+    def refresh(self) -> _ReferenceScan:
+        """Return it averaged again, if its displacement is too large."""
+        if self.displacement <= _MAX_DISPLACEMENT_SQUARES * self.grid.posting:
             return self
-        return replace(self, surface=self.seen.surface(self.grid), off=0.0)
+        return replace(self, surface=self.corrected.surface(self.grid), displacement=0.0)
 
 
 class ScanOdometry:
-    """Compares scans with one kept; the pose at that one is part of the state.
+    """Compare scans with a reference scan, whose pose is part of the state.
 
     Parameters
     ----------
-    shared
-        Its state has the block of `key_block`.
+    context
+        State and helpers that the processors share; the state has the block of
+        `reference_pose_block`.
     settings
-        Limits of the comparison.
+        Settings of the comparison.
     """
 
-    def __init__(self, shared: Shared, settings: RegistrationSettings) -> None:
-        self.shared = shared
+    def __init__(self, context: FilterContext, settings: RegistrationSettings) -> None:
+        self.context = context
         self.settings = settings
-        self._key: _Key | None = None
+        self._reference: _ReferenceScan | None = None
         self._share = 0.0
-        shared.state.listeners.append(self._corrected)
+        context.state.listeners.append(self._apply_correction)
 
     def take(self, sensor: str, measurement: Any, time: float, *, used: bool) -> bool:
-        """Compare a scan with the one kept, unless it is used already, and keep it if need be."""
+        """Compare an unused scan with the reference scan; replace the latter if needed."""
         if not isinstance(measurement, LidarScan):
             return False
         taken = False
         if not used:
-            taken = self._follow(sensor, measurement, time)
-        self._remember(sensor, measurement)
+            taken = self._compare(sensor, measurement, time)
+        self._update_reference(sensor, measurement)
         return taken
 
-    def _remember(self, sensor: str, scan: LidarScan) -> None:
-        """Keep this scan and the pose at it for later ones, if the last kept is left behind."""
-        if self._key is not None and self._share >= self.settings.key_share:
+    def _update_reference(self, sensor: str, scan: LidarScan) -> None:
+        """Make this scan the reference if the overlap with the last one is too small."""
+        if self._reference is not None and self._share >= self.settings.min_overlap:
             return
-        posting = float(np.clip(width_of(scan) / 24.0, *self.settings.odometry_postings))
+        posting = float(np.clip(scan_width(scan) / 24.0, *self.settings.odometry_postings))
         grid = Grid(0.0, 0.0, posting, 1, 1)
-        seen = self.shared.seen(sensor, scan)
-        self._key = _Key(sensor, grid, seen.surface(grid), seen)
-        self.shared.state.clone(KEY, POSE)
+        corrected = self.context.correct_scan(sensor, scan)
+        self._reference = _ReferenceScan(sensor, grid, corrected.surface(grid), corrected)
+        self.context.state.clone(REFERENCE_POSE, POSE)
         self._share = 1.0
 
-    def _follow(self, sensor: str, scan: LidarScan, time: float) -> bool:
-        """Compare a scan with the one kept."""
+    def _compare(self, sensor: str, scan: LidarScan, time: float) -> bool:
+        """Compare a scan with the reference scan; return whether it was accepted."""
         self._share = 0.0
-        if self._key is None or self._key.sensor != sensor:
+        if self._reference is None or self._reference.sensor != sensor:
             return False
-        self._key = key = self._key.afresh()
-        least, state = self.settings.least_squares, self.shared.state
-        seen = self.shared.seen(sensor, scan)
-        new = seen.surface(key.grid)
-        i, j = _common(key.surface, new)
+        self._reference = reference = self._reference.refresh()
+        least, state = self.settings.min_squares, self.context.state
+        corrected = self.context.correct_scan(sensor, scan)
+        new = corrected.surface(reference.grid)
+        i, j = _common_squares(reference.surface, new)
         if len(i) < least:
             return False
-        # A scan from nearer covers less ground: it need only lie on the one kept.
+        # A scan from a lower altitude covers a smaller area: it need only lie on the reference.
         self._share = len(i) / len(new) if len(i) >= 2 * least else 0.0
-        own = self.shared.scanner(sensor)
-        both = np.concatenate((POSE, np.arange(state.head)[state.block(KEY)], own))
-        prior = state.own(both)
-        middle = new.position[j].mean(axis=0)
-        normal = noise.slopes(new.normal[j], key.surface.normal[i])
-        jacobian = _differences(seen, key.seen, new.position[j], normal, own)
-        residual = key.surface.position[i, 2] - new.position[j, 2]
+        own = self.context.scanner(sensor)
+        indices = np.concatenate((POSE, np.arange(state.head)[state.block(REFERENCE_POSE)], own))
+        prior = state.own(indices)
+        centre = new.position[j].mean(axis=0)
+        normal = noise.comparison_normals(new.normal[j], reference.surface.normal[i])
+        jacobian = _difference_jacobian(
+            corrected, reference.corrected, new.position[j], normal, own
+        )
+        residual = reference.surface.position[i, 2] - new.position[j, 2]
         variance = np.full(len(i), self.settings.odometry_sigma**2)
         result = fit(jacobian, residual, variance, prior)
         if not self.settings.believes(result):
             self._share = 0.0
             return False
-        left = residual - jacobian @ solved(result, prior)
-        used = np.abs(left) <= _FAR_OFF * self.settings.odometry_sigma
-        variance = _SLOPES * noise.variances(normal, left, used)
-        ways = np.stack(
-            (seen.position - key.seen.position, middle - key.surface.position.mean(axis=0))
+        residual_after = residual - jacobian @ solve_error(result, prior)
+        used = np.abs(residual_after) <= _MAX_RESIDUAL_SIGMAS * self.settings.odometry_sigma
+        variance = _SLOPE_VARIANCE_FACTOR * noise.height_variances(normal, residual_after, used)
+        displacements = np.stack(
+            (
+                corrected.position - reference.corrected.position,
+                centre - reference.surface.position.mean(axis=0),
+            )
         )
-        variance += result.used * noise.second_order(prior, ways)
-        exact = fit(jacobian[used], residual[used], variance[used], prior)
+        variance += result.used * noise.linearisation_variance(prior, displacements)
+        refined = fit(jacobian[used], residual[used], variance[used], prior)
         squares = new.row[j][used], new.col[j][used]
-        alike = max(together(squares, left[used], variance[used]), 1.0)
-        found = state.inform(
-            both, exact.information / alike, exact.vector / alike, chance=self.settings.chance
+        correlation = max(residual_correlation(squares, residual_after[used], variance[used]), 1.0)
+        outcome = state.update_with_information(
+            indices,
+            refined.information / correlation,
+            refined.vector / correlation,
+            min_probability=self.settings.rejection_probability,
         )
-        self.shared.judge(sensor, "scans", found, time)
-        if not found.taken:
-            # Either scan may be the wrong one: the next is compared with this.
+        self.context.record_outcome(sensor, "scans", outcome, time)
+        if not outcome.taken:
+            # Either scan can be wrong: make this one the reference for the next.
             self._share = 0.0
-        return found.taken
+        return outcome.taken
 
-    def _corrected(self, error: Array) -> None:
-        """Move the scan kept with its pose; one without squares is compared with nothing."""
-        if self._key is None or len(self._key.surface) == 0:
+    def _apply_correction(self, error: Array) -> None:
+        """Correct the pose of the reference scan; skip one without squares."""
+        if self._reference is None or len(self._reference.surface) == 0:
             return
-        state = self.shared.state
-        own = error[self.shared.scanner(self._key.sensor)]
+        state = self.context.state
+        own = error[self.context.scanner(self._reference.sensor)]
         change = np.zeros(11)
-        change[:6], change[6 : 6 + len(own)] = error[state.block(KEY)], own
-        self._key = self._key.moved(change)
+        change[:6], change[6 : 6 + len(own)] = error[state.block(REFERENCE_POSE)], own
+        self._reference = self._reference.moved(change)
 
 
-def _differences(
+def _difference_jacobian(
     new: SeenScan, old: SeenScan, points: Array, normals: Array, scanner: NDArray[np.int64]
 ) -> Array:
-    """Return how points (m, 3) of a scan move along vectors (m, 3) against those of an earlier one.
+    """Return the Jacobian of the difference between points (m, 3) of two scans.
 
-    With the errors of the pose, of the pose kept, and of the scanner, both have the same (m, d).
+    The difference is taken along vectors (m, 3). Columns are the errors of the pose, of the
+    reference pose and of the common scanner (m, d).
     """
     here, there = new.jacobian(points, normals), old.jacobian(points, normals)
     of_scanner = (here - there)[:, 6 : 6 + len(scanner)]
     return np.hstack((here[:, :6], -there[:, :6], of_scanner))
 
 
-def plausible(scan: LidarScan) -> LidarScan:
-    """Return a scan without ranges that no LiDAR could give, or that have no deviation.
+def remove_implausible_ranges(scan: LidarScan) -> LidarScan:
+    """Remove ranges that are implausible or have no standard deviation.
 
-    With none if its mount turns nothing, or its rays are no unit vectors.
+    All ranges are removed if the mount is not a rotation, or the rays are not unit vectors.
 
     Raises
     ------
     InputError
-        If its arrays do not fit each other, or hold no real numbers.
+        If the arrays do not match each other, or are not real numbers.
     """
     scan.check_arrays()
     n = len(scan.range)
     with np.errstate(invalid="ignore", over="ignore"):
-        turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _TURNS
-        unit = np.abs(np.einsum("ni,ni->n", scan.direction, scan.direction) - 1.0) <= _TURNS
+        turns = np.abs(scan.mount @ scan.mount.T - np.eye(3)).max() <= _ROTATION_TOLERANCE
+        unit = (
+            np.abs(np.einsum("ni,ni->n", scan.direction, scan.direction) - 1.0)
+            <= _ROTATION_TOLERANCE
+        )
     if not (turns and unit.all() and np.linalg.det(scan.mount) > 0.0):
         return replace(scan, range=np.full(n, np.nan))
     with np.errstate(invalid="ignore"):
-        good = (scan.range > 0.0) & (scan.range < _FARTHEST)
+        good = (scan.range > 0.0) & (scan.range < _MAX_RANGE_M)
         good &= (scan.sigma >= 0.0) & (scan.sigma < np.inf)
     return scan if good.all() else replace(scan, range=np.where(good, scan.range, np.nan))
 
 
-def width_of(scan: LidarScan) -> float:
-    """Return the width of the ground that a scan covers, across the line of sight, m.
-
-    NaN without returns.
-    """
+def scan_width(scan: LidarScan) -> float:
+    """Return the width of a scan across the line of sight, m; NaN without returns."""
     if not np.isfinite(scan.range).any():
         return np.nan
     reach = np.nanmedian(scan.range)
@@ -215,8 +229,8 @@ def width_of(scan: LidarScan) -> float:
     return float(2.0 * reach * np.sqrt(max(1.0 - cosine**2, 0.0)))
 
 
-def _common(a: Surface, b: Surface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the places in `a` and in `b` of the squares that both hold."""
+def _common_squares(a: ScanSurface, b: ScanSurface) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices in `a` and in `b` of their common squares."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     wide = int(max(a.col.max(), b.col.max()) - min(a.col.min(), b.col.min())) + 1

@@ -1,4 +1,4 @@
-"""A scan with all that its points depend on: the lander's pose and what the scanner errs by."""
+"""LiDAR scan with the pose and the scanner errors that its points depend on."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.instruments import LidarInstrument
 from lunarsim.onboard.navigation import _registration_kernels as kernels
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.surface import Surface, surface_of
+from lunarsim.onboard.navigation.surface import ScanSurface, average_scan
 
 Array = NDArray[np.float64]
 
-# Errors of a scan: position (ENU, m), small rotation (body axes), then the scanner's: range (m),
-# boresight (small rotation, sensor axes, rad), latency (s).
-SCANNER = slice(6, 11)
-# No scanner is known better than this, whatever is said of it, m, rad, s. Claims beyond it make an
-# error that nobody told of look like one of pose, and nothing then contradicts it.
+# Indices of the scanner errors among the 11 errors of a scan: position (ENU, m), small rotation
+# (body axes, rad), range (m), boresight (small rotation, sensor axes, rad), latency (s).
+SCANNER_ERRORS = slice(6, 11)
+# Minimum standard deviations of range, boresight and latency; m, rad, s. If a scanner is specified
+# better than it is, its error looks like a pose error, and nothing contradicts that.
 LEAST = np.array([0.1, *np.full(3, np.deg2rad(0.15)), 0.01])
-# What is let go where innovations drift and nothing was said of the scanner: m, rad, s.
-LET_GO = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
+# Standard deviations of the scanner errors after a drift of the innovations; m, rad, s.
+DRIFTED_SCANNER_SIGMAS = np.array([0.5, *np.full(3, np.deg2rad(0.5)), 0.02])
 
 
 def scanner_block(name: str) -> str:
-    """Return the name of the block of what a scanner errs by."""
+    """Return the block name of a scanner's errors."""
     return f"lidar {name}"
 
 
 def scanner_covariance(instrument: LidarInstrument) -> Array:
-    """Return that of what a scanner errs by (5, 5), by its calibration and by what is likely."""
+    """Return the prior covariance of a scanner's errors (5, 5), bounded from below."""
     i = instrument
     stated = np.array([i.range_bias, *np.full(3, i.boresight), i.latency])
     return np.diag(np.maximum(stated, LEAST) ** 2)
@@ -41,14 +41,14 @@ def scanner_covariance(instrument: LidarInstrument) -> Array:
 
 @dataclass(frozen=True)
 class SeenScan:
-    """A scan at a pose.
+    """LiDAR scan with the estimated pose.
 
     Attributes
     ----------
     scan
-        Ranges and mount as they are thought to be.
+        Scan with corrected ranges and mount.
     position, attitude
-        Of the lander at the flash (3,), (4,).
+        Pose of the lander at the time of the scan (3,), (4,).
     velocity, rate
         (3,), m/s, same frame; (3,), rad/s, body axes.
     """
@@ -61,19 +61,23 @@ class SeenScan:
 
     @classmethod
     def of(cls, scan: LidarScan, own: StrapdownState, scanner: Array) -> SeenScan:
-        """Return a scan from where the lander is thought to be, with a scanner's errors (5,)."""
-        seen = cls(scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate)
-        return seen.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else seen
+        """Return a scan at the estimated state, corrected by scanner errors (5,)."""
+        corrected = cls(
+            scan, own.position.copy(), own.attitude.copy(), own.velocity.copy(), own.rate
+        )
+        return (
+            corrected.moved(np.concatenate((np.zeros(6), scanner))) if scanner.any() else corrected
+        )
 
     def turned(self, rotation: Array, attitude: Array, position: Array) -> SeenScan:
-        """Return it in another frame, to which a rotation (3, 3) leads from this one.
+        """Transform the scan to another frame.
 
         Parameters
         ----------
         rotation
-            From this frame to that.
+            Rotation matrix from this frame to the other (3, 3).
         attitude, position
-            Quaternion (4,) of the same rotation, and where this frame's origin lies there (3,).
+            Quaternion of the same rotation (4,), and origin of this frame in the other (3,).
         """
         return replace(
             self,
@@ -83,35 +87,35 @@ class SeenScan:
         )
 
     def moved(self, error: Array) -> SeenScan:
-        """Return it with errors (11,) added."""
-        late = float(error[10])
+        """Return the scan with errors (11,) added."""
+        latency = float(error[10])
         turn = quat_from_rotation_vector(error[3:6])
         attitude = quat_multiply(self.attitude, turn)
-        if late:
-            attitude = quat_multiply(attitude, quat_from_rotation_vector(-late * self.rate))
+        if latency:
+            attitude = quat_multiply(attitude, quat_from_rotation_vector(-latency * self.rate))
         scan = self.scan
         if np.any(error[6:10]):
-            aim = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
-            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ aim)
-        position = self.position + error[:3] - late * self.velocity
+            boresight = quat_to_matrix(quat_from_rotation_vector(error[7:10]))
+            scan = replace(scan, range=scan.range + error[6], mount=scan.mount @ boresight)
+        position = self.position + error[:3] - latency * self.velocity
         return replace(self, scan=scan, position=position, attitude=attitude)
 
     def points(self) -> Array:
-        """Return its points (n, 3), NaN for no return."""
+        """Return the points (n, 3), m; NaN marks missing returns."""
         return self.scan.points(self.position, self.attitude)
 
-    def surface(self, grid: Grid) -> Surface:
-        """Return it averaged over the squares of a grid."""
-        return surface_of(self.points(), grid)
+    def surface(self, grid: Grid) -> ScanSurface:
+        """Return the scan averaged over the squares of a grid."""
+        return average_scan(self.points(), grid)
 
     def point_jacobian(self, point: Array) -> Array:
-        """Return how a point of it (3,) moves with its errors (3, 11)."""
+        """Return the Jacobian of a point (3,) with respect to the scan's errors (3, 11)."""
         return self.jacobian(np.broadcast_to(point, (3, 3)), np.eye(3))
 
     def jacobian(self, points: Array, normals: Array) -> Array:
-        """Return how points (m, 3) move along vectors (m, 3) with its errors (m, 11).
+        """Return the Jacobian of points (m, 3) along vectors (m, 3): (m, 11).
 
-        With normals (-dz/dx, -dz/dy, 1): the surface's height over fixed places.
+        With normals (-dz/dx, -dz/dy, 1) this is the Jacobian of the height at fixed places.
         """
         rotation = quat_to_matrix(self.attitude)
         return np.asarray(

@@ -1,4 +1,4 @@
-"""What the lander has scanned so far, averaged over squares in the local frame."""
+"""Height map of the scanned terrain in the local frame."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Squares along a side of a submap: a scan that grazes the horizon spreads without bound.
-_WIDEST = 3000
+# Maximum number of squares per side: a scan that grazes the horizon covers an unlimited area.
+_MAX_SQUARES = 3000
 
 
 class Submap:
-    """Running means of heights over squares.
+    """Accumulate mean heights over squares.
 
-    A flash covers few posts of a map, or less than one; all flashes together cover what was swept.
+    A single scan covers few posts of a map; all scans together cover the swept area.
 
     Parameters
     ----------
     west, south
         Corner of square (0, 0), m.
     side
-        Of the squares, m.
+        Side of the squares, m.
 
     Attributes
     ----------
     first
-        Row and column of the first square held.
+        Row and column of the first stored square.
     """
 
     def __init__(self, west: float, south: float, side: float) -> None:
@@ -36,12 +36,12 @@ class Submap:
         self._count = np.zeros((0, 0))
 
     def add(self, points: Array) -> bool:
-        """Take in points (n, 3), NaN for none; return whether they were of use."""
+        """Add points (n, 3), with NaN for missing ones; return whether any was added."""
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) == 0:
             return False
         place = np.floor((points[:, :2] - (self._west, self._south)) / self._side)
-        if np.ptp(place, axis=0).max() >= _WIDEST:
+        if np.ptp(place, axis=0).max() >= _MAX_SQUARES:
             return False
         col, row = place.astype(np.int64).T
         if not self._cover(int(row.min()), int(row.max()), int(col.min()), int(col.max())):
@@ -53,20 +53,20 @@ class Submap:
         return True
 
     def _cover(self, south: int, north: int, west: int, east: int) -> bool:
-        """Make room; return whether there is any."""
+        """Extend the arrays to cover rows and columns; return whether this is possible."""
         rows, cols = self._sum.shape
         if self._sum.size:
             south, west = min(south, self.first[0]), min(west, self.first[1])
             north = max(north, self.first[0] + rows - 1)
             east = max(east, self.first[1] + cols - 1)
-        if north - south >= _WIDEST or east - west >= _WIDEST:
+        if north - south >= _MAX_SQUARES or east - west >= _MAX_SQUARES:
             return False
         shape = (north - south + 1, east - west + 1)
         if shape != (rows, cols):
-            # Room for what comes next too, so that not every scan copies all.
-            room = 32
-            grown = np.zeros((2, shape[0] + 2 * room, shape[1] + 2 * room))
-            first = (south - room, west - room)
+            # Allocate a margin for later scans, so that not every scan copies the arrays.
+            margin = 32
+            grown = np.zeros((2, shape[0] + 2 * margin, shape[1] + 2 * margin))
+            first = (south - margin, west - margin)
             if self._sum.size:
                 r, c = self.first[0] - first[0], self.first[1] - first[1]
                 grown[:, r : r + rows, c : c + cols] = self._sum, self._count
@@ -76,22 +76,22 @@ class Submap:
 
     @property
     def count(self) -> int:
-        """Number of squares that hold anything."""
+        """Number of squares with points."""
         return int(np.count_nonzero(self._count))
 
     def points(self) -> Array:
-        """Return the middles of the squares at their mean heights (n, 3), m."""
+        """Return the square centres at their mean heights (n, 3), m."""
         row, col = np.nonzero(self._count)
         place = np.column_stack((col + self.first[1], row + self.first[0])) + 0.5
         xy = place * self._side + (self._west, self._south)
         return np.column_stack((xy, self._sum[row, col] / self._count[row, col]))
 
     def posts(self) -> tuple[Array, NDArray[np.bool_]]:
-        """Return heights of posts of two squares by two, m, and which are known.
+        """Return heights of posts (means of 2 x 2 squares), m, and which are known.
 
-        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`: posts at
-        every half post. One is known once all four quarters are, so that it is a mean over an even
-        cover.
+        Element (i, j) is the mean over the squares (i, j) to (i + 1, j + 1) after `first`, so there
+        is one at every half post. A height is known if all four squares have points, which makes it
+        the mean over an evenly covered area.
         """
         if min(self._sum.shape) < 2:
             return np.zeros((0, 0)), np.zeros((0, 0), np.bool_)

@@ -1,4 +1,4 @@
-"""A scan averaged over the squares of a grid."""
+"""LiDAR scan averaged over the squares of a grid."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Surface:
-    """A scan averaged over the squares of a grid, at their middles.
+class ScanSurface:
+    """LiDAR scan averaged over the squares of a grid, at the square centres.
 
     Attributes
     ----------
     col, row
-        Of the squares (m,); may lie beyond the grid.
+        Grid indices of the squares (m,); they can lie outside the grid.
     position
-        Middles of the squares at the scan's height there (m, 3), ENU, m.
+        Square centres at the height of the scan (m, 3), ENU, m.
     normal
-        (-dz/dx, -dz/dy, 1) of the scan (m, 3). It comes from the scan, not from the map, whose
-        noise would look like slope and make flat ground seem to tell where it is.
+        (-dz/dx, -dz/dy, 1) of the scan (m, 3). Slopes of the map are not used: its noise would look
+        like slope, and flat terrain would seem to give position information.
     """
 
     col: IntArray
@@ -38,8 +38,8 @@ class Surface:
         return len(self.col)
 
 
-def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
-    """Average points (n, 3), NaN for none, over the squares of a grid."""
+def average_scan(points: Array, grid: Grid, least: int = 4) -> ScanSurface:
+    """Average points (n, 3), with NaN for missing ones, over the squares of a grid."""
     col, row, mean, _ = k.average(
         np.ascontiguousarray(points), grid.x0, grid.y0, grid.posting, least
     )
@@ -50,4 +50,4 @@ def surface_of(points: Array, grid: Grid, least: int = 4) -> Surface:
     position = np.stack(
         (grid.x0 + grid.posting * col, grid.y0 + grid.posting * row, height), axis=-1
     )
-    return Surface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))
+    return ScanSurface(col, row, position, np.column_stack((-slope, np.ones(len(col)))))

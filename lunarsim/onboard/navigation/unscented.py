@@ -1,10 +1,11 @@
-"""An unscented filter on position, velocity, accelerometer bias and mass: the plain alternative.
+"""Unscented Kalman filter, as an alternative for comparison.
 
-filterpy's `UnscentedKalmanFilter` (Wan and van der Merwe 2000) with ten states. The attitude is not
-among them: gyroscopes carry it from one reading of the star tracker to the next, each of which is
-taken as it comes. What the attitude errs by, and what the ground lies off by, is noise here and not
-a state; since both last, that noise is made larger by how long. Scans, and ranges of velocimeters,
-are not used. It stands beside the error-state filter to be compared with (`kinds.py`).
+The filter is the `UnscentedKalmanFilter` of filterpy (Wan and van der Merwe 2000) with ten states:
+position, velocity, accelerometer bias and mass. The attitude is not a state: each star-tracker
+reading replaces it, and the gyroscopes propagate it in between. Errors of the attitude and of the
+terrain height are treated as measurement noise. Since these errors persist over many measurements,
+their variance is increased accordingly. LiDAR scans and the ranges of velocimeters are not used.
+The main filter is the error-state filter (`kinds.py`).
 """
 
 from __future__ import annotations
@@ -39,10 +40,14 @@ from lunarsim.messages.measurements import (
     InertialSamples,
 )
 from lunarsim.models.instruments import FixedBeam, FixedBeams, StarInstrument
-from lunarsim.onboard.navigation.aids import WATCHED, gate_of, one_each
+from lunarsim.onboard.navigation.aiding_measurements import (
+    MONITOR_SETTINGS,
+    check_scalar_reading,
+    innovation_gate,
+)
 from lunarsim.onboard.navigation.arrivals import Arrivals
-from lunarsim.onboard.navigation.doubt import inflate
-from lunarsim.onboard.navigation.error_state import Outcome, compared
+from lunarsim.onboard.navigation.covariance_inflation import inflate
+from lunarsim.onboard.navigation.error_state import Outcome, gate_innovation
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation, NavigationEvent
 from lunarsim.onboard.navigation.inertial import (
     ACCELEROMETER,
@@ -51,39 +56,45 @@ from lunarsim.onboard.navigation.inertial import (
     StartSigmas,
     StrapdownState,
 )
+from lunarsim.onboard.navigation.innovation_monitor import InnovationMonitor, MonitorResult
 from lunarsim.onboard.navigation.level_ground import LevelGround
-from lunarsim.onboard.navigation.measured import LEAST_DOWN, VAGUE, speed_errors, symmetric
-from lunarsim.onboard.navigation.watch import Verdict, Watch
+from lunarsim.onboard.navigation.measured import (
+    MAX_SIGMA_M,
+    MIN_DOWN_COSINE,
+    is_symmetric,
+    speed_bias_model,
+)
 from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
 STATES = 10
 _LINEAR, _MASS = slice(0, 9), 9
-_TURN = slice(9, 15)
+_ROTATION = slice(9, 15)
 _VELOCITY = np.r_[3:6]
-# Share of the greatest variance that every direction has at least, once rounding has eaten one.
-_SINGULAR = 1e-9
-# What lasts as long as this and is taken for noise counts as often as it is met in it, s.
-_LASTING = 10.0
-# Where something is doubted variances grow fourfold to 1e4-fold, up to these deviations: height and
-# bias in m and m/s^2, velocity in m/s.
+# Minimum variance of a direction relative to the largest one, to repair rounding errors.
+_REGULARISATION = 1e-9
+# Time over which persistent errors are correlated, s. As white noise, their variance is multiplied
+# by the number of measurements in this time.
+_CORRELATION_TIME_S = 10.0
+# Limits of the factor of a covariance inflation. The maximum standard deviations after it are given
+# below: height in m, bias in m/s^2, velocity in m/s.
 _GROWTH = (4.0, 1e4)
-# Drifts within the watch's time that a bias may explain: its noise is rough, and drifts are common.
-_PATIENCE = 3
-# A reading of the attitude that errs by more tells nothing, rad.
-_VAGUE_TURN = 1.0
-_MOST_HEIGHT, _MOST_BIAS, _MOST_SPEED = 300.0, 0.1, 30.0
+# Number of drifts within the window of a monitor that a bias may explain.
+_MAX_DRIFTS = 3
+# Attitude readings with a larger standard deviation are ignored, rad.
+_MAX_READING_SIGMA_RAD = 1.0
+_MAX_HEIGHT_SIGMA_M, _MAX_BIAS_SIGMA_M_S2, _MAX_SPEED_SIGMA_M_S = 300.0, 0.1, 30.0
 
 
 @dataclass(frozen=True)
 class UnscentedNavigation:
-    """Unscented filter (filterpy) on position, velocity, accelerometer bias and mass."""
+    """Use an unscented filter of position, velocity, accelerometer bias and mass."""
 
-    relief: float = quantity(5.0, "deg", ge=0, le=45, help="slopes of the ground flown over")
-    mass_sigma: float = quantity(1.0, "kg", gt=0, help="of the mass at the start, 1 sigma")
+    relief: float = quantity(5.0, "deg", ge=0, le=45, help="typical slope of the overflown terrain")
+    mass_sigma: float = quantity(1.0, "kg", gt=0, help="1-sigma error of the initial mass")
     thrust_error: float = quantity(
-        0.01, gt=0, le=1, help="of the engine's thrust against what it is asked for, 1 sigma"
+        0.01, gt=0, le=1, help="relative 1-sigma error of the thrust against its command"
     )
 
     needs: ClassVar[tuple[type, ...]] = (InertialSamples,)
@@ -95,7 +106,7 @@ class UnscentedNavigation:
         check_bounds(self, "navigation")
 
     def build(self, briefing: Briefing) -> UnscentedFilter:
-        """Return the filter of one flight."""
+        """Build the navigation filter of one flight."""
         state, sigmas = StrapdownState.of(briefing)
         return UnscentedFilter(
             state, sigmas, self, ground=LevelGround.of(briefing, float(np.tan(self.relief))),
@@ -106,24 +117,24 @@ class UnscentedNavigation:
 
 
 class UnscentedFilter(Navigation):
-    """Ten states by sigma points, attitude as instruments give it.
+    """Unscented filter with ten states; the attitude is propagated outside of it.
 
     Parameters
     ----------
     inertial
-        The lander's state at the start.
+        Initial state of the lander.
     errors
         Its standard deviations.
     settings
-        What else errs, and by how much.
+        Standard deviations of the other errors.
     ground
-        What is known of the ground's height.
+        Prior knowledge of the terrain height.
     mass
-        At the start, kg.
+        Initial mass, kg.
     exhaust_velocity
         m/s.
     lag
-        Time constant with which thrust follows its command, s.
+        Time constant of the thrust response, s.
     instruments
         Calibrations of altimeters, velocimeters and star trackers, by name.
     """
@@ -142,31 +153,33 @@ class UnscentedFilter(Navigation):
     ) -> None:
         for name, value in (("mass", mass), ("exhaust_velocity", exhaust_velocity)):
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"navigation.{name}", value, "a positive number")
+                raise InputError(f"navigation.{name}", value, "must be a positive number")
         self.inertial = inertial
         self.settings = settings or UnscentedNavigation()
         self.events: list[NavigationEvent] = []
-        self._watches: dict[tuple[str, str], Watch] = {}
+        self._monitors: dict[tuple[str, str], InnovationMonitor] = {}
         self._ground, self._exhaust, self._lag = ground or LevelGround(), exhaust_velocity, lag
-        known = instruments or {}
-        self._beams = {n: i.boresight for n, i in known.items() if isinstance(i, FixedBeam)}
-        self._cones = {
-            n: np.array(i.directions) for n, i in known.items() if isinstance(i, FixedBeams)
+        calibrations = instruments or {}
+        self._beams = {n: i.boresight for n, i in calibrations.items() if isinstance(i, FixedBeam)}
+        self._beam_sets = {
+            n: np.array(i.directions) for n, i in calibrations.items() if isinstance(i, FixedBeams)
         }
-        # Variance of what the beams' speeds are off by, lasting for that time.
-        self._lasting = {
-            n: b**2 + _LASTING * w**2
+        # Variance of the speed biases of the beams, m^2/s^2.
+        self._bias_variance = {
+            n: b**2 + _CORRELATION_TIME_S * w**2
             for n, (b, w) in (
-                (n, speed_errors(i)) for n, i in known.items() if isinstance(i, FixedBeams)
+                (n, speed_bias_model(i))
+                for n, i in calibrations.items()
+                if isinstance(i, FixedBeams)
             )
         }
         self._mounts = {
-            n: i.misalignment for n, i in known.items() if isinstance(i, StarInstrument)
+            n: i.misalignment for n, i in calibrations.items() if isinstance(i, StarInstrument)
         }
         start = inertial.covariance(errors or StartSigmas())
-        # The attitude's own: small rotation in body axes, bias of the gyroscopes.
-        self._turn = start[_TURN, _TURN].copy()
-        self._drift = start[12:, 12:].copy()
+        # Covariance of the attitude error (small rotation in body axes) and the gyroscope bias.
+        self._attitude_covariance = start[_ROTATION, _ROTATION].copy()
+        self._gyroscope_covariance = start[12:, 12:].copy()
         points = MerweScaledSigmaPoints(STATES, alpha=1.0, beta=2.0, kappa=0.0)
         self.kalman = UnscentedKalmanFilter(STATES, 1, inertial.step, None, None, points)
         self.kalman.x = np.concatenate(
@@ -176,211 +189,227 @@ class UnscentedFilter(Navigation):
         self.kalman.P[_LINEAR, _LINEAR] = start[_LINEAR, _LINEAR]
         self.kalman.P[_MASS, _MASS] = self.settings.mass_sigma**2
         self._thrust: float | None = None
-        self._asked = 0.0
-        self._ranges: dict[str, int] = {}
+        self._mean_thrust = 0.0
+        self._range_counts: dict[str, int] = {}
         self._offset = np.zeros(3)
-        self._arrivals = Arrivals(inertial.step, self._note)
+        self._arrivals = Arrivals(inertial.step, self._add_event)
 
-    # --- what is known --------------------------------------------------------------------
+    # --- state ----------------------------------------------------------------------------
 
     @property
     def covariance(self) -> Array:
-        """Of the errors as `StrapdownState` orders them (15, 15); attitude apart from the rest."""
+        """Covariance as in `StrapdownState` (15, 15), without attitude correlations."""
         out = np.zeros((INERTIAL, INERTIAL))
         out[_LINEAR, _LINEAR] = self.kalman.P[_LINEAR, _LINEAR]
-        out[_TURN, _TURN] = self._turn
+        out[_ROTATION, _ROTATION] = self._attitude_covariance
         return out
 
     @property
     def mass(self) -> tuple[float, float]:
-        """Mass and its standard deviation, kg."""
+        """Estimated mass and its standard deviation, kg."""
         return float(self.kalman.x[_MASS]), float(np.sqrt(self.kalman.P[_MASS, _MASS]))
 
     @property
-    def watches(self) -> dict[str, Watch]:
-        """The watch over each kind of measurement of each sensor, by "sensor kind"."""
-        return {f"{sensor} {kind}": watch for (sensor, kind), watch in self._watches.items()}
+    def watches(self) -> dict[str, InnovationMonitor]:
+        """Innovation monitors by "sensor kind"."""
+        return {f"{sensor} {kind}": monitor for (sensor, kind), monitor in self._monitors.items()}
 
     @property
     def site_to_local(self) -> Shift:
-        """Where the site lies in the local frame, which no measurement moves."""
+        """Transformation from the site frame to the local frame."""
         return Shift(self._offset.copy())
 
     def estimate(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state; its mass is the filter's own once thrust was told."""
+        """Return the lander's state, with the filter's mass after a thrust command."""
         own = mass if self._thrust is None else self.mass[0]
-        found = self.inertial.estimate(self.covariance, time, own)
-        lost = any(watch.lost for watch in self._watches.values())
+        site_state = self.inertial.estimate(self.covariance, time, own)
+        lost = any(monitor.lost for monitor in self._monitors.values())
         return Estimate(
-            time, self.site_to_local.to_local(found.position), found.velocity, found.attitude,
-            found.rate, own, found.covariance, lost,
+            time, self.site_to_local.to_local(site_state.position), site_state.velocity,
+            site_state.attitude, site_state.rate, own, site_state.covariance, lost,
         )  # fmt: skip
 
     def estimate_in_site(self, time: float, mass: float) -> Estimate:
-        """Return the lander's state in the site frame: what its covariance refers to."""
+        """Return the lander's state in the site frame."""
         return replace(self.estimate(time, mass), position=self.inertial.position.copy())
 
     # --- time -----------------------------------------------------------------------------
 
     def commanded(self, thrust: float, seconds: float) -> None:
-        """Note the thrust (N) that the engine was asked for over the last so many seconds.
+        """Record the thrust (N) that was commanded over the last `seconds`.
 
         Raises
         ------
         InputError
-            If it is no number, or negative.
+            If an argument is negative or not finite.
         """
         for name, value in (("thrust", thrust), ("seconds", seconds)):
             if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"navigation.{name}", value, "a number that is not negative")
+                raise InputError(f"navigation.{name}", value, "must be a non-negative number")
         before = thrust if self._thrust is None else self._thrust
         left = float(np.exp(-seconds / self._lag)) if self._lag > 0.0 else 0.0
         share = self._lag / seconds * (1.0 - left) if seconds > 0.0 else 0.0
-        # Mean thrust of the cycle, and the one that it ends with.
-        self._asked = thrust + (before - thrust) * share
+        # Mean thrust over the cycle, and the thrust at its end.
+        self._mean_thrust = thrust + (before - thrust) * share
         self._thrust = thrust + (before - thrust) * left
 
     def propagate(self, angle: ArrayLike, velocity: ArrayLike) -> None:
-        """Carry the filter over inertial samples (n, 3); NaN stands for a missing one.
+        """Propagate the filter with inertial samples (n, 3); NaN marks missing samples.
 
         Raises
         ------
         InputError
-            If they are not as many of both, three numbers each.
+            If the arrays are not (n, 3) or differ in length.
         """
         samples = [np.asarray(part, dtype=np.float64) for part in (angle, velocity)]
         for name, part in zip(("angle", "velocity"), samples, strict=True):
             if part.ndim != 2 or part.shape[1] != 3 or len(part) != len(samples[0]):
                 raise InputError(
-                    f"inertial.{name}", np.shape(part), "samples (n, 3), as many of both"
+                    f"inertial.{name}",
+                    np.shape(part),
+                    "must be an array (n, 3), with equal n for angle and velocity",
                 )
         if len(samples[0]) == 0:
             return
         seconds = len(samples[0]) * self.inertial.step
-        lasting = max(_LASTING / seconds, 1.0)
+        lasting = max(_CORRELATION_TIME_S / seconds, 1.0)
         before = self.kalman.x.copy()
         transition, noise = self.inertial.propagate(*samples)
         by_turn = transition[_LINEAR, ATTITUDE]
-        burnt = self._asked * seconds / self._exhaust
+        burnt = self._mean_thrust * seconds / self._exhaust
         q = np.zeros((STATES, STATES))
         q[_LINEAR, _LINEAR] = noise[_LINEAR, _LINEAR]
-        q[_LINEAR, _LINEAR] += lasting * by_turn @ self._turn[:3, :3] @ by_turn.T
+        q[_LINEAR, _LINEAR] += lasting * by_turn @ self._attitude_covariance[:3, :3] @ by_turn.T
         q[_MASS, _MASS] = lasting * (self.settings.thrust_error * burnt) ** 2 + 1e-12
-        # With the attitude given, errors of the rest go on linearly about what was carried.
-        carried = np.concatenate(
+        # For a given attitude, deviations from the propagated state evolve linearly.
+        admit_and_propagate = np.concatenate(
             (self.inertial.position, self.inertial.velocity, self.inertial.biases[0],
              [before[_MASS] - burnt])
         )  # fmt: skip
-        whole = np.eye(STATES)
-        whole[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
+        full_transition = np.eye(STATES)
+        full_transition[_LINEAR, _LINEAR] = transition[_LINEAR, _LINEAR]
         self.kalman.Q = q
-        self._mend()
-        self.kalman.predict(dt=seconds, fx=lambda x, dt: carried + whole @ (x - before))
-        turn = transition[_TURN, _TURN]
-        self._turn = turn @ self._turn @ turn.T + noise[_TURN, _TURN]
-        self._follow()
-        self._weigh(samples[1])
+        self._repair_covariance()
+        self.kalman.predict(
+            dt=seconds, fx=lambda x, dt: admit_and_propagate + full_transition @ (x - before)
+        )
+        turn = transition[_ROTATION, _ROTATION]
+        self._attitude_covariance = (
+            turn @ self._attitude_covariance @ turn.T + noise[_ROTATION, _ROTATION]
+        )
+        self._copy_to_inertial()
+        self._update_with_thrust(samples[1])
 
-    def _weigh(self, velocity: Array) -> None:
-        """Take in the push along the engine: thrust over mass, and the accelerometer's bias."""
+    def _update_with_thrust(self, velocity: Array) -> None:
+        """Update with the axial acceleration: thrust over mass plus accelerometer bias."""
         push = velocity[np.isfinite(velocity).all(axis=1), 2] / self.inertial.step
-        if self._thrust is None or self._asked <= 0.0 or len(push) == 0:
+        if self._thrust is None or self._mean_thrust <= 0.0 or len(push) == 0:
             return
-        asked, sigma = self._asked, self.settings.thrust_error
+        asked, sigma = self._mean_thrust, self.settings.thrust_error
         expected = asked / self.kalman.x[_MASS]
-        noise = _LASTING / (len(velocity) * self.inertial.step) * (sigma * expected) ** 2
+        noise = _CORRELATION_TIME_S / (len(velocity) * self.inertial.step) * (sigma * expected) ** 2
         self._update(
             np.array([push.mean()]), lambda x: np.array([asked / x[_MASS] + x[8]]),
-            np.array([[noise]]), gate_of(1),
+            np.array([[noise]]), innovation_gate(1),
         )  # fmt: skip
 
     # --- measurements ---------------------------------------------------------------------
 
-    def _note(self, time: float, name: str, details: dict[str, Any]) -> None:
+    def _add_event(self, time: float, name: str, details: dict[str, Any]) -> None:
         self.events.append(NavigationEvent(time, name, details))
 
     def take(self, sensor: str, measurement: Any, time: float) -> None:
-        """Take in a measurement; what it cannot use, or what comes out of order, changes nothing.
+        """Process a measurement; ignore one that is unusable or out of order.
 
         Raises
         ------
         InputError
-            If `time` (s) runs backwards, or a reading is not of the shape that its sensor gives.
+            If `time` (s) runs backwards, or a reading does not have the shape of its sensor.
         """
-        given = self._arrivals.carried(sensor, measurement, time, self.propagate)
-        for name, details in self.inertial.tell():
+        given = self._arrivals.admit_and_propagate(sensor, measurement, time, self.propagate)
+        for name, details in self.inertial.pop_events():
             self.events.append(NavigationEvent(time, name, details))
         before = self.inertial.position.copy()
         if isinstance(given, AltimeterReading):
-            self._judge(sensor, "range", self._range(sensor, given), time)
-        elif isinstance(given, DopplerReading) and sensor in self._cones:
-            self._judge(sensor, "speed", self._speeds(sensor, given), time)
+            self._monitor_outcome(sensor, "range", self._range(sensor, given), time)
+        elif isinstance(given, DopplerReading) and sensor in self._beam_sets:
+            self._monitor_outcome(sensor, "speed", self._speeds(sensor, given), time)
         elif isinstance(given, AttitudeReading):
-            self._judge(sensor, "attitude", self._stars(sensor, given), time)
+            self._monitor_outcome(sensor, "attitude", self._attitude(sensor, given), time)
         self._offset -= self.inertial.position - before
 
     def _range(self, sensor: str, reading: AltimeterReading) -> Outcome:
-        one_each(sensor, reading)
+        check_scalar_reading(sensor, reading)
         beam = np.asarray(self._beams.get(sensor, (0.0, 0.0, -1.0)))
         down = float(quat_to_matrix(self.inertial.attitude)[2] @ beam)
         r, sigma = reading.range, reading.sigma
-        good = 0.0 < r < np.inf and 0.0 < sigma < VAGUE
-        if not good or down > -LEAST_DOWN:
+        good = 0.0 < r < np.inf and 0.0 < sigma < MAX_SIGMA_M
+        if not good or down > -MIN_DOWN_COSINE:
             return Outcome(np.nan, 1, False)
-        # The ground is off by the same at every reading: together they never count more than once.
-        uses = self._ranges.get(sensor, 0)
+        # The terrain-height error is common to all readings: together they must count only once.
+        uses = self._range_counts.get(sensor, 0)
         level = ((self._ground.sigma or 0.0) / down) ** 2 * (uses + 1) * (uses + 2)
-        found = self._update(
+        outcome = self._update(
             np.array([r]), lambda x: np.array([(self._ground.elevation - x[2]) / down]),
-            np.array([[sigma**2 + level]]), gate_of(1),
+            np.array([[sigma**2 + level]]), innovation_gate(1),
         )  # fmt: skip
-        self._ranges[sensor] = uses + found.taken
-        return found
+        self._range_counts[sensor] = uses + outcome.taken
+        return outcome
 
     def _speeds(self, sensor: str, reading: DopplerReading) -> Outcome:
-        beams = self._cones[sensor]
+        beams = self._beam_sets[sensor]
         for name in ("speed", "speed_sigma"):
             shape = np.shape(getattr(reading, name))
             if shape != (len(beams),):
-                raise InputError(f"{sensor}.{name}", shape, f"one a beam ({len(beams)},)")
+                raise InputError(
+                    f"{sensor}.{name}", shape, f"must have shape ({len(beams)},), one per beam"
+                )
         speed, sigma = np.asarray(reading.speed), np.asarray(reading.speed_sigma)
-        seen = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
-        if not seen.any():
+        has_return = np.isfinite(speed) & np.isfinite(sigma) & (sigma > 0.0)
+        if not has_return.any():
             return Outcome(np.nan, 0, False)
-        rays = beams[seen] @ quat_to_matrix(self.inertial.attitude).T
+        rays = beams[has_return] @ quat_to_matrix(self.inertial.attitude).T
         own = quat_to_matrix(self.inertial.attitude).T @ self.inertial.velocity
-        by_turn = np.cross(beams[seen], own)
-        uses = _LASTING / 0.1
-        noise = np.diag(sigma[seen] ** 2 + uses * self._lasting[sensor])
-        found = self._update(
-            speed[seen], lambda x: rays @ x[3:6],
-            noise + by_turn @ (uses * self._turn[:3, :3]) @ by_turn.T, gate_of(int(seen.sum())),
+        by_turn = np.cross(beams[has_return], own)
+        uses = _CORRELATION_TIME_S / 0.1
+        noise = np.diag(sigma[has_return] ** 2 + uses * self._bias_variance[sensor])
+        outcome = self._update(
+            speed[has_return], lambda x: rays @ x[3:6],
+            noise + by_turn @ (uses * self._attitude_covariance[:3, :3]) @ by_turn.T,
+            innovation_gate(int(has_return.sum())),
         )  # fmt: skip
         white = np.full(len(beams), np.nan)
-        if found.taken:
-            white[seen] = found.white
-        return Outcome(found.nis, found.degrees, found.taken, white)
+        if outcome.taken:
+            white[has_return] = outcome.white
+        return Outcome(outcome.nis, outcome.degrees, outcome.taken, white)
 
-    def _stars(self, sensor: str, reading: AttitudeReading) -> Outcome:
+    def _attitude(self, sensor: str, reading: AttitudeReading) -> Outcome:
         q, r = np.asarray(reading.attitude, float), np.asarray(reading.covariance, float)
         if q.shape != (4,) or r.shape != (3, 3):
-            raise InputError("attitude", (q.shape, r.shape), "a quaternion and its covariance")
+            raise InputError(
+                "attitude", (q.shape, r.shape), "must be a quaternion (4,) and a covariance (3, 3)"
+            )
         mount = self._mounts.get(sensor, 0.0)
         own = r + mount**2 * np.eye(3)
-        if not is_rotation(q) or not symmetric(own):
+        if not is_rotation(q) or not is_symmetric(own):
             return Outcome(np.nan, 3, False)
         spread = np.linalg.eigvalsh(own)
-        if spread.min() <= 0.0 or spread.max() > _VAGUE_TURN**2:
+        if spread.min() <= 0.0 or spread.max() > _MAX_READING_SIGMA_RAD**2:
             return Outcome(np.nan, 3, False)
         between = quat_multiply(quat_conjugate(self.inertial.attitude), normalised(q))
         turn = quat_to_rotation_vector(between)
-        outcome, _ = compared(turn, self._turn[:3, :3] + own, gate_of(3))
+        outcome, _ = gate_innovation(
+            turn, self._attitude_covariance[:3, :3] + own, innovation_gate(3)
+        )
         if outcome.taken:
             error = np.zeros(INERTIAL)
             error[ATTITUDE] = turn
             self.inertial.correct(error)
-            self._turn = np.zeros((6, 6))
-            self._turn[:3, :3], self._turn[3:, 3:] = own, self._drift
+            self._attitude_covariance = np.zeros((6, 6))
+            self._attitude_covariance[:3, :3], self._attitude_covariance[3:, 3:] = (
+                own,
+                self._gyroscope_covariance,
+            )
         return outcome
 
     # --- correction -----------------------------------------------------------------------
@@ -388,35 +417,35 @@ class UnscentedFilter(Navigation):
     def _update(
         self, z: Array, expected: Callable[[Array], Array], noise: Array, gate: float
     ) -> Outcome:
-        """Take in a measurement (m,), unless it lies beyond the gate."""
+        """Update with a measurement (m,), unless its innovation exceeds the gate."""
         k = self.kalman
-        # filterpy draws its points in `predict` alone: several updates need them anew.
-        self._mend()
+        # filterpy draws sigma points only in `predict`; each further update needs new ones.
+        self._repair_covariance()
         k.sigmas_f = k.points_fn.sigma_points(k.x, k.P)
         through = np.array([expected(x) for x in k.sigmas_f])
         mean, spread = unscented_transform(through, k.Wm, k.Wc, noise)
-        outcome, _ = compared(z - mean, spread, gate)
+        outcome, _ = gate_innovation(z - mean, spread, gate)
         if outcome.taken:
             k.update(z, R=noise, hx=expected)
             k.P = 0.5 * (k.P + k.P.T)
-            self._follow()
+            self._copy_to_inertial()
         return outcome
 
-    def _mend(self) -> None:
-        """Make the covariance positive again where spoilt readings have left one that is not.
+    def _repair_covariance(self) -> None:
+        """Make the covariance positive definite again after rounding errors.
 
-        Directions that were left without a variance get a little, and no reading brings it back to
-        nothing: what was lost there is told by innovations from then on.
+        Directions without variance get a small one, and no reading reduces it to zero again. If the
+        estimate is wrong there, the innovations show it.
         """
         try:
             np.linalg.cholesky(self.kalman.P)
         except np.linalg.LinAlgError:
             values, axes = np.linalg.eigh(0.5 * (self.kalman.P + self.kalman.P.T))
-            least = max(_SINGULAR * float(values.max()), 1e-12)
+            least = max(_REGULARISATION * float(values.max()), 1e-12)
             self.kalman.P = (axes * np.maximum(values, least)) @ axes.T
 
-    def _follow(self) -> None:
-        """Set the carried state to where the filter is."""
+    def _copy_to_inertial(self) -> None:
+        """Set the propagated state to the filter's estimate."""
         s = self.inertial
         error = np.zeros(INERTIAL)
         error[_LINEAR] = self.kalman.x[_LINEAR] - np.concatenate(
@@ -424,26 +453,30 @@ class UnscentedFilter(Navigation):
         )
         s.correct(error)
 
-    def _judge(self, sensor: str, kind: str, found: Outcome, time: float) -> None:
-        """Watch what came of a measurement; widen what it depends on where it is doubted."""
-        settings = replace(WATCHED[kind], drift_patience=_PATIENCE)
-        watch = self._watches.setdefault((sensor, kind), Watch(settings))
-        before = watch.lost
-        verdict = watch.note(time, found)
-        growth = float(np.clip(watch.excess, *_GROWTH))
-        name = {Verdict.WIDEN: "doubted", Verdict.LOST: "lost", Verdict.DRIFT: "drift"}.get(verdict)
-        if kind == "attitude" and verdict is not Verdict.WELL:
-            # There is no state for it: the next reading is believed again.
-            self._turn *= growth
-        elif verdict is Verdict.DRIFT:
-            inflate(self.kalman.P, np.arange(9)[ACCELEROMETER], _GROWTH[1], _MOST_BIAS)
-        elif verdict is not Verdict.WELL and kind == "range":
-            inflate(self.kalman.P, [2], growth, _MOST_HEIGHT)
-        elif verdict is not Verdict.WELL:
-            inflate(self.kalman.P, _VELOCITY, growth, _MOST_SPEED)
-        elif before and not watch.lost:
+    def _monitor_outcome(self, sensor: str, kind: str, outcome: Outcome, time: float) -> None:
+        """Monitor the outcome of a measurement, and inflate the covariance after an alarm."""
+        settings = replace(MONITOR_SETTINGS[kind], max_drifts=_MAX_DRIFTS)
+        monitor = self._monitors.setdefault((sensor, kind), InnovationMonitor(settings))
+        before = monitor.lost
+        result = monitor.record(time, outcome)
+        growth = float(np.clip(monitor.nis_ratio, *_GROWTH))
+        name = {
+            MonitorResult.INFLATE: "doubted",
+            MonitorResult.LOST: "lost",
+            MonitorResult.DRIFT: "drift",
+        }.get(result)
+        if kind == "attitude" and result is not MonitorResult.CONSISTENT:
+            # The attitude is no filter state; its inflated variance lets the next reading pass.
+            self._attitude_covariance *= growth
+        elif result is MonitorResult.DRIFT:
+            inflate(self.kalman.P, np.arange(9)[ACCELEROMETER], _GROWTH[1], _MAX_BIAS_SIGMA_M_S2)
+        elif result is not MonitorResult.CONSISTENT and kind == "range":
+            inflate(self.kalman.P, [2], growth, _MAX_HEIGHT_SIGMA_M)
+        elif result is not MonitorResult.CONSISTENT:
+            inflate(self.kalman.P, _VELOCITY, growth, _MAX_SPEED_SIGMA_M_S)
+        elif before and not monitor.lost:
             name = "believed"
-        if verdict is Verdict.DRIFT and watch.lost and not before:
+        if result is MonitorResult.DRIFT and monitor.lost and not before:
             name = "lost"
         if name is not None and not (name == "lost" and before):
             self.events.append(NavigationEvent(time, name, {"sensor": sensor, "measurement": kind}))

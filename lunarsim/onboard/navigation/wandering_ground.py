@@ -1,8 +1,8 @@
-"""Heights of ground that rises and falls: what is known of one place from others.
+"""Interpolate terrain heights by local ordinary kriging.
 
-The difference of the heights of two places has a variance that grows with the distance between
-them, whatever the level: an intrinsic random field. Ordinary kriging (Matheron 1963) gives the
-height of a place as a weighted mean of those of its neighbours, and what that errs by.
+The terrain is modelled as an intrinsic random field: the variance of a height difference grows
+linearly with the distance, independent of the height itself. Ordinary kriging (Matheron 1963) gives
+the height of a point as a weighted mean of its neighbours' heights, with the error variance.
 """
 
 from __future__ import annotations
@@ -16,15 +16,14 @@ from lunarsim.onboard.navigation import _ground_kernels as kernels
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Heights of rocks side by side differ by as much, m: how deep they lie, and what the ground does
-# within a metre.
-_OWN = 0.05
-# So many neighbours screen off the others.
+# Standard deviation of rock heights at the same place, m: burial depth and relief within a metre.
+_LOCAL_HEIGHT_SIGMA_M = 0.05
+# Number of neighbours in the interpolation; they screen off all others.
 NEIGHBOURS = 5
 
 
-def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
-    """Return what heights at some places tell of the height elsewhere.
+def kriging_weights(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
+    """Return kriging weights and variances of the height at given points.
 
     Parameters
     ----------
@@ -33,24 +32,23 @@ def kriging(places: Array, at: Array, growth: float) -> tuple[Array, Array]:
     at
         Points (b, 2), m.
     growth
-        By how much the variance of the difference of two heights grows with a metre between them,
-        m^2/m.
+        Growth of the variance of a height difference with distance, m^2/m.
 
     Returns
     -------
     weights
-        Of the neighbours (b, k), their sum being 1.
+        Weights of the neighbours (b, k); their sum is 1.
     variance
-        Of what the height is besides that mean (b,), m^2.
+        Kriging variance (b,), m^2.
     """
     b, k = places.shape[:2]
     gap = _lengths(places[:, :, None] - places[:, None])
     away = _lengths(places - at[:, None])
     system = np.ones((b, k + 1, k + 1))
-    system[:, :k, :k] = (0.5 * growth * gap + _OWN**2) * (1.0 - np.eye(k))
+    system[:, :k, :k] = (0.5 * growth * gap + _LOCAL_HEIGHT_SIGMA_M**2) * (1.0 - np.eye(k))
     system[:, k, k] = 0.0
     right = np.ones((b, k + 1))
-    right[:, :k] = 0.5 * growth * away + _OWN**2
+    right[:, :k] = 0.5 * growth * away + _LOCAL_HEIGHT_SIGMA_M**2
     found = np.linalg.solve(system, right[..., None])[..., 0]
     return found[:, :k], np.einsum("bk,bk->b", found, right)
 
@@ -60,52 +58,53 @@ def _lengths(way: Array) -> Array:
     return np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
 
 
-def heights(places: Array, known: Array, at: Array, growth: float) -> Array:
-    """Return the likeliest heights (b,) at points (b, 2) from those known (n,) at places (n, 2).
+def interpolate_heights(places: Array, known: Array, at: Array, growth: float) -> Array:
+    """Interpolate heights at points (b, 2) from heights (n,) at places (n, 2), m.
 
-    NaN at points that are not finite.
+    Points that are not finite give NaN.
     """
     with threads_for(0.7 * len(at)):
         return np.asarray(
-            kernels.heights(
+            kernels.interpolate_heights(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
                 np.ascontiguousarray(at, np.float64), min(NEIGHBOURS, len(places)), float(growth),
-                _OWN,
+                _LOCAL_HEIGHT_SIGMA_M,
             )
         )  # fmt: skip
 
 
-def crossings(
+def intersect_lines(
     places: Array,
     known: Array,
-    eye: Array,
+    origin: Array,
     per_drop: Array,
     height: Array,
     growth: float,
     search: tuple[int, float, float, float],
 ) -> Array:
-    """Return where lines of sight meet the ground that `heights` gives (b, 3).
+    """Intersect lines of sight with the terrain interpolated by `interpolate_heights` (b, 3), m.
 
     Parameters
     ----------
     places, known, growth
-        As for `heights`.
-    eye
-        Where lines begin (3,), m.
+        As for `interpolate_heights`.
+    origin
+        Start of the lines (3,), m.
     per_drop
-        How far they go east and north for each metre that they go down (b, 2).
+        Horizontal advance of the lines, east and north, per metre of drop (b, 2).
     height
-        At which the search begins (b,), m.
+        Initial heights (b,), m.
     search
-        Passes at most; up to how far off a height is right, m; by which factors a height may fall
-        short of what was found there and go beyond.
+        Maximum number of iterations; height tolerance, m; minimum and maximum factor of a step
+        relative to the last height difference.
     """
     with threads_for(2.0 * len(height)):
         return np.asarray(
-            kernels.crossings(
+            kernels.intersect_lines(
                 np.ascontiguousarray(places, np.float64), np.ascontiguousarray(known, np.float64),
-                np.ascontiguousarray(eye, np.float64), np.ascontiguousarray(per_drop, np.float64),
+                np.ascontiguousarray(origin, np.float64),
+                np.ascontiguousarray(per_drop, np.float64),
                 np.ascontiguousarray(height, np.float64), search,
-                min(NEIGHBOURS, len(places)), float(growth), _OWN,
+                min(NEIGHBOURS, len(places)), float(growth), _LOCAL_HEIGHT_SIGMA_M,
             )
         )  # fmt: skip

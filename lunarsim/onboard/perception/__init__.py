@@ -1,4 +1,4 @@
-"""What turns pictures into detections."""
+"""Perception: detection of rocks in camera images."""
 
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings, detect_rocks

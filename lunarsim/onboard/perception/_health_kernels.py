@@ -1,4 +1,4 @@
-"""Compiled looks at a picture's shadows: how steep their edges are, where their lit sides lie."""
+"""Compiled measurements of shadow edges and lit faces in an image."""
 
 from __future__ import annotations
 
@@ -8,25 +8,23 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Edges are compared with the range of brightness so many pixels about them.
+# Distance within which the brightness range about an edge is taken, pixels.
 REACH = 3
-# Along a direction they are compared with the range along it, or this share of that all about, if
-# it is more.
+# Minimum range along a direction, as a fraction of the range all about.
 ABOUT = 0.5
-# Directions in which the slope of an edge is taken: right, right and down, down, left and down; and
-# that in which it is steepest.
+# Directions of slopes: right, right and down, down, left and down; and that of the steepest slope.
 SLOPES = 5
-# Sums over the bright pixels beside a patch (weight, column, row) and over its own (number, column,
-# row).
+# Sums over the bright pixels beside a patch (weight, column, row), and over the patch (number,
+# column, row).
 WEIGHT, BRIGHT_U, BRIGHT_V, PIXELS, DARK_U, DARK_V = range(6)
-# Sums over the black pixels of a patch and over the grey ones in it and the bright ones beside it.
+# Sums over the black pixels of a patch, and over its grey ones with the bright ones beside it.
 BLACK, BLACK_U, BLACK_V, LIT, LIT_U, LIT_V = range(6)
 _DIAGONAL = math.sqrt(0.5)
 
 
 @kernel(inline=True)
 def _range_about(image, i, j):
-    """Return the range of an image about a pixel."""
+    """Return the brightness range about a pixel."""
     low = high = image[i, j]
     for di in range(-REACH, REACH + 1):
         for dj in range(-REACH, REACH + 1):
@@ -38,7 +36,7 @@ def _range_about(image, i, j):
 
 @kernel(inline=True)
 def _range_along(image, i, j, down, right):
-    """Return the range of an image along a line through a pixel."""
+    """Return the brightness range along a line through a pixel."""
     low = high = image[i, j]
     for n in range(-REACH, REACH + 1):
         value = image[i + n * down, j + n * right]
@@ -49,14 +47,14 @@ def _range_along(image, i, j, down, right):
 
 @kernel(inline=True)
 def _raise_along(out, k, direction, slope, size, least):
-    """Raise the steepest slope of patch k along a direction by one, over the range along it."""
+    """Update the maximum slope of patch k along a direction, relative to the range."""
     if size >= least:
         out[k, direction] = max(out[k, direction], slope / size)
 
 
 @kernel(inline=True)
 def _raise_slopes(out, k, image, i, j, least):
-    """Raise the steepest slopes of patch k by those at a pixel."""
+    """Update the maximum slopes of patch k with those at a pixel."""
     gu = 0.5 * (image[i, j + 1] - image[i, j - 1])
     gv = 0.5 * (image[i + 1, j] - image[i - 1, j])
     steep = math.sqrt(gu * gu + gv * gv)
@@ -67,7 +65,7 @@ def _raise_slopes(out, k, image, i, j, least):
     if not size >= least:
         return
     out[k, 4] = max(out[k, 4], steep / size)
-    # Beside a rock's lit face the range all about is that of another edge.
+    # Beside a lit face, the range all about belongs to another edge.
     half = ABOUT * size
     along = max(_range_along(image, i, j, 0, 1), half)
     _raise_along(out, k, 0, abs(gu), along, least)
@@ -81,10 +79,10 @@ def _raise_slopes(out, k, image, i, j, least):
 
 @kernel()
 def edge_slopes(image, patch, count, every, least):
-    """Return the steepest slope at the rim of each patch, over the range of brightness there.
+    """Return the maximum relative slope of brightness at the rim of each patch.
 
-    Along a direction the range is that along it, or half of that all about if it is more; of the
-    steepest it is that all about.
+    Along a direction the range is that along it, or half of the range all about if this is larger.
+    For the steepest slope it is the range all about.
 
     Parameters
     ----------
@@ -93,17 +91,17 @@ def edge_slopes(image, patch, count, every, least):
     patch
         Patch of each pixel (height, width), 1 to `count`, 0 for none.
     count
-        Greatest patch.
+        Number of patches.
     every
-        Only patches whose number is a multiple of this are looked at.
+        Only patches whose number is a multiple of this are measured.
     least
-        Range below which there is no edge.
+        Minimum brightness range of an edge.
 
     Returns
     -------
     out
         (count + 1, 5), 1 / pixels: in four directions and in the steepest; 0 for no edge and for
-        patches that were not looked at.
+        patches that were not measured.
     """
     out = np.zeros((count + 1, SLOPES))
     height, width = patch.shape
@@ -132,20 +130,21 @@ def edge_slopes(image, patch, count, every, least):
 
 @kernel()
 def two_sides(image, patch, ring, count, cut):
-    """Return where each patch lies and where the bright pixels beside it do.
+    """Return the sums over each patch and over the bright pixels beside it.
 
     Parameters
     ----------
     image
-        Brightness over that of the lit ground (height, width).
+        Brightness relative to lit terrain (height, width).
     patch
         Patch of each pixel (height, width), 0 for none.
     ring
         Patch that each pixel lies beside (height, width), 0 for none.
     count
-        Greatest patch.
+        Number of patches.
     cut
-        Brightness above the ground's from which a pixel counts, by what it has more, at most 1.
+        Excess above lit terrain from which a pixel counts; its weight is the excess beyond, at most
+        1.
 
     Returns
     -------
@@ -175,21 +174,20 @@ def two_sides(image, patch, ring, count, cut):
 
 @kernel()
 def black_and_lit(relative, above, patch, ring, count, black, grey, most, cut):
-    """Return where the black of each patch lies and where what is lit in and beside it does.
+    """Return sums over the black pixels of each patch, and over its lit pixels.
 
     Parameters
     ----------
     relative
-        Brightness over that of the slopes close by, in which black and grey are told (height,
-        width).
+        Brightness relative to nearby slopes, for black and grey pixels (height, width).
     above
-        Brightness over that of what is lit close by, in which bright is told (height, width).
+        Brightness relative to lit pixels nearby, for bright pixels (height, width).
     patch, ring, count
         See `two_sides`.
     black
-        Level below which a pixel of the patch is black, by so much.
+        Level below which a pixel of the patch is black; its weight is the difference.
     grey, most
-        Level above which it is lit, by what it has more, at most `most`.
+        Level above which it is lit, with the excess as weight, at most `most`.
     cut
         See `two_sides`.
 

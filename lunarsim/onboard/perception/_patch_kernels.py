@@ -1,4 +1,4 @@
-"""Compiled measuring of dark patches: one pass over the labelled pixels of an image."""
+"""Compiled measurement of dark patches in one pass over a label image."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ COLUMNS = 14
 
 @kernel(inline=True)
 def _borders_on(k, a, b, c, d):
-    """Tell whether one of four neighbours belongs to another patch than k."""
+    """Return whether one of four neighbours belongs to another patch than k."""
     return a != k or b != k or c != k or d != k
 
 
 @kernel(inline=True)
 def _count_pixel(out, k, tx, ty, rim, edge, deep):
-    """Count a pixel of patch k and add up its tangents."""
+    """Count a pixel of patch k and add its tangents."""
     out[k, PIXELS] += 1.0
     if deep:
         out[k, DEEP] += 1.0
@@ -40,7 +40,7 @@ def _count_pixel(out, k, tx, ty, rim, edge, deep):
 
 @kernel(inline=True)
 def _add_place(out, k, along, across):
-    """Add the place of a pixel of patch k to the sums of first and second order."""
+    """Add the position of a pixel of patch k to the first and second moments."""
     out[k, ALONG] += along
     out[k, ACROSS] += across
     out[k, LENGTH] += along * along
@@ -50,7 +50,7 @@ def _add_place(out, k, along, across):
 
 @kernel()
 def _line_of_sight(tx, ty, right, down, ahead):
-    """Return east, north and up for a metre of depth; the sensor's axes are tuples."""
+    """Return east, north and up for a depth of 1 m; the sensor axes are tuples."""
     return (
         right[0] * tx + down[0] * ty + ahead[0],
         right[1] * tx + down[1] * ty + ahead[1],
@@ -60,17 +60,14 @@ def _line_of_sight(tx, ty, right, down, ahead):
 
 @kernel()
 def _to_sun(e, n, sun):
-    """Return what lies along the Sun and across of a vector to the east and north."""
+    """Return the components of an east/north vector along the Sun and across."""
     return e * sun[0] + n * sun[1], n * sun[0] - e * sun[1]
 
 
 @kernel()
 def _pixel_on_ground(depth, ray, right, down, sun):
-    """Return the size of a pixel along the Sun and across, m, times the focal length.
-
-    The line of sight `ray` meets the ground at `depth`; `right` and `down` are the sensor's axes.
-    """
-    # How far the point on the ground moves along and across for a pixel right and down.
+    """Return the size of a pixel along the Sun and across, m, times the focal length."""
+    # Displacement of the ground point along and across for one pixel right and down.
     along_u, across_u = _to_sun(
         depth * (right[0] - ray[0] * right[2] / ray[2]),
         depth * (right[1] - ray[1] * right[2] / ray[2]),
@@ -86,7 +83,7 @@ def _pixel_on_ground(depth, ray, right, down, sun):
 
 @kernel()
 def _sums_to_means(out):
-    """Turn the sums over the pixels of each patch into what `measure_patches` returns."""
+    """Convert the sums over each patch into the result of `measure_patches`."""
     for k in range(1, out.shape[0]):
         pixels = max(out[k, PIXELS], 1.0)
         out[k, TX] /= pixels
@@ -103,22 +100,22 @@ def _sums_to_means(out):
 
 @kernel()
 def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, sun_e, sun_n):
-    """Measure the patches of a label image on a level plane.
+    """Measure the patches of a label image on a horizontal plane.
 
     Parameters
     ----------
     labels
         Patch of each pixel (height, width), 0 for none.
     count
-        Greatest label.
+        Number of patches.
     edges
-        Where the image has an edge (height, width), uint8.
+        Edges of the image (height, width), uint8.
     deep
-        Where it is darker than half way to lit ground (height, width), uint8.
+        Pixels darker than half way to lit terrain (height, width), uint8.
     x, y
         Tangents of the line of sight of each pixel, right and down (height, width).
     position, axes
-        Of the camera, as `View` has them.
+        Camera parameters as in `View`.
     ground
         Elevation of the plane, m.
     sun_e, sun_n
@@ -127,7 +124,7 @@ def measure_patches(labels, count, edges, deep, x, y, position, axes, ground, su
     Returns
     -------
     out
-        (count + 1, 14), by the columns above; sizes of pixels still times the focal length.
+        (count + 1, 14), by the columns above; sizes of pixels are multiplied by the focal length.
     """
     out = np.zeros((count + 1, COLUMNS))
     height, width = labels.shape

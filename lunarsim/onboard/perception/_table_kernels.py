@@ -1,4 +1,4 @@
-"""Compiled reading of tables over two directions."""
+"""Compiled interpolation of tables over two directions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lunarsim._jit import kernel
 
 @kernel()
 def _interval(grid, value):
-    """Return the interval of a rising grid in which a value lies; the last for its end."""
+    """Return the interval of an ascending grid that contains a value."""
     low, high = 0, grid.size - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -22,21 +22,21 @@ def _interval(grid, value):
 
 @kernel()
 def interpolated(table, x, y, at_x, at_y):
-    """Return the columns of a table between its nodes, bilinearly.
+    """Return the columns of a table by bilinear interpolation.
 
     Parameters
     ----------
     table
-        At the nodes (rows, cols, columns).
+        Values at the nodes (rows, cols, columns).
     x, y
-        Of the nodes (rows,), (cols,), rising.
+        Nodes (rows,), (cols,), ascending.
     at_x, at_y
-        Where it is read (n,), within them; NaN where either is none.
+        Points (n,), within the nodes; NaN gives NaN.
 
     Returns
     -------
     out
-        (columns, n).
+        Interpolated values (columns, n).
     """
     columns = table.shape[2]
     out = np.empty((columns, at_x.size))

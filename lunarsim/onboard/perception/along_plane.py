@@ -1,4 +1,4 @@
-"""Models of shadows on level ground, for shadows that fall along a plane."""
+"""Adapt shadow models for horizontal ground to shadows on a sloping plane."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Array = NDArray[np.float64]
 Model = TypeVar("Model", ShadowModel, ShapeMixture, ShadowModel | ShapeMixture)
 
 
-def along(model: Model, plane: GroundPlane, sun: Array) -> Model:
-    """Return the model of the same rocks as they are seen in coordinates that level a plane.
+def model_on_plane(model: Model, plane: GroundPlane, sun: Array) -> Model:
+    """Return the shadow model in coordinates in which a plane is horizontal.
 
     Parameters
     ----------
     model
-        Under the Sun's elevation above level ground.
+        Model for the Sun elevation above horizontal ground.
     plane
-        Along which shadows fall.
+        Plane on which shadows fall.
     sun
-        Direction towards it (3,), ENU.
+        Direction towards the Sun (3,), ENU.
     """
     if plane.level:
         return model

@@ -1,4 +1,4 @@
-"""How often a shadow of q pixels is missed, and how often one that is seen is no rock's."""
+"""Rates of missed and false detections of shadows, by their size in pixels."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from lunarsim.errors import InputError, check_types
 
 Array = NDArray[np.float64]
 
-# Point spread of a pixel, 1 sigma, pixels.
-_PIXEL = 12.0**-0.5
+# Standard deviation of a uniform distribution over one pixel.
+_PIXEL_SIGMA = 12.0**-0.5
 
 
 @dataclass(frozen=True)
 class DetectionRates:
-    """Rates linear in q, the root of the number of dark pixels, cut at both ends.
+    """Detection rates that are linear in q and limited at both ends.
 
-    The defaults are the lines that `python scenarios/shadows/rates.py` prints: rocks of all shapes
-    on level ground, 5 % cover, the Sun 20 deg high, a blur of 0.6 pixels. A test repeats it.
+    q is the square root of the number of dark pixels. The defaults are printed by
+    `python scenarios/shadows/rates.py`: rocks of all shapes on horizontal ground, 5 % cover, Sun
+    elevation 20 deg, blur 0.6 pixels. A test repeats the study.
 
-    The paper takes q along the shadow (III.C); the root of the area equals it for a square patch
-    and also tells what is left of a shadow that its rock hides.
+    The paper defines q along the shadow (III.C). The square root of the area equals it for a square
+    patch and also accounts for the part of a shadow that its rock hides.
 
     Attributes
     ----------
     missed
-        False-negative rate at q = 0 and its slope; least rate at large q.
+        False-negative rate at q = 0, its slope, and minimum rate at large q.
     false
-        The same for detections that are no rock's.
+        The same for detections that are not rocks.
     cleared
-        The same for rocks where a picture gives the ground as free of them.
+        The same for rocks at positions that an image declares free of them.
     blur
-        Point spread of the camera that they are measured with, 1 sigma, pixels.
+        Point spread of the camera of the study, 1 sigma, pixels.
     """
 
     missed: tuple[float, float, float] = (1.428, -0.4175, 0.0422)
@@ -49,38 +50,41 @@ class DetectionRates:
             _, slope, floor = getattr(self, name)
             if not (slope <= 0.0 and 0.0 < floor < 1.0):
                 raise InputError(
-                    f"rates.{name}", getattr(self, name), "a slope up to 0, a floor from 0 to 1"
+                    f"rates.{name}",
+                    getattr(self, name),
+                    "must have a slope of at most 0 and a floor between 0 and 1",
                 )
 
         if not (np.isfinite(self.blur) and self.blur >= 0.0):
-            raise InputError("rates.blur", self.blur, "0 or a positive number, pixels")
+            raise InputError("rates.blur", self.blur, "must be 0 or positive, in pixels")
 
     def wider(self, blur: float) -> float:
-        """Return by what factor a camera spreads edges wider than the rates know them; at least 1.
+        """Return the ratio of edge width to that of the study, at least 1.
 
-        A pixel spreads them too. Shadows are filled with light as pixels larger by that would.
+        The size of a pixel contributes to both widths. A wider edge fills shadows with light as
+        larger pixels would.
         """
-        return max(float(np.hypot(blur, _PIXEL) / np.hypot(self.blur, _PIXEL)), 1.0)
+        return max(float(np.hypot(blur, _PIXEL_SIGMA) / np.hypot(self.blur, _PIXEL_SIGMA)), 1.0)
 
     def false_negative(self, q: Any) -> Array:
-        """Return FN(q) (...)."""
-        return _line(self.missed, q)
+        """Return the false-negative rate FN(q) (...)."""
+        return _clipped_line(self.missed, q)
 
     def false_positive(self, q: Any) -> Array:
-        """Return FP(q) (...)."""
-        return _line(self.false, q)
+        """Return the false-positive rate FP(q) (...)."""
+        return _clipped_line(self.false, q)
 
     def false_clear(self, q: Any) -> Array:
-        """Return the rate at which the place of a rock of q pixels is given as free (...)."""
-        return _line(self.cleared, q)
+        """Return the rate at which the position of a rock is declared free (...)."""
+        return _clipped_line(self.cleared, q)
 
     @property
     def least_q(self) -> float:
-        """The q below which every shadow is missed: what the paper calls the resolution."""
+        """Value of q below which every shadow is missed; the paper calls it resolution."""
         start, slope, _ = self.missed
         return max((1.0 - start) / slope, 0.0) if slope < 0.0 else 0.0
 
 
-def _line(line: tuple[float, float, float], q: Any) -> Array:
+def _clipped_line(line: tuple[float, float, float], q: Any) -> Array:
     start, slope, floor = line
     return np.clip(start + slope * np.asarray(q, dtype=np.float64), floor, 1.0)

@@ -1,4 +1,4 @@
-"""In which direction shadows point, from the image alone: a check on the Sun that is assumed."""
+"""Measure the direction of shadows to check the assumed Sun direction."""
 
 from __future__ import annotations
 
@@ -12,82 +12,87 @@ from lunarsim.errors import InputError
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.perception import _health_kernels as kernels
 from lunarsim.onboard.perception.detector import Detections, DetectorSettings
-from lunarsim.onboard.perception.high_sun import more_certain, turn_by_grey
+from lunarsim.onboard.perception.high_sun import high_sun_angle, more_certain
 from lunarsim.onboard.perception.lit_faces import LEAST_ELEVATION
 from lunarsim.onboard.perception.segmentation import lit_ground
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import (
-    USUAL_NUMBER,
+    PRIOR_NUMBER,
     SunAngle,
-    above_slopes,
-    doubled,
+    doubled_axes,
+    local_relative_brightness,
     mean_angle,
-    seen_from,
+    viewing_angles,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# A lit face is brighter than the ground by this factor, and within so many pixels of the shadow or
-# 0.7 q, whichever is more.
-_BRIGHT = 1.15
-_RING = 3
-# How much brighter than the ground a lit face is at least; sum of what its pixels have more than
-# that; pixels from its middle to that of the shadow.
-_EXCESS, _LEAST_BRIGHT, _LEAST_GAP = 0.05, 0.3, 0.7
-# Where the middle of a lit face is taken to be, in radii: towards the Sun, and up.
-_FACE_AHEAD, _FACE_UP = 0.6, 0.5
-# Ways from face to shadow that seem shorter than this, in radii, tell nothing.
-_LEAST_WAY = 0.7
-# Patches of fewer pixels across have no axis, nor those that should be rounder than this; axes
-# known to this angle tell better than faces, rad.
-_AXIS_Q, _LEAST_AXIS, _AXIS_KNOWN = 4.0, 0.15, float(np.deg2rad(3.0))
-# Patches of fewer pixels across have no face that is told from bright ground behind them.
-_FACE_Q = 3.0
-# Smaller ones count too where directions of all agree so well, as a mean of vectors of length 1:
-# bright ground lies on any side.
-_AGREE = 0.8
-# So many faces are believed before axes that are so far off them, rad, if their directions agree so
-# well: of rocks that cover 15 % of the ground faces are turned by up to 16 deg, axes by up to 45.
-_MANY_FACES = 20
-_ALIKE = ((0.7, float(np.deg2rad(27.0))), (0.88, float(np.deg2rad(15.0))))
-# What axes are off by however many there are, rad, as found between rendered shadows and the model;
-# faces that are believed before them err by that at least.
-_OFF = float(np.deg2rad(3.0))
+# Brightness of a lit face relative to the terrain, and its maximum distance from the shadow, pixels
+# (or 0.7 q, whichever is larger).
+_FACE_BRIGHTNESS_RATIO = 1.15
+_RING_PX = 3
+# Minimum excess brightness of a lit face, minimum sum of the excess beyond it, and minimum distance
+# between the centres of face and shadow, pixels.
+_MIN_FACE_EXCESS, _MIN_FACE_SUM, _MIN_GAP_PX = 0.05, 0.3, 0.7
+# Assumed centre of a lit face, in radii: towards the Sun, and up.
+_FACE_OFFSET, _FACE_HEIGHT = 0.6, 0.5
+# Minimum expected distance from face to shadow, in radii.
+_MIN_EXPECTED_GAP = 0.7
+# Minimum q and expected elongation of patches with an axis. Axes known to better than this angle
+# take precedence over faces, rad.
+_MIN_AXIS_Q, _MIN_ELONGATION, _PRECISE_AXIS_SIGMA_RAD = 4.0, 0.15, float(np.deg2rad(3.0))
+# Minimum q of patches whose face can be separated from bright terrain behind them.
+_MIN_FACE_Q = 3.0
+# Smaller patches also count if the mean resultant length of all directions exceeds this value,
+# since bright terrain lies on any side.
+_MIN_FACE_AGREEMENT = 0.8
+# Faces overrule axes if there are at least this many of them, and if they agree: pairs of minimum
+# mean resultant length and difference from the axes, rad. With rocks on 15 % of the terrain, faces
+# have errors of up to 16 deg, axes of up to 45 deg.
+_MIN_FACES_FOR_VETO = 20
+_FACE_VETO_LIMITS = ((0.7, float(np.deg2rad(27.0))), (0.88, float(np.deg2rad(15.0))))
+# Error of axes however many there are, rad, from rendered shadows and the model. It also bounds the
+# accuracy of faces that overrule axes.
+_AXIS_MODEL_SIGMA_RAD = float(np.deg2rad(3.0))
 
 
 def shadow_directions(image: ArrayLike, seen: Detections, rocks: Index | None = None) -> Array:
     """Return the direction from each rock's lit face to its shadow (n, 2), image axes.
 
-    The middle of the pixels round a patch that are brighter than the ground is the lit face. NaN
-    where there is none.
+    The lit face is the centroid of the pixels around a patch that are brighter than the terrain.
+    NaN where there is none.
 
     Parameters
     ----------
     image
-        That in which the rocks were found (height, width).
+        Image of the detections (height, width).
     seen
-        The rocks.
+        Detected rocks.
     rocks
-        Those of them to look at (n,); left out: all.
+        Indices of the rocks to evaluate (n,); default: all.
     """
     grey = np.asarray(image, dtype=np.float64)
     if grey.shape != seen.labels.shape:
-        raise InputError("image", grey.shape, f"the shape of the detections, {seen.labels.shape}")
+        raise InputError(
+            "image", grey.shape, f"must have the shape of the detections, {seen.labels.shape}"
+        )
     relative = grey / lit_ground(grey.astype(np.float32), DetectorSettings().window)
     index = np.arange(len(seen)) if rocks is None else rocks
     out = np.full((len(index), 2), np.nan)
     for n, rock in enumerate(index):
         label = seen.label[rock]
         rows, cols = np.nonzero(seen.labels == label)
-        reach = max(_RING, round(0.7 * float(seen.q[rock])))
+        reach = max(_RING_PX, round(0.7 * float(seen.q[rock])))
         i0, j0 = max(rows.min() - reach, 0), max(cols.min() - reach, 0)
         box = np.s_[i0 : rows.max() + reach + 1, j0 : cols.max() + reach + 1]
         here = (seen.labels[box] == label).astype(np.uint8)
         ring = cv2.dilate(here, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
         ring &= seen.labels[box] == 0
-        excess = np.where(ring, np.nan_to_num(relative[box]) - _BRIGHT, 0.0).clip(0.0)
+        excess = np.where(ring, np.nan_to_num(relative[box]) - _FACE_BRIGHTNESS_RATIO, 0.0).clip(
+            0.0
+        )
         if excess.sum() == 0.0:
             continue
         v, u = np.mgrid[: excess.shape[0], : excess.shape[1]]
@@ -107,151 +112,151 @@ def turn_from_sun(
     model: ShadowModel | ShapeMixture,
     noise: float,
 ) -> SunAngle:
-    """Measure by what angle shadows fall beside where the assumed Sun would throw them.
+    """Measure the angle between shadows and their direction under the assumed Sun.
 
-    Two things tell. Patches are long along the Sun: the axes of all, as seen on the ground, against
-    those of the model's patches give the angle closely, but not which end is which, and nothing
-    where the Sun is so high that patches are round. And pixels beside a patch that are brighter
-    than the ground close about are the rock's lit face: from there to the middle of the patch,
-    compared with where the model has the patch and with a face half way up the rock, is the whole
-    angle.
-    Under a high Sun, faces are no brighter than the ground: see `turn_by_grey`.
-    Ground that faces the Sun is bright too, but lies on any side of a rock; so the mean over rocks
-    counts, not what a single one says.
+    Two cues are used. Patches are elongated along the Sun: the axes of all patches on the ground,
+    compared with those of the model, give an accurate angle with an ambiguity of half a turn. They
+    give nothing under a high Sun, when patches are round. Pixels beside a patch that are brighter
+    than the terrain nearby are the lit face of the rock. The direction from there to the centre of
+    the patch, compared with the model, gives the complete angle. Under a high Sun, faces are no
+    brighter than the terrain; see `high_sun_angle`. Terrain that faces the Sun is bright too, but
+    lies on any side of a rock, so the mean over many rocks is used.
 
     Parameters
     ----------
     seen
-        Rocks in the picture.
+        Detected rocks.
     view
-        From where they are seen.
+        View of the image.
     points
-        Rocks' places on the ground (n, 3), ENU, m.
+        Positions of the rocks on the ground (n, 3), ENU, m.
     sun
-        Direction towards the Sun as it is assumed (3,), ENU.
+        Assumed direction towards the Sun (3,), ENU.
     model
-        What patch a rock shows.
+        Model of the shadows.
     noise
-        Of a pixel over the brightness of lit ground.
+        Noise of a pixel relative to the brightness of lit terrain.
     """
-    cut = max(_EXCESS, 4.0 * noise)
-    faces, large = _faces(seen, view, points, sun, model, cut)
-    agree = len(faces) > 0 and bool(abs(faces.mean()) > _AGREE)
+    threshold = max(_MIN_FACE_EXCESS, 4.0 * noise)
+    faces, large = _face_errors(seen, view, points, sun, model, threshold)
+    agree = len(faces) > 0 and bool(abs(faces.mean()) > _MIN_FACE_AGREEMENT)
     if model.elevation >= LEAST_ELEVATION:
-        grey = turn_by_grey(seen, view, points, sun, model, cut)
-        found = more_certain(grey, _by_faces(faces)) if agree else grey
+        grey = high_sun_angle(seen, view, points, sun, model, threshold)
+        found = more_certain(grey, _face_angle(faces)) if agree else grey
         return replace(found, high_sun=True)
     faces = faces if agree else faces[large]
-    axis, axis_sigma = mean_angle(_axes(seen, view, points, sun, model))
-    found = _by_faces(faces)
+    axis, axis_sigma = mean_angle(_axis_errors(seen, view, points, sun, model))
+    found = _face_angle(faces)
     if np.isfinite(axis_sigma) and len(faces):
-        # Axes come back after half a turn: their angles are doubled.
+        # Axes repeat after half a turn, so their angles are doubled.
         axis, raw = 0.5 * axis, 0.5 * axis_sigma
-        axis_sigma = float(np.hypot(raw, _OFF))
-        if raw < _AXIS_KNOWN or axis_sigma < found.sigma:
+        axis_sigma = float(np.hypot(raw, _AXIS_MODEL_SIGMA_RAD))
+        if raw < _PRECISE_AXIS_SIGMA_RAD or axis_sigma < found.sigma:
             same = np.mean(np.real(faces * np.exp(-1j * axis))) > 0.0
-            by_axes = _told(faces, axis if same else axis + np.pi, axis_sigma)
-            found = _of_two(found, by_axes, faces)
+            by_axes = _sun_angle(faces, axis if same else axis + np.pi, axis_sigma)
+            found = _select_angle(found, by_axes, faces)
     return found
 
 
-def _of_two(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]) -> SunAngle:
-    """Return the angle of the axes, but where many faces (n,) that are alike deny it.
+def _select_angle(by_faces: SunAngle, by_axes: SunAngle, faces: NDArray[np.complex128]) -> SunAngle:
+    """Return the angle of the axes, unless many consistent faces (n,) contradict it.
 
-    Then patches lie along something else: seen from far and from the side, those of rocks that
-    stand one behind the other run into each other, and on slopes the ground's own are long.
+    Axes can be wrong: from far and from the side, shadows of rocks behind each other merge, and on
+    slopes the shadows of the terrain itself are long.
     """
-    apart = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
-    alike = abs(faces.mean())
-    if len(faces) < _MANY_FACES or alike < _ALIKE[0][0]:
+    difference = abs(np.angle(np.exp(1j * (by_faces.angle - by_axes.angle))))
+    agreement = abs(faces.mean())
+    if len(faces) < _MIN_FACES_FOR_VETO or agreement < _FACE_VETO_LIMITS[0][0]:
         return by_axes
-    if any(alike >= least and apart > far for least, far in _ALIKE):
-        return replace(by_faces, sigma=float(np.hypot(by_faces.sigma, _OFF)))
+    if any(agreement >= least and difference > far for least, far in _FACE_VETO_LIMITS):
+        return replace(by_faces, sigma=float(np.hypot(by_faces.sigma, _AXIS_MODEL_SIGMA_RAD)))
     return replace(by_axes, by_faces=by_faces.angle)
 
 
-def _by_faces(faces: NDArray[np.complex128]) -> SunAngle:
-    """Return what lit faces (n,) tell."""
+def _face_angle(faces: NDArray[np.complex128]) -> SunAngle:
+    """Return the angle given by lit faces (n,)."""
     angle, sigma = mean_angle(faces)
-    return _told(faces, angle, sigma)
+    return _sun_angle(faces, angle, sigma)
 
 
-def _told(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
-    """Return an angle with what faces (n,) say of its side."""
+def _sun_angle(faces: NDArray[np.complex128], angle: float, sigma: float) -> SunAngle:
+    """Return an angle with the significance of its side by faces (n,)."""
     if not np.isfinite(sigma):
         return SunAngle(float("nan"), float("inf"), 0.0, len(faces))
     along = np.real(faces * np.exp(-1j * angle))
-    # Of directions that are any, half of the square lies along a line.
-    spread = np.sqrt(0.5 * (len(faces) + USUAL_NUMBER))
+    # For random directions, half of the squared sum lies along a given line.
+    spread = np.sqrt(0.5 * (len(faces) + PRIOR_NUMBER))
     wrapped = float(np.angle(np.exp(1j * angle)))
     return SunAngle(wrapped, sigma, float(along.sum() / spread), len(faces))
 
 
-def _axes(
+def _axis_errors(
     seen: Detections, view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> NDArray[np.complex128]:
-    """Return twice the angles from the axes of the model's patches to those seen (n,).
+    """Return twice the angles from the expected to the measured axes (n,), as vectors.
 
-    The vectors are the longer, the longer patches should be and are.
+    The length of a vector grows with expected and measured elongation.
     """
-    at = np.flatnonzero((seen.q >= _AXIS_Q) & np.isfinite(points).all(1))
-    azimuth, depression = seen_from(view, points[at], sun)
+    at = np.flatnonzero((seen.q >= _MIN_AXIS_Q) & np.isfinite(points).all(1))
+    azimuth, depression = viewing_angles(view, points[at], sun)
     unit = model.patch(azimuth, depression)
-    should = doubled(unit.length, unit.width, unit.skew)
-    found = doubled(seen.length[at], seen.width[at], seen.skew[at])
-    tell = abs(should) > _LEAST_AXIS
-    return np.asarray((found * np.conj(should))[tell])
+    expected_axis = doubled_axes(unit.length, unit.width, unit.skew)
+    found = doubled_axes(seen.length[at], seen.width[at], seen.skew[at])
+    is_elongated = abs(expected_axis) > _MIN_ELONGATION
+    return np.asarray((found * np.conj(expected_axis))[is_elongated])
 
 
-def _faces(
+def _face_errors(
     seen: Detections,
     view: View,
     points: Array,
     sun: Array,
     model: ShadowModel | ShapeMixture,
-    cut: float,
+    threshold: float,
 ) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-    """Return directions from lit faces to shadows (n,), of length 1, from where they should be.
+    """Return unit vectors of the angles from expected to measured directions (n,).
 
-    And of which the shadow is large enough to be told from bright ground (n,).
+    The second result is whether the shadow is large enough to separate a face from bright terrain.
     """
-    ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
-    sums = kernels.two_sides(above_slopes(seen), seen.rock, ring, len(seen), cut)[1:]
-    bright = sums[:, kernels.WEIGHT] > _LEAST_BRIGHT
+    ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
+    sums = kernels.two_sides(
+        local_relative_brightness(seen), seen.rock, ring, len(seen), threshold
+    )[1:]
+    bright = sums[:, kernels.WEIGHT] > _MIN_FACE_SUM
     at = np.flatnonzero(bright & np.isfinite(points).all(1))
     sums = sums[at]
     bright = sums[:, [kernels.BRIGHT_U, kernels.BRIGHT_V]] / sums[:, [kernels.WEIGHT]]
     gap = sums[:, [kernels.DARK_U, kernels.DARK_V]] / sums[:, [kernels.PIXELS]] - bright
-    apart = np.hypot(*gap.T) > _LEAST_GAP
-    at, gap = at[apart], gap[apart]
+    difference = np.hypot(*gap.T) > _MIN_GAP_PX
+    at, gap = at[difference], gap[difference]
     moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
     gap = np.linalg.solve(moves, gap[:, :, None])[:, :, 0]
     away = _expected_gap(view, points[at], sun, model)
     turned = (gap @ [1.0, 1.0j]) * np.conj(away @ [1.0, 1.0j])
-    far = np.hypot(*away.T) > _LEAST_WAY
+    far = np.hypot(*away.T) > _MIN_EXPECTED_GAP
     turned /= np.maximum(abs(turned), 1e-12)
-    return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _FACE_Q)
+    return np.asarray(turned[far]), np.asarray(seen.q[at][far] >= _MIN_FACE_Q)
 
 
 def _expected_gap(
     view: View, points: Array, sun: Array, model: ShadowModel | ShapeMixture
 ) -> Array:
-    """Return the way from lit faces to dark patches as seen on the ground (n, 2), in radii."""
+    """Return the vector from lit faces to dark patches on the ground (n, 2), in radii."""
     towards = sun[:2] / np.hypot(sun[0], sun[1])
     left = np.array([-towards[1], towards[0]])
     sight = points - view.position
-    unit = model.patch(*seen_from(view, points, sun))
+    unit = model.patch(*viewing_angles(view, points, sun))
     dark = unit.along[:, None] * towards + unit.side[:, None] * left
-    # What is above the ground is seen before ground that lies farther off.
+    # A point above the ground appears in front of terrain farther away.
     lean = sight[:, :2] / np.maximum(-sight[:, 2:], 1e-9)
-    return np.asarray(dark - _FACE_AHEAD * towards - _FACE_UP * lean)
+    return np.asarray(dark - _FACE_OFFSET * towards - _FACE_HEIGHT * lean)
 
 
 def mean_direction(directions: Array) -> tuple[float, float, int]:
-    """Return the median angle of directions (n, 2), half its 95 % interval, and their number.
+    """Return median angle, half 95 % interval and number of directions (n, 2).
 
     Angles are in radians from the first axis towards the second. The interval is that of a mean
-    of so many angles with the spread found (median absolute deviation).
+    with the spread found (median absolute deviation).
     """
     good = directions[np.isfinite(directions).all(1)]
     if len(good) < 3:

@@ -1,4 +1,4 @@
-"""How sharp the edges of shadows are: whether a picture is in focus and still."""
+"""Measure the sharpness of shadow edges to detect defocus and motion blur."""
 
 from __future__ import annotations
 
@@ -12,36 +12,35 @@ from lunarsim.onboard.perception.detector import Detections
 
 Array = NDArray[np.float64]
 
-# Brightness, over that of lit ground, by which the sides of an edge must differ, and as a multiple
-# of the noise, of which alone single pixels are edges.
-_LEAST_STEP, _LEAST_NOISES = 0.4, 15.0
-# A normal edge of width 1 is as steep as this.
-_STEEPEST = 1.0 / np.sqrt(2.0 * np.pi)
-# A difference over two pixels adds this to the square of a width, and a pixel's own size a quarter
-# of it.
-_DIFFERENCE = 4.0 / 12.0
-# No difference over two pixels exceeds the range it is compared with: what is sharper shows no
-# sharper, pixels.
-LEAST_WIDTH = 2.0 * _STEEPEST
-# Share of the shadows that are taken to be as sharp as the optics let them be: others have round
-# rocks or half-shade at their edges.
-_SHARP = 0.2
-# As many shadows tell.
-_MOST = 150
+# Minimum brightness step of an edge relative to lit terrain, and as a multiple of the noise,
+# because noise alone can make edges of single pixels.
+_MIN_STEP, _MIN_STEP_SIGMAS = 0.4, 15.0
+# Maximum slope of a Gaussian edge of width 1.
+_UNIT_EDGE_SLOPE = 1.0 / np.sqrt(2.0 * np.pi)
+# Variance added to that of an edge by a difference over two pixels and by the pixel size.
+_DIFFERENCE_VARIANCE = 4.0 / 12.0
+# A difference over two pixels cannot exceed the range, so no width below this can be measured,
+# pixels.
+MIN_WIDTH = 2.0 * _UNIT_EDGE_SLOPE
+# Fraction of the shadows that are taken to be as sharp as the optics permit. Others have round
+# rocks or penumbrae at their edges.
+_SHARPEST_FRACTION = 0.2
+# Maximum number of shadows evaluated.
+_MAX_SHADOWS = 150
 
 
 @dataclass(frozen=True)
 class EdgeWidths:
-    """Widths of the edges of shadows, 1 sigma, pixels, as differences over two pixels show them.
+    """Widths of shadow edges from differences over two pixels, 1 sigma, pixels.
 
     Attributes
     ----------
     number
-        Of shadows whose edges were measured.
+        Number of shadows with measured edges.
     sharpest
-        Of the sharpest fifth of them, along the steepest slope; infinite for none.
+        Width of the sharpest fifth along the steepest slope; infinite for none.
     least_sharp
-        The same along one direction, that in which it is greatest.
+        Maximum over fixed directions of the width of the sharpest fifth along that direction.
     """
 
     number: int
@@ -50,33 +49,33 @@ class EdgeWidths:
 
     @staticmethod
     def expected(blur_sigma: float) -> float:
-        """Return the width of a step seen through a point spread (1 sigma, pixels)."""
-        return float(np.sqrt(blur_sigma**2 + _DIFFERENCE))
+        """Return the width of a step for a given point spread (1 sigma, pixels)."""
+        return float(np.sqrt(blur_sigma**2 + _DIFFERENCE_VARIANCE))
 
 
 def edge_widths(seen: Detections, noise: float) -> EdgeWidths:
-    """Measure the edges of rocks' shadows.
+    """Measure the edges of rock shadows.
 
-    An edge that optics blur with a normal point spread of width s is at its steepest 0.4 / s of its
-    height; the height is taken from the range of brightness within three pixels, and for the slope
-    along a direction from that along it: beside a lit face, the range all about is the height of
-    another edge.
+    An edge blurred by a Gaussian point spread of width s has a maximum slope of 0.4 / s times its
+    height. The height is the brightness range within three pixels. For the slope along a direction
+    it is the range along that direction, because the range around a lit face belongs to another
+    edge.
 
     Parameters
     ----------
     seen
-        Rocks found in the picture.
+        Rocks detected in the image.
     noise
-        Of a pixel over the brightness of lit ground.
+        Noise of a pixel relative to the brightness of lit terrain.
     """
-    least = max(_LEAST_STEP, _LEAST_NOISES * noise)
-    # Labels run down the picture: every so many of them lie evenly over all of it.
-    every = -(-len(seen) // _MOST) or 1
-    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, least)[1:]
+    min_step = max(_MIN_STEP, _MIN_STEP_SIGMAS * noise)
+    # Labels are sorted by image row, so every n-th samples the image evenly.
+    every = -(-len(seen) // _MAX_SHADOWS) or 1
+    slopes = kernels.edge_slopes(seen.over_ground, seen.rock, len(seen), every, min_step)[1:]
     slopes = slopes[slopes[:, -1] > 0.0]
     if len(slopes) == 0:
         return EdgeWidths(0, np.inf, np.inf)
     with np.errstate(divide="ignore"):
-        each = _STEEPEST / slopes
-    widths = np.quantile(each, _SHARP, axis=0, method="lower")
+        each = _UNIT_EDGE_SLOPE / slopes
+    widths = np.quantile(each, _SHARPEST_FRACTION, axis=0, method="lower")
     return EdgeWidths(len(each), float(widths[-1]), float(widths[:-1].max()))

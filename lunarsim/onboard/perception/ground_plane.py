@@ -1,9 +1,9 @@
-"""Ground that slopes, as a plane, and coordinates in which it is level.
+"""Sloping terrain as a plane, and coordinates in which it is horizontal.
 
-Heights counted from the plane turn it level and move no point to the side; straight lines stay
-straight. So a shadow on a slope is that on level ground under a Sun that stands higher or lower,
-seen from a camera whose lines of sight are steeper or flatter: what is known of shadows on level
-ground holds, if rocks stand upright on either.
+Measuring heights from the plane makes it horizontal without lateral displacement and keeps straight
+lines straight. A shadow on a slope thus equals one on horizontal ground under a higher or lower
+Sun, seen from a steeper or flatter direction. Models for horizontal ground then apply, if rocks
+stand upright on either.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class LevelledView(View):
-    """A view in coordinates in which sloping ground is level: `axes` are no rotation there."""
+    """View in coordinates that make a sloping plane horizontal; `axes` is no rotation."""
 
     @property
     def into(self) -> Array:
@@ -29,14 +29,14 @@ class LevelledView(View):
 
 @dataclass(frozen=True)
 class GroundPlane:
-    """A plane of ground.
+    """Plane that approximates the terrain.
 
     Attributes
     ----------
     height
-        Above the origin, m.
+        Height at the origin, m.
     gradient
-        By how much it rises to the east and to the north (2,), tangents.
+        Slope to the east and to the north (2,), tangents.
     """
 
     height: float
@@ -44,57 +44,57 @@ class GroundPlane:
 
     @classmethod
     def through(cls, point: ArrayLike, gradient: ArrayLike) -> GroundPlane:
-        """Return the plane of a gradient (2,) through a point (3,), ENU, m."""
+        """Return the plane with a gradient (2,) through a point (3,), ENU, m."""
         east, north, up = (float(x) for x in np.asarray(point, np.float64))
         rise_east, rise_north = (float(g) for g in np.asarray(gradient, np.float64))
         return cls(up - rise_east * east - rise_north * north, (rise_east, rise_north))
 
     @property
     def level(self) -> bool:
-        """Whether it does not slope."""
+        """Whether the plane is horizontal."""
         return self.gradient == (0.0, 0.0)
 
     def heights(self, xy: Array) -> Array:
-        """Return its heights (n,) at points (n, 2), m."""
+        """Return the heights of the plane (n,) at points (n, 2), m."""
         return np.asarray(self.height + xy @ np.array(self.gradient))
 
     def levelled(self, vectors: Array) -> Array:
-        """Return vectors (..., 3), ENU, less what the plane rises along them."""
+        """Return vectors (..., 3), ENU, minus the rise of the plane along them."""
         out = np.array(vectors, np.float64)
         out[..., 2] -= out[..., :2] @ np.array(self.gradient)
         return out
 
     def direction(self, vector: Array) -> Array:
-        """Return a direction (3,) in coordinates in which the plane is level, of unit length."""
+        """Return a direction (3,) in coordinates with the plane horizontal, unit length."""
         if self.level:
             return np.asarray(vector)
         out = self.levelled(vector)
         return np.asarray(out / np.linalg.norm(out))
 
     def points(self, points: Array) -> Array:
-        """Return points (..., 3), their heights counted from the plane, m."""
+        """Return points (..., 3) with heights measured from the plane, m."""
         out = self.levelled(points)
         out[..., 2] -= self.height
         return out
 
     def seen_pixel(self, pixel: Array, away: Array, levelled: Array) -> Array:
-        """Return sizes of pixels (...), m, by which level ground shows as much as this plane does.
+        """Return pixel sizes (...), m, at which horizontal ground appears as this plane.
 
-        Of two patches of ground alike, that shows more which is seen more steeply and nearer by;
-        what is known of level ground is told the steepness in levelled coordinates.
+        Of two equal patches of terrain, the one that is seen more steeply and from nearby covers
+        more pixels. Models for horizontal ground use the depression in levelled coordinates.
 
         Parameters
         ----------
         pixel
-            Across the lines of sight (...), m.
+            Pixel size across the lines of sight (...), m.
         away, levelled
-            Ways to the camera (..., 3), as they are and levelled, m.
+            Vectors to the camera (..., 3), as they are and levelled, m.
         """
         longer = np.linalg.norm(away, axis=-1) / np.linalg.norm(levelled, axis=-1)
         return np.asarray(pixel * np.sqrt(longer))
 
     def view(self, view: View) -> View:
-        """Return a view in coordinates in which the plane is level, at height 0."""
+        """Return a view in coordinates with the plane horizontal at height 0."""
         position = self.points(view.position)
         if self.level:
             return replace(view, position=position)

@@ -1,8 +1,8 @@
-"""Health of a picture: what must be so before anything in it, or missing from it, counts.
+"""Quality check of camera images before they are used for hazard mapping.
 
-A map is drawn from what pictures do not show. So a picture counts only if it shows that rocks would
-have been seen: it is exposed, sharp, new and whole, it has shadows, and these fall where the Sun
-throws them. What shows nothing, be it a cap on the lens or ground without a rock, is not seen.
+A map is based on what images do not show. An image is therefore used only if it proves that rocks
+would be visible: it is exposed, sharp, new and complete, it contains shadows, and these point away
+from the Sun. A covered lens or terrain without rocks proves nothing and is not used.
 """
 
 from __future__ import annotations
@@ -22,64 +22,64 @@ from lunarsim.models.camera import CameraModel
 from lunarsim.models.pinhole import View
 from lunarsim.models.pose import Pose
 from lunarsim.onboard.perception.detector import Detections
-from lunarsim.onboard.perception.edges import LEAST_WIDTH, EdgeWidths, edge_widths
+from lunarsim.onboard.perception.edges import MIN_WIDTH, EdgeWidths, edge_widths
 from lunarsim.onboard.perception.sun_angle import SunAngle
 
 Array = NDArray[np.float64]
 
-# Every so many pixels and rows are looked at where a share of the picture is wanted.
-_EVERY = 4
-# Sides of the picture are cut into so many bands, each of which must be as it should.
-_BANDS = 8
-# Share of the pixels, the quietest, that tell of noise.
-_QUIET = 0.25
-# Counts that read noise may make of nothing; share of the pixels that must show more.
-_BLACK, _LEAST_SHOWN = 3, 0.02
-# Ground darker than this share of what is lit may be missing; of a line that is, more than the one
-# share is so dark, and of one beside a straight end less than the other.
-_DARKEST, _ALL, _SOME = 0.15, 0.98, 0.6
-# Share of the pixels in shadow that tell how dark it is.
-_DARKEST_SHADE = 0.01
-# Frames before the last that one is compared with: a buffer may be read over and over.
-_KEPT = 3
+# Stride of the pixels and rows from which fractions of the image are estimated.
+_PIXEL_STRIDE = 4
+# Number of bands along each side of the image; each of them must pass.
+_BAND_COUNT = 8
+# Quantile of the response, from the quietest pixels, from which noise is estimated.
+_NOISE_QUANTILE = 0.25
+# Counts that read noise alone can produce; minimum fraction of the pixels above them.
+_MAX_BLACK_COUNTS, _MIN_LIT_FRACTION = 3, 0.02
+# Terrain below this fraction of the lit brightness may be missing. A missing line has more than the
+# second fraction of such pixels, and a line beside a straight end less than the third.
+_MISSING_BRIGHTNESS_RATIO, _MISSING_LINE_DARK, _NEIGHBOUR_LINE_DARK = 0.15, 0.98, 0.6
+# Quantile of the shadowed pixels that defines the brightness of shadows.
+_SHADE_QUANTILE = 0.01
+# Number of earlier frames with which an image is compared, since a buffer may be read repeatedly.
+_COMPARED_FRAMES = 3
 
 
 class Fault(Enum):
-    """Why a picture does not count."""
+    """Reason for rejecting an image."""
 
-    FORM = "it is not of the size and type of its camera's"
-    POSE = "nobody knows where it was taken"
-    NO_NUMBERS = "too many pixels are no numbers"
-    FAINT = "lit ground is too dark"
+    FORM = "size or type differs from the camera's"
+    POSE = "camera pose is unknown"
+    NO_NUMBERS = "too many pixels are not finite"
+    FAINT = "lit terrain is too dark"
     SATURATED = "too many pixels are saturated"
     VEILED = "shadows are too bright"
     NOISE = "noise hides shadows"
-    STUCK = "it is one of the last, or a part of it is"
+    STUCK = "image repeats an earlier one, completely or in part"
     GAPS = "rows or columns are missing"
-    DARK = "too much lies in the dark"
-    NO_SHADOWS = "it has too few shadows to show that rocks would be seen"
-    BLURRED = "edges are not sharp"
-    SMEARED = "edges are not sharp along one direction"
-    SUN_ELSEWHERE = "shadows do not fall away from the Sun"
-    MISPLACED = "rocks that were seen before are not where they should be"
-    SUN_UNPROVEN = "shadows do not tell that the Sun is where it is taken to be"
+    DARK = "too much of the image is dark"
+    NO_SHADOWS = "too few shadows to prove that rocks are visible"
+    BLURRED = "shadow edges are blurred"
+    SMEARED = "shadow edges are blurred along one direction"
+    SUN_ELSEWHERE = "shadows do not point away from the Sun"
+    MISPLACED = "tracked rocks are not at their predicted positions"
+    SUN_UNPROVEN = "shadows do not confirm the assumed Sun direction"
 
 
-# Nothing is wrong with the picture; it only proves nothing.
-_PROVES_NOTHING = frozenset({Fault.NO_SHADOWS, Fault.SUN_UNPROVEN})
+# These images have no defect, but prove nothing.
+_INCONCLUSIVE = frozenset({Fault.NO_SHADOWS, Fault.SUN_UNPROVEN})
 
 
 @dataclass(frozen=True)
-class Health:
-    """What a picture is good for.
+class ImageQuality:
+    """Result of the quality check of an image.
 
     Attributes
     ----------
     fault
-        The first that was found; None: the picture counts.
+        First fault found; None: the image is accepted.
     figures
-        What was measured until then, by name: `lit` (counts), `saturated`, `gaps`, `dark` (shares),
-        `noise` (over the brightness of lit ground), `shadows` (number), `shade` (over lit ground),
+        Metrics measured so far, by name: `lit` (counts), `saturated`, `gaps`, `dark` (fractions),
+        `noise` (relative to lit terrain), `shadows` (number), `shade` (relative to lit terrain),
         `width`, `smear` (pixels, 1 sigma of edges), `turn`, `turn_sigma` (rad), `turn_side`
         (standard deviations).
     """
@@ -89,59 +89,62 @@ class Health:
 
     @property
     def good(self) -> bool:
-        """Whether the picture counts."""
+        """Whether the image is accepted."""
         return self.fault is None
 
     @property
     def alarm(self) -> bool:
-        """Whether something is wrong with camera, picture or Sun: not that nothing was in view."""
-        return self.fault is not None and self.fault not in _PROVES_NOTHING
+        """Whether camera, image or Sun direction is faulty, not only the view empty."""
+        return self.fault is not None and self.fault not in _INCONCLUSIVE
 
 
 @dataclass(frozen=True)
 class HealthSettings:
-    """When a picture counts.
+    """Criteria for accepting an image.
 
     Attributes
     ----------
     blur_sigma
-        Point spread of the camera as calibrated, 1 sigma, pixels.
+        Calibrated point spread of the camera, 1 sigma, pixels.
     least_lit
-        Counts of lit ground: one is then an eighth of its brightness.
+        Minimum counts of lit terrain; one count is then an eighth of its brightness.
     most_saturated
-        Share of the pixels that may have the greatest count there is.
+        Maximum fraction of the pixels at the highest count.
     most_noise
-        Of a pixel, over the brightness of lit ground, in any part of the picture.
+        Maximum noise of a pixel relative to lit terrain, in any part of the image.
     most_dark
-        Share of the picture that may be dark, be it shadow or sky.
+        Maximum fraction of the image that is dark, whether shadow or sky.
     most_gaps
-        Share of the pixels that may be no numbers, and of rows or columns that may be missing.
+        Maximum fraction of pixels that are not finite, and of rows or columns that are missing.
     most_same
-        Share of the lit pixels of a band of the picture that may be as in one of the last.
+        Maximum fraction of the lit pixels of a band that equal those of an earlier image.
     most_shade
-        Brightness over that of lit ground of the darkest of what lies in shadow.
+        Maximum brightness of the darkest shadows relative to lit terrain.
     least_shadows
-        Of rocks, to judge by.
-    most_width, most_smear
-        Of edges of shadows, over what the point spread makes of them: of the sharpest, and of the
-        sharpest along the direction in which they are least so.
+        Minimum number of rock shadows.
+    most_width
+        Maximum width of the sharpest shadow edges, relative to that of the point spread.
+    most_smear
+        The same for the direction in which edges are least sharp.
     most_turn, least_turn
-        By what angle shadows may fall beside where the Sun throws them for it to be there, and
-        from what angle on it is not; between them they tell neither, rad.
+        Angle between shadows and their expected direction up to which the Sun direction is
+        confirmed, and from which it is contradicted, rad; in between neither holds.
     high_turn
-        The latter under a high Sun: boulders brighter than the ground turn it by up to 18 deg.
-    turn_sigma, least_side
-        How well that angle must be known to tell, rad, and by how many standard deviations that it
-        is not half a turn more.
+        Replaces `least_turn` under a high Sun, where boulders brighter than the terrain bias the
+        angle by up to 18 deg, rad.
+    turn_sigma
+        Maximum standard deviation of that angle for a conclusion, rad.
+    least_side
+        Minimum significance against an error of half a turn, standard deviations.
     least_agreement
-        Length of the mean direction from lit faces to shadows from which on it is rocks that tell
-        that the Sun is elsewhere: craters and slopes turn it too, and agree less.
+        Minimum mean resultant length of the directions from lit faces to shadows for a
+        contradiction. Craters and slopes shift the angle too, but agree less.
     proof_agreement
-        The same from which on shadows show that the Sun is in its place: where shadows run into
-        each other, what lies between them passes for lit faces on the wrong side, and fewer agree.
+        The same for a confirmation. Where shadows merge, terrain between them is taken for lit
+        faces on the wrong side, and fewer directions agree.
     wrong_turn, wrong_by
-        What the Sun may be wrong by, rad. Under a high Sun an angle that is less well known shows
-        it in its place too, if it is so many standard deviations from that.
+        Maximum error of the Sun direction, rad. Under a high Sun a less accurate angle also
+        confirms the direction if it is `wrong_by` standard deviations away from `wrong_turn`.
     """
 
     blur_sigma: float = 0.6
@@ -168,37 +171,43 @@ class HealthSettings:
     def __post_init__(self) -> None:
         check_types("health", self)
         if not (np.isfinite(self.blur_sigma) and self.blur_sigma >= 0.0):
-            raise InputError("health.blur_sigma", self.blur_sigma, "0 or a positive number")
+            raise InputError("health.blur_sigma", self.blur_sigma, "must be 0 or positive")
         for name in ("most_saturated", "most_dark", "most_gaps", "most_same"):
             if not 0.0 < getattr(self, name) <= 1.0:
-                raise InputError(f"health.{name}", getattr(self, name), "a share above 0, up to 1")
+                raise InputError(
+                    f"health.{name}", getattr(self, name), "must be above 0 and at most 1"
+                )
         for name in ("least_lit", "most_noise", "least_shadows", "most_shade", "most_width",
                      "most_smear", "most_turn", "least_turn", "high_turn", "turn_sigma",
                      "least_side", "least_agreement", "proof_agreement", "wrong_turn",
                      "wrong_by"):  # fmt: skip
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"health.{name}", getattr(self, name), "a positive number")
+                raise InputError(
+                    f"health.{name}", getattr(self, name), "must be positive and finite"
+                )
         for name in ("least_agreement", "proof_agreement"):
             if getattr(self, name) > 1.0:
-                raise InputError(f"health.{name}", getattr(self, name), "at most 1")
+                raise InputError(f"health.{name}", getattr(self, name), "must be at most 1")
         if not self.most_turn <= self.least_turn <= np.pi:
             turns = (self.most_turn, self.least_turn)
-            raise InputError("health.most_turn, least_turn", turns, "rising angles up to pi, rad")
+            raise InputError(
+                "health.most_turn, least_turn", turns, "must be ascending angles of at most pi rad"
+            )
 
 
 @dataclass
-class SunProof:
-    """Whether shadows have shown that the Sun is where it is taken to be.
+class SunConfirmation:
+    """Whether shadows have confirmed the assumed Sun direction.
 
-    It stays there, so later pictures need not show it again, be they another camera's of the same
-    lander; one that shows otherwise takes it back.
+    The Sun does not move, so later images, also of other cameras of the same lander, need not
+    confirm it again. An image that contradicts it withdraws the confirmation.
 
     Attributes
     ----------
     seen
-        Whether they have.
+        Whether the direction is confirmed.
     side
-        Of the picture that showed it most surely, see `SunAngle.side`.
+        Highest significance of a confirming image, see `SunAngle.side`.
     """
 
     seen: bool = False
@@ -206,61 +215,65 @@ class SunProof:
 
 
 class PictureHealth:
-    """Judges the pictures of one camera, one after the other.
+    """Checks the quality of the images of one camera in sequence.
 
     Parameters
     ----------
     settings
         See `HealthSettings`.
     sun
-        What pictures have shown of the Sun, to share with the lander's other cameras; left out: its
+        Confirmation of the Sun direction, shared with other cameras of the lander; default: its
         own.
     """
 
-    def __init__(self, settings: HealthSettings | None = None, sun: SunProof | None = None) -> None:
+    def __init__(
+        self, settings: HealthSettings | None = None, sun: SunConfirmation | None = None
+    ) -> None:
         self.settings = settings or HealthSettings()
-        self.sun = sun or SunProof()
-        self._last: deque[NDArray[Any]] = deque(maxlen=_KEPT)
+        self.sun = sun or SunConfirmation()
+        self._last: deque[NDArray[Any]] = deque(maxlen=_COMPARED_FRAMES)
 
-    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> Health:
-        """Judge a picture by itself.
+    def before_detection(self, counts: ArrayLike, camera: CameraModel, pose: Pose) -> ImageQuality:
+        """Check an image by itself.
 
         Parameters
         ----------
         counts
-            What should be unsigned counts, or numbers, (camera.height, camera.width).
+            Image (camera.height, camera.width), expected as counts or numbers.
         camera, pose
-            What took it, and from where.
+            Camera model, and pose of the camera.
         """
         try:
             raw = np.asarray(counts)
         except ValueError:
-            return Health(Fault.FORM, {})
+            return ImageQuality(Fault.FORM, {})
         if raw.shape != (camera.height, camera.width) or raw.dtype.kind not in "uif":
-            return Health(Fault.FORM, {})
+            return ImageQuality(Fault.FORM, {})
         if not (is_place(pose.position) and is_rotation(pose.attitude)):
-            return Health(Fault.POSE, {})
+            return ImageQuality(Fault.POSE, {})
         figures: dict[str, float] = {}
-        return Health(self._by_itself(raw, _below_horizon(camera.view(pose)), figures), figures)
+        return ImageQuality(
+            self._check_counts(raw, _looks_down(camera.view(pose)), figures), figures
+        )
 
-    def _by_itself(
+    def _check_counts(
         self, raw: NDArray[Any], ground: NDArray[np.bool_], figures: dict[str, float]
     ) -> Fault | None:
         s = self.settings
-        few = raw[::_EVERY, ::_EVERY]
-        known = np.isfinite(few)
-        figures["gaps"] = 1.0 - float(known.mean())
+        sampled = raw[::_PIXEL_STRIDE, ::_PIXEL_STRIDE]
+        is_finite = np.isfinite(sampled)
+        figures["gaps"] = 1.0 - float(is_finite.mean())
         if figures["gaps"] > s.most_gaps:
             return Fault.NO_NUMBERS
-        same = self._share_seen_before(few, s.least_lit)
-        self._last.append(few.copy())
-        ground = ground & known
+        same = self._repeated_fraction(sampled, s.least_lit)
+        self._last.append(sampled.copy())
+        ground = ground & is_finite
         if not ground.any():
             return Fault.NO_SHADOWS
-        figures["lit"] = _brightness(few[ground])
+        figures["lit"] = _lit_brightness(sampled[ground])
         if not figures["lit"] >= s.least_lit:
             return Fault.FAINT
-        figures["saturated"] = float((few[ground] == few[ground].max()).mean())
+        figures["saturated"] = float((sampled[ground] == sampled[ground].max()).mean())
         if figures["saturated"] > s.most_saturated:
             return Fault.SATURATED
         figures["gaps"] = max(figures["gaps"], _missing_lines(raw, ground, figures["lit"]))
@@ -271,156 +284,166 @@ class PictureHealth:
         figures["noise"] = _noise(raw) / figures["lit"]
         return Fault.NOISE if not figures["noise"] <= s.most_noise else None
 
-    def _share_seen_before(self, few: NDArray[Any], lit: float) -> float:
-        """Return the share of lit pixels as in one of the last, of the band that has most."""
-        most = 0.0
-        bright = few >= lit
+    def _repeated_fraction(self, sampled: NDArray[Any], lit: float) -> float:
+        """Return the maximum fraction of lit pixels of a band that repeat earlier ones."""
+        highest = 0.0
+        bright = sampled >= lit
         for last in self._last:
-            if last.shape != few.shape:
+            if last.shape != sampled.shape:
                 continue
-            same = bright & (few == last)
+            same = bright & (sampled == last)
             for axis in (0, 1):
-                for part, whole in zip(
-                    np.array_split(same, _BANDS, axis), np.array_split(bright, _BANDS, axis),
+                for same_band, bright_band in zip(
+                    np.array_split(same, _BAND_COUNT, axis),
+                    np.array_split(bright, _BAND_COUNT, axis),
                     strict=True,
-                ):  # fmt: skip
-                    lit_here = np.count_nonzero(whole)
-                    if lit_here >= 0.2 * whole.size:
-                        most = max(most, np.count_nonzero(part) / lit_here)
-        return most
+                ):
+                    lit_here = np.count_nonzero(bright_band)
+                    if lit_here >= 0.2 * bright_band.size:
+                        highest = max(highest, np.count_nonzero(same_band) / lit_here)
+        return highest
 
-    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> Health:
-        """Judge a picture, good by itself, by the shadows found in it.
+    def after_detection(self, seen: Detections, turn: SunAngle, noise: float) -> ImageQuality:
+        """Check an image by the shadows found in it.
 
         Parameters
         ----------
         seen
-            What was found in it.
+            Detections in the image.
         turn
-            By what angle shadows fall beside where the Sun is taken to throw them.
+            Angle between shadows and their expected direction.
         noise
-            As `before_detection` measured it.
+            Noise from `before_detection`.
         """
         s = self.settings
-        dark = float((seen.labels[::_EVERY, ::_EVERY] > 0).mean())
+        dark = float((seen.labels[::_PIXEL_STRIDE, ::_PIXEL_STRIDE] > 0).mean())
         figures = {"dark": dark, "shadows": float(len(seen))}
         if dark > s.most_dark:
-            return Health(Fault.DARK, figures)
+            return ImageQuality(Fault.DARK, figures)
         widths = edge_widths(seen, noise)
         figures |= {"width": widths.sharpest, "smear": widths.least_sharp}
         figures |= {"turn": turn.angle, "turn_sigma": turn.sigma, "turn_side": turn.side}
         if widths.number < s.least_shadows:
-            return Health(Fault.NO_SHADOWS, figures)
-        fault = self._blur(widths)
-        figures["shade"] = _shade(seen)
+            return ImageQuality(Fault.NO_SHADOWS, figures)
+        fault = self._check_sharpness(widths)
+        figures["shade"] = _shadow_brightness(seen)
         if fault is None and figures["shade"] > s.most_shade:
             fault = Fault.VEILED
-        return Health(fault or self._sun(turn), figures)
+        return ImageQuality(fault or self._check_sun(turn), figures)
 
-    def _blur(self, widths: EdgeWidths) -> Fault | None:
+    def _check_sharpness(self, widths: EdgeWidths) -> Fault | None:
         expected = EdgeWidths.expected(self.settings.blur_sigma)
         if not widths.sharpest <= self.settings.most_width * expected:
             return Fault.BLURRED
-        if not widths.least_sharp <= self.settings.most_smear * max(expected, LEAST_WIDTH):
+        if not widths.least_sharp <= self.settings.most_smear * max(expected, MIN_WIDTH):
             return Fault.SMEARED
         return None
 
     def tells(self, turn: SunAngle) -> bool:
-        """Say whether shadows tell where the Sun is."""
+        """Return whether the angle is accurate enough to locate the Sun."""
         s = self.settings
         return turn.sigma <= s.turn_sigma and turn.side >= s.least_side
 
     def judges(self, turn: SunAngle) -> bool:
-        """Say whether shadows tell that the Sun is in its place, or that it is not."""
+        """Return whether shadows confirm or contradict the Sun direction."""
         near = abs(turn.angle) < self.settings.least_turn
         return self.contradicts(turn) or (self.tells(turn) and near)
 
     def contradicts(self, turn: SunAngle) -> bool:
-        """Say whether shadows tell that the Sun is elsewhere: so many that it is rocks that do.
+        """Return whether consistent shadows of rocks contradict the Sun direction.
 
-        Where lit faces say that it is in its place, shadows that lie otherwise are not those of
-        single rocks.
+        If lit faces agree with the Sun direction but axes do not, the axes belong to merged shadows
+        and do not count.
         """
         s = self.settings
-        agree = turn.high_sun or turn.agreement >= s.least_agreement
-        elsewhere = s.high_turn if turn.high_sun else s.least_turn
-        denied = abs(turn.by_faces) < elsewhere
-        return self.tells(turn) and agree and abs(turn.angle) >= elsewhere and not denied
+        agrees = turn.high_sun or turn.agreement >= s.least_agreement
+        wrong_angle = s.high_turn if turn.high_sun else s.least_turn
+        contradicted_by_faces = abs(turn.by_faces) < wrong_angle
+        return (
+            self.tells(turn)
+            and agrees
+            and abs(turn.angle) >= wrong_angle
+            and not contradicted_by_faces
+        )
 
-    def _sun(self, turn: SunAngle) -> Fault | None:
+    def _check_sun(self, turn: SunAngle) -> Fault | None:
         s = self.settings
         if self.contradicts(turn):
             self.sun.seen, self.sun.side = False, 0.0
             return Fault.SUN_ELSEWHERE
-        far = turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
-        if far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
-            # Craters and shadows that run into each other do so, or the Sun is elsewhere.
+        is_far = (
+            turn.side >= s.least_side and abs(turn.angle) - s.wrong_by * turn.sigma > s.most_turn
+        )
+        if is_far or (self.tells(turn) and abs(turn.angle) >= s.least_turn):
+            # Either craters and merged shadows cause this, or the Sun direction is wrong.
             self.sun.seen &= turn.side <= self.sun.side
             return Fault.SUN_UNPROVEN
-        agree = turn.high_sun or turn.agreement >= s.proof_agreement
-        known = (self.tells(turn) and agree) or (
+        agrees = turn.high_sun or turn.agreement >= s.proof_agreement
+        is_proven = (self.tells(turn) and agrees) or (
             turn.high_sun
             and turn.side >= s.least_side
             and abs(turn.angle) + s.wrong_by * turn.sigma <= s.wrong_turn
         )
-        if known and abs(turn.angle) <= s.most_turn:
+        if is_proven and abs(turn.angle) <= s.most_turn:
             self.sun.seen, self.sun.side = True, max(self.sun.side, turn.side)
         return None if self.sun.seen else Fault.SUN_UNPROVEN
 
 
-def _shade(seen: Detections) -> float:
-    """Return how bright the darkest of what lies in rocks' shadows is, over lit ground."""
+def _shadow_brightness(seen: Detections) -> float:
+    """Return the brightness of the darkest rock shadows relative to lit terrain."""
     shaded = seen.relative[seen.rock > 0]
-    at = int(_DARKEST_SHADE * shaded.size)
+    at = int(_SHADE_QUANTILE * shaded.size)
     return float(np.partition(shaded, at)[at]) if shaded.size else np.inf
 
 
-def _brightness(seen: NDArray[Any]) -> float:
-    """Return the brightness of lit ground among pixels (n,), counts.
+def _lit_brightness(seen: NDArray[Any]) -> float:
+    """Return the brightness of lit terrain among pixels (n,), counts.
 
-    What is bright is half as bright at least as the brightest but a few, be most of the picture
-    in the dark.
+    Lit pixels have at least half of the brightness of the 90th percentile, also if most of the
+    image is dark.
     """
-    shown = seen[seen > _BLACK]
-    if len(shown) < _LEAST_SHOWN * len(seen):
+    shown = seen[seen > _MAX_BLACK_COUNTS]
+    if len(shown) < _MIN_LIT_FRACTION * len(seen):
         return 0.0
     return float(np.median(shown[shown >= 0.5 * np.percentile(shown, 90.0)]))
 
 
-def _below_horizon(view: View) -> NDArray[np.bool_]:
-    """Return which pixels look down, every few of them."""
-    u = (np.arange(0, view.width, _EVERY) - view.cx) / view.fx
-    v = (np.arange(0, view.height, _EVERY) - view.cy) / view.fy
+def _looks_down(view: View) -> NDArray[np.bool_]:
+    """Return which sampled pixels look below the horizon."""
+    u = (np.arange(0, view.width, _PIXEL_STRIDE) - view.cx) / view.fx
+    v = (np.arange(0, view.height, _PIXEL_STRIDE) - view.cy) / view.fy
     up = view.axes[2]
     return np.asarray(up[0] * u + up[1] * v[:, None] + up[2] < 0.0)
 
 
 def _missing_lines(raw: NDArray[Any], ground: NDArray[np.bool_], lit: float) -> float:
-    """Return the share of rows, or of columns, on the ground that never came.
+    """Return the fraction of rows or columns of terrain that were not read out.
 
-    They repeat the one before, which no two lines of lit ground do, or all of them is dark up to a
-    line next to it that is not, as no shadow is.
+    Such lines repeat the previous line, which never happens on lit terrain, or they are completely
+    dark up to a straight end, which no shadow has.
     """
-    most = 0.0
+    highest = 0.0
     for image, below in ((raw, ground), (raw.T, ground.T)):
-        lines = image[:, ::_EVERY]
-        dark = (lines < _DARKEST * lit).mean(1)
-        wholly = np.repeat(below.all(1), _EVERY)[: len(image)]
-        wholly = _without_sky(wholly, dark > _ALL)
-        if not wholly.any():
+        lines = image[:, ::_PIXEL_STRIDE]
+        dark = (lines < _MISSING_BRIGHTNESS_RATIO * lit).mean(1)
+        is_ground = np.repeat(below.all(1), _PIXEL_STRIDE)[: len(image)]
+        is_ground = _exclude_sky(is_ground, dark > _MISSING_LINE_DARK)
+        if not is_ground.any():
             continue
         repeats = np.zeros(len(lines), np.bool_)
         repeats[1:] = (lines[1:] == lines[:-1]).all(1)
-        empty = dark > _ALL
-        ends = (empty[1:] & (dark[:-1] < _SOME)) | (empty[:-1] & (dark[1:] < _SOME))
-        straight = (ends & wholly[1:] & wholly[:-1]).any()
-        gone = empty | repeats if straight else repeats & ~empty
-        most = max(most, float(gone[wholly].mean()))
-    return most
+        empty = dark > _MISSING_LINE_DARK
+        ends = (empty[1:] & (dark[:-1] < _NEIGHBOUR_LINE_DARK)) | (
+            empty[:-1] & (dark[1:] < _NEIGHBOUR_LINE_DARK)
+        )
+        straight = (ends & is_ground[1:] & is_ground[:-1]).any()
+        is_missing = empty | repeats if straight else repeats & ~empty
+        highest = max(highest, float(is_missing[is_ground].mean()))
+    return highest
 
 
-def _without_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which lines (n,) show ground, less dark ones next to the sky: ground may end there."""
+def _exclude_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which lines (n,) show terrain, without dark lines next to the sky."""
     out = ground.copy()
     for order in (range(1, len(out)), range(len(out) - 2, -1, -1)):
         for i in order:
@@ -431,24 +454,26 @@ def _without_sky(ground: NDArray[np.bool_], dark: NDArray[np.bool_]) -> NDArray[
 
 
 def _noise(raw: NDArray[Any]) -> float:
-    """Return the noise of a pixel, 1 sigma, of the part of the picture that has most.
+    """Return the noise of a pixel, 1 sigma, in the noisiest part of the image.
 
-    The Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0 on a
-    slope; its lower quartile passes over edges, be they half of a crowded picture.
+    Uses the Laplacian of Immerkaer (1996, Computer Vision and Image Understanding 64), which is 0
+    on a slope. Its lower quartile is insensitive to edges, also if they fill half of the image.
     """
     h, w = raw.shape
-    if min(h, w) < 3 * _BANDS:
+    if min(h, w) < 3 * _BAND_COUNT:
         return 0.0
 
     def at(di: int, dj: int) -> NDArray[np.float32]:
-        return raw[1 + di : h - 1 + di : _EVERY, 1 + dj : w - 1 + dj : _EVERY].astype(np.float32)
+        return raw[1 + di : h - 1 + di : _PIXEL_STRIDE, 1 + dj : w - 1 + dj : _PIXEL_STRIDE].astype(
+            np.float32
+        )
 
     corners = at(-1, -1) + at(-1, 1) + at(1, -1) + at(1, 1)
     sides = at(-1, 0) + at(1, 0) + at(0, -1) + at(0, 1)
     response = np.abs(corners - 2.0 * sides + 4.0 * at(0, 0)) / 6.0
     parts = [
-        np.nanquantile(part, _QUIET)
-        for rows in np.array_split(response, _BANDS // 2)
-        for part in np.array_split(rows, _BANDS // 2, 1)
+        np.nanquantile(same_band, _NOISE_QUANTILE)
+        for rows in np.array_split(response, _BAND_COUNT // 2)
+        for same_band in np.array_split(rows, _BAND_COUNT // 2, 1)
     ]
-    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _QUIET))
+    return float(np.max(parts)) / float(ndtri(0.5 + 0.5 * _NOISE_QUANTILE))

@@ -1,9 +1,9 @@
-"""The angle of shadows under a high Sun, by where black and grey lie in them.
+"""Angle of shadows under a high Sun, from the positions of black and grey pixels.
 
-See `lunarsim.onboard.perception.lit_faces`. Which shape rocks have matters: from the side, faces
-that look at the camera draw the grey of cubes 30 deg farther round than that of low rocks. The axes
-of patches, which tell little by themselves, tell of that: under the true shape and the true Sun
-both are off by the same angle.
+See `lunarsim.onboard.perception.lit_faces`. The shape of rocks matters: from the side, faces
+towards the camera shift the grey of cubes 30 deg farther than that of low rocks. The axes of
+patches, which give little information by themselves, constrain the shape: with the true shape and
+the true Sun, axes and faces give the same angle.
 """
 
 from __future__ import annotations
@@ -21,92 +21,92 @@ from lunarsim.onboard.perception.lit_faces import BLACK, GREY, MOST_GREY, lit_fa
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_angle import (
-    USUAL_NUMBER,
+    PRIOR_NUMBER,
     SunAngle,
-    above_slopes,
-    doubled,
+    doubled_axes,
+    local_relative_brightness,
     mean_angle,
-    seen_from,
+    viewing_angles,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Complex = NDArray[np.complex128]
 
-# Patches of fewer pixels across are all grey, of more it is less the optics that make them so.
-_LEAST_Q, _MOST_Q = 4.0, 9.0
-# Grey and bright pixels beside a patch, within so many of it.
-_RING = 3
-# Least sums of black and of lit, and pixels from the middle of the one to that of the other.
-_LEAST_SUM, _LEAST_GAP = 0.3, 0.3
-# By how much, rad, axes and faces differ besides chance under the true shape of rocks: shapes under
-# which they differ by more count for less. No angle is known better than that of faces.
-_AXES_OFF, _FACES_OFF = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
-# Where a face that looks at the camera draws black and grey round, it may be by this share more.
-_DRAWN = 0.2
-# Angles are taken anew under the Sun that they tell of until they move by no more than this, rad.
-_ENOUGH, _TURNS = float(np.deg2rad(2.0)), 4
-# Shapes that explain the picture worse than this share of chance has it say that none of them does.
-_UNEXPLAINED = float(np.exp(-4.5))
-# Grey and bright faces disagree if they are so many standard deviations apart.
-_DISAGREE = 3.0
+# Range of q: smaller patches are completely grey, and in larger ones optics contribute little grey.
+_MIN_Q, _MAX_Q = 4.0, 9.0
+# Maximum distance of grey and bright pixels from a patch, pixels.
+_RING_PX = 3
+# Minimum sums of black and of lit pixels, and minimum distance of their centroids, pixels.
+_MIN_SUM, _MIN_GAP_PX = 0.3, 0.3
+# Systematic differences of axes and of faces under the true shape of rocks, rad. The first reduces
+# the weight of shapes that fit worse, the second bounds the accuracy of the angle.
+_AXIS_SIGMA_RAD, _FACE_SIGMA_RAD = float(np.deg2rad(8.0)), float(np.deg2rad(2.5))
+# Relative uncertainty of the shift by faces towards the camera.
+_FACE_SHIFT_RATIO = 0.2
+# Tolerance (rad) and maximum number of iterations about the current Sun direction.
+_TOLERANCE_RAD, _MAX_ITERATIONS = float(np.deg2rad(2.0)), 4
+# Reject all shape hypotheses if the total likelihood is below this threshold.
+_MIN_LIKELIHOOD = float(np.exp(-4.5))
+# Grey and bright faces disagree beyond this many standard deviations.
+_DISAGREEMENT_SIGMAS = 3.0
 
-_NOTHING = SunAngle(float("nan"), float("inf"), 0.0, 0)
+_NO_ANGLE = SunAngle(float("nan"), float("inf"), 0.0, 0)
 
 
-def turn_by_grey(
+def high_sun_angle(
     seen: Detections,
     view: View,
     points: Array,
     sun: Array,
     model: ShadowModel | ShapeMixture,
-    cut: float,
+    threshold: float,
 ) -> SunAngle:
-    """Measure by what angle shadows fall beside where an assumed high Sun would throw them.
+    """Measure the angle between shadows and their direction under an assumed high Sun.
 
     Parameters
     ----------
     seen, view, points, sun, model
         See `turn_from_sun`.
     cut
-        Share by which a pixel that counts as bright is brighter than lit ground.
+        Relative excess over lit terrain from which a pixel counts as bright.
     """
-    at, gap = _gaps(seen, view, points, cut)
+    at, gap = _shadow_to_lit(seen, view, points, threshold)
     if len(at) == 0:
-        return _NOTHING
+        return _NO_ANGLE
     gap = gap / abs(gap)
-    # Axes as vectors at twice their angle from the east.
-    towards = _level(sun)
-    axes = doubled(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
-    turned, found = 0.0, _NOTHING
-    for _ in range(_TURNS):
-        # What faces look at the camera depends on where the Sun is: take it to be where they say.
-        found = _under(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
+    # Axes are vectors at twice their angle from east.
+    towards = _sun_azimuth(sun)
+    axes = doubled_axes(seen.length[at], seen.width[at], seen.skew[at]) * towards**2
+    turned, found = 0.0, _NO_ANGLE
+    for _ in range(_MAX_ITERATIONS):
+        # Which faces the camera sees depends on the Sun direction, so iterate.
+        found = _angle_under_sun(towards * np.exp(1j * turned), gap, axes, view, points[at], model)
         if not np.isfinite(found.angle):
-            return _NOTHING
+            return _NO_ANGLE
         turned += found.angle
-        if abs(found.angle) < _ENOUGH:
+        if abs(found.angle) < _TOLERANCE_RAD:
             break
     wrapped = float(np.angle(np.exp(1j * turned)))
     return SunAngle(wrapped, found.sigma, found.side, len(at))
 
 
 def more_certain(one: SunAngle, other: SunAngle) -> SunAngle:
-    """Return that of two measurements which is the more certain, or neither if they disagree."""
+    """Return the more accurate of two angles, or no angle if they disagree."""
     if np.isfinite(one.sigma) and np.isfinite(other.sigma):
         apart = np.angle(np.exp(1j * (one.angle - other.angle)))
-        if abs(apart) > _DISAGREE * np.hypot(one.sigma, other.sigma):
-            return _NOTHING
-    return min(one, other, key=lambda told: told.sigma)
+        if abs(apart) > _DISAGREEMENT_SIGMAS * np.hypot(one.sigma, other.sigma):
+            return _NO_ANGLE
+    return min(one, other, key=lambda angle: angle.sigma)
 
 
-def _level(sun: Array) -> complex:
-    """Return the Sun's azimuth as a vector, east real and north imaginary."""
+def _sun_azimuth(sun: Array) -> complex:
+    """Return the azimuth of the Sun as a unit vector, east real and north imaginary."""
     towards = complex(sun[0], sun[1])
     return towards / abs(towards)
 
 
-def _under(
+def _angle_under_sun(
     towards: complex,
     gap: Complex,
     axes: Complex,
@@ -114,45 +114,57 @@ def _under(
     points: Array,
     model: ShadowModel | ShapeMixture,
 ) -> SunAngle:
-    """Return by what angle faces (n,) and axes (n,) are off from where a Sun would have them."""
-    seen_at = seen_from(view, points, np.array([towards.real, towards.imag, 0.0]))
+    """Return the angle of faces (n,) and axes (n,) relative to an assumed Sun."""
+    seen_at = viewing_angles(view, points, np.array([towards.real, towards.imag, 0.0]))
     models = model.models if isinstance(model, ShapeMixture) else (model,)
     shares = model.shape_shares if isinstance(model, ShapeMixture) else np.ones(1)
-    told = []
+    estimates = []
     for one, share in zip(models, shares, strict=True):
         direction, axis = lit_faces(one, *seen_at)
         faces = gap * np.conj(towards * direction)
         beside = abs(np.angle(-direction))
-        drawn = _DRAWN * float(np.average(beside, weights=abs(direction) + 1e-9))
-        told.append(_of_one_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn))
-    return _together(told, len(gap))
+        drawn = _FACE_SHIFT_RATIO * float(np.average(beside, weights=abs(direction) + 1e-9))
+        estimates.append(
+            _angle_for_shape(faces, axes * np.conj(towards**2 * axis), float(share), drawn)
+        )
+    return _combine(estimates, len(gap))
 
 
-def _gaps(seen: Detections, view: View, points: Array, cut: float) -> tuple[Index, Complex]:
-    """Return which rocks (n,) show black and lit apart, and the way there on the ground (n,).
+def _shadow_to_lit(
+    seen: Detections, view: View, points: Array, threshold: float
+) -> tuple[Index, Complex]:
+    """Return rocks with separate black and lit parts (n,), and ground vectors (n,).
 
-    East is real, north imaginary.
+    The vectors point from lit to black; east is real, north imaginary.
     """
-    ring = cv2.dilate(seen.rock, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8))
+    ring = cv2.dilate(seen.rock, np.ones((2 * _RING_PX + 1, 2 * _RING_PX + 1), np.uint8))
     sums = kernels.black_and_lit(
-        seen.relative, above_slopes(seen), seen.rock, ring, len(seen), BLACK, GREY, MOST_GREY, cut
+        seen.relative,
+        local_relative_brightness(seen),
+        seen.rock,
+        ring,
+        len(seen),
+        BLACK,
+        GREY,
+        MOST_GREY,
+        threshold,
     )[1:]
     black, lit = sums[:, kernels.BLACK], sums[:, kernels.LIT]
-    shown = (black > _LEAST_SUM) & (lit > _LEAST_SUM)
-    shown &= (seen.q >= _LEAST_Q) & (seen.q <= _MOST_Q)
+    shown = (black > _MIN_SUM) & (lit > _MIN_SUM)
+    shown &= (seen.q >= _MIN_Q) & (seen.q <= _MAX_Q)
     at = np.flatnonzero(shown & np.isfinite(points).all(1))
     sums, black, lit = sums[at], black[at, None], lit[at, None]
     gap = sums[:, [kernels.BLACK_U, kernels.BLACK_V]] / black
     gap -= sums[:, [kernels.LIT_U, kernels.LIT_V]] / lit
-    apart = np.hypot(*gap.T) > _LEAST_GAP
+    apart = np.hypot(*gap.T) > _MIN_GAP_PX
     at, gap = at[apart], gap[apart]
     moves = view.pinhole.jacobian((points[at] - view.position) @ view.into.T, view.into[:, :2])
     return at, np.linalg.solve(moves, gap[:, :, None])[:, :, 0] @ np.array([1.0, 1.0j])
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What a picture tells if its rocks are of one shape: see `SunAngle`; and how likely it is."""
+class _ShapeAngle:
+    """Angle under one hypothesis of the rock shape, see `SunAngle`, and its weight."""
 
     angle: float
     sigma: float
@@ -160,39 +172,43 @@ class _Told:
     weight: float
 
 
-def _of_one_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _Told:
-    """Return what faces and axes (n,), from where they should be, tell of the Sun.
+def _angle_for_shape(faces: Complex, axes: Complex, share: float, drawn: float) -> _ShapeAngle:
+    """Return the angle given by faces and axes (n,) under one rock shape.
 
-    `drawn` is how far faces may be off as a whole, 1 sigma, rad.
+    `drawn` is the common error of the faces, 1 sigma, rad.
     """
     angle, sigma = mean_angle(faces)
     sigma = float(np.hypot(sigma, drawn))
     if not np.isfinite(sigma):
-        return _Told(0.0, np.inf, 0.0, share)
+        return _ShapeAngle(0.0, np.inf, 0.0, share)
     along = np.real(faces * np.exp(-1j * angle))
-    # Of directions that are any, half of the square lies along a line.
+    # For random directions, half of the squared sum lies along a given line.
     square = float((abs(faces) ** 2).sum())
-    spread = np.sqrt(0.5 * square * (1.0 + USUAL_NUMBER / len(faces)))
-    turned, doubt = mean_angle(axes)
-    chance = 1.0
-    if np.isfinite(doubt):
+    spread = np.sqrt(0.5 * square * (1.0 + PRIOR_NUMBER / len(faces)))
+    turned, axis_sigma = mean_angle(axes)
+    likelihood = 1.0
+    if np.isfinite(axis_sigma):
         off = 0.5 * np.angle(np.exp(1j * (turned - 2.0 * angle)))
-        chance = float(np.exp(-0.5 * off**2 / (0.25 * doubt**2 + sigma**2 + _AXES_OFF**2)))
-    return _Told(angle, sigma, float(along.sum() / spread), share * chance)
+        likelihood = float(
+            np.exp(-0.5 * off**2 / (0.25 * axis_sigma**2 + sigma**2 + _AXIS_SIGMA_RAD**2))
+        )
+    return _ShapeAngle(angle, sigma, float(along.sum() / spread), share * likelihood)
 
 
-def _together(told: list[_Told], number: int) -> SunAngle:
-    """Return what a picture tells of the Sun, the shape of its rocks unknown."""
-    weight = np.array([one.weight for one in told])
-    known = np.array([np.isfinite(one.sigma) for one in told])
-    if weight.sum() < _UNEXPLAINED or weight[known].sum() < 0.5 * weight.sum():
-        return _NOTHING
+def _combine(estimates: list[_ShapeAngle], number: int) -> SunAngle:
+    """Return the angle averaged over the hypotheses of the rock shape."""
+    weight = np.array([one.weight for one in estimates])
+    known = np.array([np.isfinite(one.sigma) for one in estimates])
+    if weight.sum() < _MIN_LIKELIHOOD or weight[known].sum() < 0.5 * weight.sum():
+        return _NO_ANGLE
     weight = np.where(known, weight, 0.0) / weight[known].sum()
-    vector = np.exp(1j * np.array([one.angle for one in told]))
+    vector = np.exp(1j * np.array([one.angle for one in estimates]))
     mean = weight @ vector
-    # What shapes differ by is not known either.
+    # The difference between shapes adds to the uncertainty.
     shapes = weight @ np.angle(vector * np.conj(mean)) ** 2
-    chance = weight @ np.array([one.sigma if np.isfinite(one.sigma) else 0.0 for one in told]) ** 2
-    sigma = float(np.sqrt(chance + shapes + _FACES_OFF**2))
-    side = float(weight @ np.array([one.side for one in told]))
+    scatter = (
+        weight @ np.array([one.sigma if np.isfinite(one.sigma) else 0.0 for one in estimates]) ** 2
+    )
+    sigma = float(np.sqrt(scatter + shapes + _FACE_SIGMA_RAD**2))
+    side = float(weight @ np.array([one.side for one in estimates]))
     return SunAngle(float(np.angle(mean)), sigma, side, number)

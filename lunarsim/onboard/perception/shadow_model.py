@@ -1,12 +1,11 @@
-"""What the shadow of a rock looks like from where the camera is.
+"""Model of the dark patch of a rock as seen from a given direction.
 
-A camera sees two dark things of a rock: the side turned away from the Sun and what is left of the
-shadow on the ground behind the rock. Projected along the line of sight onto the ground they are
-one dark patch, whose extent in units of the rock's radius depends on the direction of the Sun,
-that of the camera and the shape alone. The shadow EKF paper (III.A) takes half spheres seen from
-above; here the patch of any population of shapes is tabulated by casting rays, which for half
-spheres from above gives the paper's model back: from the centre to the tip at radius / sin(Sun
-elevation).
+A camera sees two dark parts of a rock: the side away from the Sun, and the visible part of the
+shadow on the ground behind the rock. Projected along the line of sight onto the ground they form
+one dark patch. Its size in units of the rock's radius depends only on the directions of Sun and
+camera and on the shape. The shadow EKF paper (III.A) assumes half spheres seen from above. Here
+the patch of any population of shapes is tabulated by ray casting; for half spheres from above this
+reproduces the paper's model, from the centre to the tip at radius / sin(Sun elevation).
 """
 
 from __future__ import annotations
@@ -22,26 +21,27 @@ from scipy.special import ndtr
 from lunarsim.errors import InputError
 from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception._table_kernels import interpolated
-from lunarsim.onboard.perception.kept_tables import kept_table
+from lunarsim.onboard.perception.table_cache import cached_table
 from lunarsim.rocks.field import RockModel
 from lunarsim.rocks.level_ground import RockOnLevelGround
 
 Array = NDArray[np.float64]
 
-# Directions that are tabulated: of the camera above the ground, and away from the Sun's azimuth.
+# Tabulated directions: depression of the camera, and azimuth from the Sun.
 _DEPRESSIONS = np.radians([8.0, 15.0, 22.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
 _AZIMUTHS = np.radians(np.arange(0.0, 181.0, 15.0))
-_SHAPES = 5
+_ROCKS_PER_SHAPE = 5
 # Samples across a radius.
-_DETAIL = 12
-# Standard deviations of radius and centre (an axis), in radii, that many looks do not average out.
-# `scenarios/shadows/looks.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16 and 0.18 to 0.22 for
-# irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
-_UNKNOWN = (0.12, 0.28)
-# A rock of radius 1 with less that is dark shows nothing; so many are drawn to find how many do.
-_BARE_AREA, _BARE_DRAWN = 0.15, 64
-# Tables are made for Suns whose tangents differ by this factor.
-_STEP = 1.1
+_SAMPLES_PER_RADIUS = 12
+# Standard deviations of radius and centre (per axis), in radii, that many observations do not
+# average out. `scenarios/shadows/looks.py` finds 0.09 and 0.37 for cubes, 0.15 to 0.16 and 0.18 to
+# 0.22 for irregular, mixed rocks and ellipsoids, 0.06 and 0.14 for half spheres.
+_PERSISTENT_SIGMAS = (0.12, 0.28)
+# A rock of radius 1 with less dark area is shadowless; number of samples to estimate their
+# fraction.
+_MIN_DARK_AREA, _SHADOWLESS_SAMPLES = 0.15, 64
+# Ratio of the tangents of neighbouring tabulated Sun elevations.
+_TANGENT_STEP = 1.1
 LEAST_ELEVATION = np.deg2rad(2.0)
 MOST_ELEVATION = np.deg2rad(80.0)
 
@@ -50,16 +50,16 @@ MOST_ELEVATION = np.deg2rad(80.0)
 class ShadowPatch:
     """Dark patches of rocks of radius 1 on the ground, seen from (...) directions.
 
-    Coordinates run from the rock's centre: `along` towards the Sun's azimuth, `across` to the left
-    of it as seen from above.
+    The origin is the rock's centre: `along` points to the azimuth of the Sun, `across` to its left
+    as seen from above.
 
     Attributes
     ----------
     along, side
-        Its mean (...).
+        Mean position (...).
     length, width
-        Of the rectangle along the Sun that has the same variances (...). Extents from one end to
-        the other would hang on single pixels.
+        Sides of the rectangle along the Sun with the same variances (...). End-to-end extents would
+        depend on single pixels.
     skew
         Covariance of the two coordinates (...).
     area
@@ -86,34 +86,34 @@ class ShadowModel:
     Parameters
     ----------
     elevation
-        Of the Sun, rad, from 2 to 80 degrees.
+        Sun elevation, rad, from 2 to 80 degrees.
     shapes
-        Population of rocks that is expected; left out: half spheres, as in the paper. Its radius
-        is half the diameter as `RockModel.draw` defines it.
+        Expected population of rocks; default: half spheres, as in the paper. The radius is half the
+        diameter defined by `RockModel.draw`.
 
     Attributes
     ----------
     height
         Mean height above the ground, in radii.
     elongation
-        Longest half axis that a rock may have, in radii: a cube's is half its side.
+        Maximum half axis of a rock, in radii; half the side for a cube.
     longer_axis
         Mean and standard deviation of the longer half axis, in radii.
     slope
-        Spread of the ground's slope, tangent: rocks stand on level ground.
-    bare
-        Share of the rocks that show nothing dark, see `bare_share`.
+        Spread of the terrain slope, tangent; 0, since rocks stand on horizontal ground.
+    shadowless_fraction
+        Fraction of the rocks without anything dark, see `faceted_shadowless_fraction`.
     outline
         Mean and standard deviation of the distance from a rock's centre to its outline, over all
         directions and shapes, in radii.
     radius_sigma, centre_sigma
-        What stays unknown of radius and centre, an axis, however often a rock is seen, in radii:
-        its shape.
+        Uncertainty of radius and centre (per axis) by shape that remains for any number of
+        observations, in radii.
 
     Raises
     ------
     InputError
-        For another Sun elevation.
+        If the Sun elevation is out of range.
     """
 
     slope = 0.0
@@ -122,7 +122,9 @@ class ShadowModel:
         number = isinstance(elevation, float | int | np.floating)
         if not (number and LEAST_ELEVATION <= elevation <= MOST_ELEVATION):
             raise InputError(
-                "sun.elevation", elevation, "from 2 to 80 degrees, in radians, to see shadows by"
+                "sun.elevation",
+                elevation,
+                "must be between 2 and 80 deg (given in rad) for shadows",
             )
         self.elevation = elevation
         self.shapes = shapes or RockModel()
@@ -131,28 +133,31 @@ class ShadowModel:
         self.height = float(np.mean(drawn.base + drawn.height))
         round_or_square = self.shapes.shape in {"hemisphere", "cube"}
         faceted = {"irregular": 1.0, "mixed": 0.5}.get(self.shapes.shape, 0.0)
-        self.bare = faceted * bare_share(round(elevation, 3)) if faceted else 0.0
+        self.shadowless_fraction = (
+            faceted * faceted_shadowless_fraction(round(elevation, 3)) if faceted else 0.0
+        )
         self.elongation = 1.0 if round_or_square else float(self.shapes.axis_ratio[0] ** -0.5)
         self.longer_axis = (1.0, 0.0) if round_or_square else _longer_axis(*self.shapes.axis_ratio)
         self.outline, self.radius_sigma, self.centre_sigma = _outline(self.shapes)
 
     def under(self, elevation: float) -> ShadowModel:
-        """Return the model of the same shapes under a Sun of another elevation, rad.
+        """Return the model of the same shapes under another Sun elevation, rad.
 
         See `near_elevation`.
         """
-        near = near_elevation(elevation, self.elevation)
-        return self if near == self.elevation else _model_under(near, self.shapes)
+        nearest = near_elevation(elevation, self.elevation)
+        return self if nearest == self.elevation else _model_under(nearest, self.shapes)
 
-    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
-        """Return the probability that the longer half axes of rocks are at least so long (n,).
+    def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+        """Return the probability that the longer half axis of rocks exceeds a value (n,).
 
         Parameters
         ----------
         half_axis
-            m.
+            Value, m.
         radius, sigma
-            Of the discs of the rocks' areas, and their standard deviation, more than 0 (n,), m.
+            Radii of discs with the area of the rocks, and their standard deviations, positive (n,),
+            m.
         """
         mean, spread = self.longer_axis
         unknown = np.hypot(mean * sigma, spread * radius)
@@ -164,40 +169,44 @@ class ShadowModel:
         Parameters
         ----------
         azimuth
-            Of the camera as seen from the rock, less that of the Sun (...), rad, clockwise from
+            Azimuth of the camera from the rock minus that of the Sun (...), rad, clockwise from
             above; 0: the Sun is behind the camera.
         depression
-            Of the line of sight below the horizon (...), rad.
+            Depression of the line of sight below the horizon (...), rad.
         """
-        turn = np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
-        down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
-        turn, down = np.broadcast_arrays(turn, down)
-        columns = interpolated(
-            self._table, _AZIMUTHS, _DEPRESSIONS, abs(turn).ravel(), down.ravel()
+        relative_azimuth = (
+            np.mod(np.asarray(azimuth, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
         )
-        along, side, length, width, skew, *rest = (c.reshape(turn.shape) for c in columns)
-        side, skew = (np.where(turn < 0.0, -v, v) for v in (side, skew))
+        down = np.clip(depression, _DEPRESSIONS[0], _DEPRESSIONS[-1])
+        relative_azimuth, down = np.broadcast_arrays(relative_azimuth, down)
+        columns = interpolated(
+            self._table, _AZIMUTHS, _DEPRESSIONS, abs(relative_azimuth).ravel(), down.ravel()
+        )
+        along, side, length, width, skew, *rest = (
+            c.reshape(relative_azimuth.shape) for c in columns
+        )
+        side, skew = (np.where(relative_azimuth < 0.0, -v, v) for v in (side, skew))
         return ShadowPatch(along, side, length, width, skew, *rest)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
-        """Return q: side of the square of as many pixels as the patch covers (...).
+        """Return q, the square root of the number of pixels that a patch covers (...).
 
         Parameters
         ----------
         radius
-            Of the rocks (...), m.
+            Radius of the rocks (...), m.
         azimuth, depression
-            As for `patch`.
+            See `patch`.
         pixel
             Size of a pixel across the line of sight at the rock (...), m.
         """
-        # Of ground above the camera nothing is seen.
+        # Terrain above the camera is not visible.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
 
 def _longer_axis(least: float, most: float) -> tuple[float, float]:
-    """Return mean and standard deviation of r^-1/2, the ratio r of axes uniform between two."""
+    """Return mean and deviation of r^-1/2 for an axis ratio r uniform between limits."""
     if most - least < 1e-6:
         return least**-0.5, 0.0
     mean = 2.0 * (np.sqrt(most) - np.sqrt(least)) / (most - least)
@@ -211,56 +220,56 @@ def _model_under(elevation: float, shapes: RockModel) -> ShadowModel:
 
 
 def near_elevation(elevation: float, start: float) -> float:
-    """Return the elevation of the Sun nearest to one for which tables of shadows are made, rad.
+    """Return the nearest Sun elevation for which shadow tables exist, rad.
 
-    From a start its tangent goes in steps of a tenth: shadows are as long to 5 %. It is never less
-    than 2 nor more than 80 degrees, be the Sun below ground that slopes away from it.
+    From `start`, its tangent changes in steps of 10 %, so the length of shadows is accurate to 5 %.
+    The result lies between 2 and 80 degrees, also if the Sun is below a plane that slopes away from
+    it.
     """
     elevation = float(np.clip(elevation, LEAST_ELEVATION, MOST_ELEVATION))
-    steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_STEP))
-    near = float(np.arctan(np.tan(start) * _STEP**steps)) if steps else start
-    return float(np.clip(near, LEAST_ELEVATION, MOST_ELEVATION))
+    steps = round(np.log(np.tan(elevation) / np.tan(start)) / np.log(_TANGENT_STEP))
+    nearest = float(np.arctan(np.tan(start) * _TANGENT_STEP**steps)) if steps else start
+    return float(np.clip(nearest, LEAST_ELEVATION, MOST_ELEVATION))
 
 
 @lru_cache(maxsize=16)
-def bare_share(
+def faceted_shadowless_fraction(
     elevation: float, height_ratio: tuple[float, float] = RockModel.height_ratio
 ) -> float:
-    """Return the share of faceted rocks that show nothing dark under a Sun so high (rad).
+    """Return the fraction of faceted rocks with nothing dark at a Sun elevation (rad).
 
-    The higher the Sun, the more of them have all their faces lit, and no shadow beyond their
-    outline: one in sixty at 45 deg, one in five at 60; fewer of those that are higher, mean and
-    deviation of the height over the width being given. Rounded rocks and cubes have a dark side
-    under any Sun.
+    The higher the Sun, the more rocks have all faces lit and no shadow beyond their outline: 1 of
+    60 at 45 deg, 1 of 5 at 60 deg, fewer for higher rocks. `height_ratio` gives mean and deviation
+    of height over width. Rounded rocks and cubes always have a dark side.
     """
     shapes = RockModel("irregular", height_ratio=height_ratio, burial=(0.0, 0.0))
-    field = shapes.draw(np.full(_BARE_DRAWN, 2.0), np.random.default_rng(1969))
+    field = shapes.draw(np.full(_SHADOWLESS_SAMPLES, 2.0), np.random.default_rng(1969))
     sun = direction_from_angles(0.0, elevation)
     above = np.array([0.0, 0.0, 1.0])
     reach = shadow_reach(elevation)
     dark = [
         _dark_patch(RockOnLevelGround(field, k), sun, above, reach)[-1] for k in range(len(field))
     ]
-    return float(np.mean(np.array(dark) < _BARE_AREA))
+    return float(np.mean(np.array(dark) < _MIN_DARK_AREA))
 
 
 def shadow_reach(elevation: float) -> float:
-    """Return how far away from the Sun the patch of a rock of radius 1 may reach."""
+    """Return how far the patch of a rock of radius 1 may reach away from the Sun."""
     return 1.6 * (1.0 + 1.0 / float(np.tan(elevation))) + 0.5
 
 
 @lru_cache(maxsize=128)
 def _tabulate(elevation: float, shapes: RockModel) -> Array:
-    """Return the table (azimuths, depressions, 10) of `ShadowPatch`'s attributes in their order."""
+    """Return the cached table (azimuths, depressions, 10) of the `ShadowPatch` fields."""
     key = f"{elevation!r} {shapes!r}"
-    return kept_table("shadows", key, lambda: _tabulated(elevation, shapes))
+    return cached_table("shadows", key, lambda: _compute_table(elevation, shapes))
 
 
-def _tabulated(elevation: float, shapes: RockModel) -> Array:
-    """Make the table of `_tabulate`."""
+def _compute_table(elevation: float, shapes: RockModel) -> Array:
+    """Compute the table of `_tabulate`."""
     rng = np.random.default_rng(1953)
     one = shapes.shape == "hemisphere"
-    field = shapes.draw(np.full(1 if one else _SHAPES, 2.0), rng)
+    field = shapes.draw(np.full(1 if one else _ROCKS_PER_SHAPE, 2.0), rng)
     table = np.empty((_AZIMUTHS.size, _DEPRESSIONS.size, 10))
     scenes = [RockOnLevelGround(field, k) for k in range(len(field))]
     sun = direction_from_angles(0.0, elevation)
@@ -276,29 +285,28 @@ def _tabulated(elevation: float, shapes: RockModel) -> Array:
 def ground_about(
     scene: RockOnLevelGround, camera: Array, reach: float, step: float
 ) -> tuple[tuple[int, int], Array, Array, Array]:
-    """Return what a camera sees where the ground about a rock of radius 1 lies.
+    """Return the points that a camera sees in front of the ground about a rock.
 
-    A rock is seen in front of the ground behind it: its dark face shows there up to its height over
+    A rock of radius 1 hides the ground behind it: its dark face appears up to its height divided by
     the tangent of the depression.
 
     Parameters
     ----------
     scene
-        The rock; the Sun is in the north.
+        Rock; the Sun is in the north.
     camera
-        Direction towards it (3,).
+        Direction towards the camera (3,).
     reach
-        How far the shadow may reach, to the south.
+        Maximum length of the shadow, to the south.
     step
-        From place to place.
+        Spacing of the positions.
 
     Returns
     -------
     shape
-        Rows and columns of the places.
+        Rows and columns of the positions.
     ground, point, normal
-        Places on the ground (n, 3), the points that are seen there, lifted off a little, and the
-        normals at them.
+        Positions on the ground (n, 3), visible points, slightly lifted off, and normals there.
     """
     lean = 2.0 * camera[:2] / camera[2]
     x = np.arange(min(0.0, -lean[0]) - 1.6, max(0.0, -lean[0]) + 1.6, step)
@@ -317,14 +325,14 @@ def _dark_patch(
 
     The Sun is in the north, so `along` is y and `across`, to its left, is -x.
     """
-    step = 1.0 / _DETAIL
+    step = 1.0 / _SAMPLES_PER_RADIUS
     _, ground, point, normal = ground_about(scene, camera, reach, step)
     lit = normal @ sun > 0.0
     shaded = np.ones(len(point), bool)
     towards = np.broadcast_to(sun, (int(lit.sum()), 3))
     shaded[lit] = np.isfinite(scene.cast(point[lit], towards)[0])
     if not shaded.any():
-        # Nothing shows: a patch of no extent where the dark side would begin.
+        # Nothing is visible: a patch without extent at the centre.
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     along, across = ground[shaded, 1], -ground[shaded, 0]
     return (
@@ -335,9 +343,9 @@ def _dark_patch(
 
 @lru_cache(maxsize=8)
 def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
-    """Return `ShadowModel`'s outline, radius_sigma and centre_sigma of a population."""
+    """Return outline, radius_sigma and centre_sigma of `ShadowModel` for a population."""
     if shapes.shape == "hemisphere":
-        return (1.0, 0.0), *_UNKNOWN
+        return (1.0, 0.0), *_PERSISTENT_SIGMAS
     field = shapes.draw(np.full(64, 2.0), np.random.default_rng(1972))
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     radius = np.linspace(0.02, 2.4, 240)
@@ -346,4 +354,4 @@ def _outline(shapes: RockModel) -> tuple[tuple[float, float], float, float]:
     for k in range(len(field)):
         inside = RockOnLevelGround(field, k).covers(points)
         reach[k] = radius[:, None].repeat(angle.size, 1).max(0, where=inside, initial=0.0)
-    return (float(reach.mean()), float(reach.std())), *_UNKNOWN
+    return (float(reach.mean()), float(reach.std())), *_PERSISTENT_SIGMAS

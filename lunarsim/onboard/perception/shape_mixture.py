@@ -1,12 +1,12 @@
-"""Rocks of shapes that are not known: a mixture whose shares the shadows themselves tell.
+"""Mixture of rock shapes whose fractions are estimated from the shadows.
 
-The length of a shadow is that of the rock's height and of how the ground falls away, its width that
-of the rock. What radius a patch stands for thus depends on the shape of the rock and on the slope
-of the ground, and neither is known. Here each patch is read under every hypothesis, a shape and a
-spread of slopes; a hypothesis counts by its share in the population times how well length and width
-agree under it, and the radius is that of the mixture, with what the hypotheses differ by in its
-variance. The shares follow from what is seen (expectation maximisation), from a start that gives
-the told shape twice the share of another.
+The length of a shadow depends on the height of the rock and on the slope of the ground, its width
+on that of the rock. The radius that belongs to a patch thus depends on the unknown shape and
+slope. Each patch is evaluated under every hypothesis, a shape and a spread of slopes. The weight
+of a hypothesis is its fraction in the population times the agreement of length and width under it.
+The radius is the mean of the mixture; its variance includes the differences between hypotheses.
+The fractions are estimated from the patches (expectation maximisation), starting with twice the
+fraction for the shape that the mission expects.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from numpy.typing import NDArray
 from lunarsim.onboard.perception.shadow_model import (
     ShadowModel,
     ShadowPatch,
-    bare_share,
+    faceted_shadowless_fraction,
     near_elevation,
 )
 from lunarsim.rocks.field import RockModel
 
 Array = NDArray[np.float64]
 
-# Shapes that rocks may have: low and rounded, rounded or faceted and half as high as wide (the mean
-# of lunar rocks is 0.54: Demidov and Basilevsky 2014), the same nearly as high as wide, cubes sunk
-# in and cubes that lie on top. Shadows of the third are 0.6 to 0.75 as long and as wide as those of
-# a cube of the same radius: read as a cube it would be a third too small.
+# Shapes of rocks: low and rounded; rounded or faceted and half as high as wide (the mean of lunar
+# rocks is 0.54: Demidov and Basilevsky 2014); the same nearly as high as wide; embedded cubes;
+# cubes on the surface. Shadows of the third are 0.6 to 0.75 as long and as wide as those of a cube
+# of the same radius, so the radius would be a third too small if the rock were taken for a cube.
 LOW = RockModel("ellipsoid", height_ratio=(0.4, 0.05), burial=(0.0, 0.0))
 SHAPES = (
     LOW,
@@ -40,44 +40,45 @@ SHAPES = (
     RockModel("cube", burial=(0.2, 0.5)),
     RockModel("cube", burial=(0.0, 0.0)),
 )
-# And half spheres, where the mission expects them: their shadows are as long over as wide as those
-# of cubes sunk in, of two thirds of their radius, and only what is expected tells the two apart.
+# Half spheres are included only where the mission expects them. Their shadows have the same ratio
+# of length to width as embedded cubes of two thirds of their radius, so only the expectation
+# separates the two.
 HALF_SPHERE = RockModel("hemisphere", burial=(0.0, 0.0))
-# Spreads of the ground's slope, tangents.
+# Spreads of the terrain slope, tangents.
 SLOPES = np.array([0.0, 0.06, 0.15])
-# The start counts as much as so many patches.
-_START = 30.0
-# What earlier pictures said, read under shares that were less well known, counts by this factor
-# less with each picture.
-_KEPT = 0.8
-# No share falls below this: what has not been seen yet may come.
-_LEAST_SHARE = 0.01
-# Patches of fewer pixels across say nothing of shapes.
-_LEAST_Q = 4.0
-_LEAST_LENGTH = 0.05
-# What of a patch is averaged over shapes.
-_MEANS = ("along", "side", "length", "width", "skew", "area")
-# A shape of less weight, over all slopes together, is left out of the largest rock that a patch may
-# be the shadow of, which is so many standard deviations larger than it seems.
-_IMPROBABLE = 0.03
-_LARGEST = 2.0
+# Number of patches that the prior is worth.
+_PRIOR_WEIGHT = 30.0
+# Factor by which the weight of earlier images decreases with each image, because they were
+# evaluated with less accurate fractions.
+_MEMORY = 0.8
+# Minimum fraction, since unobserved shapes may still appear.
+_MIN_SHARE = 0.01
+# Minimum q of patches that carry information about shapes.
+_MIN_Q = 4.0
+_MIN_LENGTH = 0.05
+# Fields of a patch that are averaged over shapes.
+_AVERAGED = ("along", "side", "length", "width", "skew", "area")
+# Shapes below this weight are ignored for the largest rock that a patch may be the shadow of;
+# number of standard deviations added to its radius.
+_MIN_WEIGHT = 0.03
+_LARGEST_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
-class Reading:
-    """Patches read under all hypotheses.
+class RadiusEstimate:
+    """Patches evaluated under all hypotheses.
 
     Attributes
     ----------
     radius, sigma
-        Of the rocks (n,), m.
+        Radius of the rocks and its standard deviation (n,), m.
     largest
-        Longest half axis of the largest rocks that they may be the shadows of, under any hypothesis
-        that is not improbable (n,), m.
+        Longest half axis of the largest rock that may cast the shadow, under any hypothesis that is
+        not improbable (n,), m.
     unit
-        Patch of a rock of radius 1, mean over the hypotheses of each patch (n,).
+        Patch of a rock of radius 1, mean over the hypotheses (n,).
     weight
-        Of the hypotheses (n, hypotheses).
+        Weights of the hypotheses (n, hypotheses).
     """
 
     radius: Array
@@ -88,55 +89,55 @@ class Reading:
 
 
 class ShapeMixture:
-    """Dark patches of rocks whose shapes, and the ground's slopes, are inferred.
+    """Dark patches of rocks of unknown shape on terrain of unknown slope.
+
+    The other attributes are those of `ShadowModel`, averaged over the estimated population.
 
     Parameters
     ----------
     elevation
-        Of the Sun, rad, from 2 to 80 degrees.
-    told
-        Shape that the mission expects; None: it expects none.
+        Sun elevation, rad, from 2 to 80 degrees.
+    expected_shape
+        Shape that the mission expects; None: no expectation.
 
     Attributes
     ----------
     models
-        Of each shape.
-
-    The rest as in `ShadowModel`, for the population as it is known.
+        Model of each shape.
     """
 
-    def __init__(self, elevation: float, told: str | None = None) -> None:
-        if told is not None:
-            RockModel(told)  # type: ignore[arg-type]  # refuses a shape that there is not
+    def __init__(self, elevation: float, expected_shape: str | None = None) -> None:
+        if expected_shape is not None:
+            RockModel(expected_shape)  # type: ignore[arg-type]  # raises for an unknown shape
         self.elevation = elevation
-        shapes = (*SHAPES, HALF_SPHERE) if told == HALF_SPHERE.shape else SHAPES
+        shapes = (*SHAPES, HALF_SPHERE) if expected_shape == HALF_SPHERE.shape else SHAPES
         self.models = tuple(ShadowModel(elevation, shape) for shape in shapes)
         self.slopes = SLOPES
         cubes = np.array([shape.shape == "cube" for shape in shapes])
-        # Low ones are taken to be as high as rocks are in the mean: most of them are round.
+        # Low rocks use the mean height, because most of them are round.
         heights = [max(shape.height_ratio, RockModel.height_ratio) for shape in shapes]
-        bare = [bare_share(round(elevation, 3), height) for height in heights]
-        self._bare = np.where(cubes, 0.0, bare)
+        bare = [faceted_shadowless_fraction(round(elevation, 3), height) for height in heights]
+        self._shadowless = np.where(cubes, 0.0, bare)
         share = np.ones(len(shapes))
-        if told is not None:
-            share[cubes == (told == "cube")] = 2.0
+        if expected_shape is not None:
+            share[cubes == (expected_shape == "cube")] = 2.0
         start = np.repeat(share / share.sum(), len(SLOPES)) / len(SLOPES)
-        self._start = _START * start
-        self._count = np.zeros_like(self._start)
+        self._prior = _PRIOR_WEIGHT * start
+        self._observed_weight = np.zeros_like(self._prior)
 
     @classmethod
     def known(cls, model: ShadowModel) -> ShapeMixture:
-        """Return the mixture of one shape on level ground."""
+        """Return the mixture of one shape on horizontal ground."""
         one = cls.__new__(cls)
         one.elevation, one.models = model.elevation, (model,)
-        one.slopes, one._start, one._count = np.zeros(1), np.ones(1), np.zeros(1)
-        one._bare = np.array([model.bare])
+        one.slopes, one._prior, one._observed_weight = np.zeros(1), np.ones(1), np.zeros(1)
+        one._shadowless = np.array([model.shadowless_fraction])
         return one
 
     def under(self, elevation: float) -> ShapeMixture:
-        """Return the population as it is known, its shadows under a Sun of another elevation (rad).
+        """Return the current population under another Sun elevation (rad).
 
-        Elevations are taken in steps from this one's, see `near_elevation`.
+        Elevations change in steps, see `near_elevation`.
         """
         near = near_elevation(elevation, self.elevation)
         if near == self.elevation:
@@ -148,28 +149,28 @@ class ShapeMixture:
 
     @property
     def shares(self) -> Array:
-        """Of the hypotheses in the population (shapes * slopes,), slopes varying fastest."""
-        count = self._start + self._count
-        share = np.maximum(count / count.sum(), _LEAST_SHARE)
+        """Fractions of the hypotheses (shapes * slopes,), slopes varying fastest."""
+        count = self._prior + self._observed_weight
+        share = np.maximum(count / count.sum(), _MIN_SHARE)
         return np.asarray(share / share.sum())
 
     @property
     def shape_shares(self) -> Array:
-        """Of the shapes (shapes,)."""
+        """Fractions of the shapes (shapes,)."""
         return np.asarray(self.shares.reshape(len(self.models), -1).sum(1))
 
     @property
     def slope(self) -> float:
-        """Spread of the ground's slope as the shadows tell it, tangent."""
+        """Estimated spread of the terrain slope, tangent."""
         return float(np.sqrt(self.shares.reshape(len(self.models), -1).sum(0) @ self.slopes**2))
 
     @property
-    def bare(self) -> float:
-        """Share of the rocks that show nothing dark under this Sun.
+    def shadowless_fraction(self) -> float:
+        """Fraction of the rocks without anything dark under this Sun.
 
-        They do not tell of themselves, so all but cubes are taken to be faceted.
+        They cannot be observed, so all rocks except cubes are taken as faceted.
         """
-        return float(self.shape_shares @ self._bare)
+        return float(self.shape_shares @ self._shadowless)
 
     def _mean(self, name: str) -> float:
         return float(self.shape_shares @ np.array([getattr(m, name) for m in self.models]))
@@ -181,12 +182,12 @@ class ShapeMixture:
 
     @property
     def radius_sigma(self) -> float:
-        """What stays unknown of a radius however often a rock is seen, in radii."""
+        """Uncertainty of a radius that remains for any number of observations, in radii."""
         return self._mean("radius_sigma")
 
     @property
     def centre_sigma(self) -> float:
-        """What stays unknown of a centre, an axis, however often a rock is seen, in radii."""
+        """Uncertainty of a centre that remains for any number of observations, in radii."""
         return self._mean("centre_sigma")
 
     @property
@@ -196,12 +197,12 @@ class ShapeMixture:
         middle = float(self.shape_shares @ mean)
         return middle, float(np.sqrt(self.shape_shares @ (sigma**2 + (mean - middle) ** 2)))
 
-    def as_long_as(self, half_axis: float, radius: Array, sigma: Array) -> Array:
-        """Return the probability that rocks are so long, over the shapes' shares (n,).
+    def probability_longer_than(self, half_axis: float, radius: Array, sigma: Array) -> Array:
+        """Return the probability that rocks exceed a half axis, averaged over shapes (n,).
 
-        See `ShadowModel.as_long_as`.
+        See `ShadowModel.probability_longer_than`.
         """
-        of_shape = [m.as_long_as(half_axis, radius, sigma) for m in self.models]
+        of_shape = [m.probability_longer_than(half_axis, radius, sigma) for m in self.models]
         return np.asarray(self.shape_shares @ np.stack(of_shape))
 
     def patch(self, azimuth: Any, depression: Any) -> ShadowPatch:
@@ -210,11 +211,11 @@ class ShapeMixture:
         See `ShadowModel.patch`.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
-        return _mixed(units, self.shape_shares)
+        return _mean_patch(units, self.shape_shares)
 
     def visible_pixels(self, radius: Any, azimuth: Any, depression: Any, pixel: Any) -> Array:
         """Return q (...), see `ShadowModel.visible_pixels`."""
-        # Of ground above the camera nothing is seen.
+        # Terrain above the camera is not visible.
         area = self.patch(azimuth, depression).area * np.sin(np.maximum(depression, 0.0))
         return np.asarray(np.asarray(radius) * np.sqrt(area) / pixel)
 
@@ -227,13 +228,13 @@ class ShapeMixture:
         along_px: Array,
         across_px: Array,
         pixel: float,
-    ) -> Reading:
-        """Return what radii patches stand for.
+    ) -> RadiusEstimate:
+        """Return the radii that belong to patches.
 
         Parameters
         ----------
         length, width
-            Of the patches (n,), m.
+            Size of the patches (n,), m.
         azimuth, depression
             See `ShadowModel.patch` (n,), rad.
         along_px, across_px
@@ -242,7 +243,7 @@ class ShapeMixture:
             Standard deviation of an end of a patch, pixels.
         """
         units = [m.patch(azimuth, depression) for m in self.models]
-        # A slope stretches the shadow on the ground, and what is seen of it at a grazing angle.
+        # A slope lengthens the shadow on the ground, and its image at a grazing angle.
         lean = 1.0 / np.tan(self.elevation) + np.abs(np.cos(azimuth)) / np.tan(
             np.maximum(depression, 0.1)
         )
@@ -250,7 +251,7 @@ class ShapeMixture:
         for unit in units:
             ends = pixel * np.sqrt(2.0)
             for slope in self.slopes:
-                r, v, fit = _agreed(
+                r, v, fit = _radius_of_patch(
                     length, width, unit, ends * along_px, ends * across_px, slope * lean
                 )
                 radii.append(r)
@@ -263,37 +264,40 @@ class ShapeMixture:
         radius = (weight * r).sum(-1)
         variance = (weight * (v + (r - radius[:, None]) ** 2)).sum(-1)
         of_shape = weight.reshape(len(length), len(units), len(self.slopes)).sum(-1)
-        largest = self._largest(r + _LARGEST * np.sqrt(v), weight, of_shape)
-        return Reading(radius, np.sqrt(variance), largest, _mixed(units, of_shape), weight)
+        largest = self._largest(r + _LARGEST_SIGMAS * np.sqrt(v), weight, of_shape)
+        return RadiusEstimate(
+            radius, np.sqrt(variance), largest, _mean_patch(units, of_shape), weight
+        )
 
     def _largest(self, radius: Array, weight: Array, of_shape: Array) -> Array:
-        """Return the longest half axis under any hypothesis that is not improbable (n,), m.
+        """Return the longest half axis under any probable hypothesis (n,), m.
 
-        `radius` (n, hypotheses) is the largest under each. That a shape is likely does not hang on
-        into how many slopes its weight is divided.
+        `radius` (n, hypotheses) is the largest under each. The threshold applies to the total
+        weight of a shape, so that it does not depend on the number of slopes.
         """
         slopes = len(self.slopes)
         longest = np.repeat([m.elongation for m in self.models], slopes)
-        # Of a possible shape those slopes count that are not improbable themselves.
-        possible = np.repeat(of_shape > _IMPROBABLE, slopes, axis=-1)
-        possible &= weight > _IMPROBABLE / slopes
+        # Slopes of a possible shape count only if they are not improbable themselves.
+        possible = np.repeat(of_shape > _MIN_WEIGHT, slopes, axis=-1)
+        possible &= weight > _MIN_WEIGHT / slopes
         return np.asarray((longest * np.where(possible, radius, 0.0)).max(-1))
 
     def learn(self, weight: Array, q: Array) -> None:
-        """Take in what patches (n, hypotheses) of q pixels (n,) say of the population."""
-        self._count = _KEPT * self._count + weight[q >= _LEAST_Q].sum(0)
+        """Update the population with weights (n, hypotheses) of patches with q (n,)."""
+        self._observed_weight = _MEMORY * self._observed_weight + weight[q >= _MIN_Q].sum(0)
 
 
-def _agreed(
+def _radius_of_patch(
     length: Array, width: Array, unit: ShadowPatch, along: Array, across: Array, stretch: Array
 ) -> tuple[Array, Array, Array]:
-    """Return radius, its variance and the logarithm of the likelihood of patches (n,).
+    """Return radius, its variance and the log likelihood of patches (n,).
 
-    Length and width each give a radius, with a variance from the pixels (standard deviations
-    `along` and `across`, m), the spread of shapes and the share by which slopes stretch the length;
-    they are averaged by their variances, and are the likelier the better they agree.
+    Length and width each give a radius. Its variance consists of pixel noise (standard deviations
+    `along` and `across`, m), the spread of shapes, and the relative stretch of the length by
+    slopes. The mean is weighted by inverse variance; the likelihood grows with the agreement of the
+    two.
     """
-    l0, w0 = np.maximum(unit.length, _LEAST_LENGTH), np.maximum(unit.width, _LEAST_LENGTH)
+    l0, w0 = np.maximum(unit.length, _MIN_LENGTH), np.maximum(unit.width, _MIN_LENGTH)
     by_length, by_width = length / l0, width / w0
     var_length = (along**2 + (by_length * unit.length_sigma) ** 2) / l0**2
     var_length += (by_length * stretch) ** 2
@@ -301,15 +305,15 @@ def _agreed(
     total = var_length + var_width
     radius = (var_width * by_length + var_length * by_width) / total
     fit = -0.5 * (by_length - by_width) ** 2 / total - 0.5 * np.log(total)
-    # The same patch in units of another shape: densities are of metres, radii even in their log.
+    # Densities refer to metres, and the prior of the radius is uniform in its logarithm.
     fit -= np.log(l0 * w0 * np.maximum(radius, 1e-3))
     return radius, var_length * var_width / total, fit
 
 
-def _mixed(units: list[ShadowPatch], share: Array) -> ShadowPatch:
-    """Return the mean patch over shapes, their shares (shapes,) or (n, shapes)."""
+def _mean_patch(units: list[ShadowPatch], share: Array) -> ShadowPatch:
+    """Return the mean patch over shapes with fractions (shapes,) or (n, shapes)."""
     stack = {f.name: np.stack([getattr(u, f.name) for u in units], -1) for f in fields(ShadowPatch)}
-    mean = {k: (share * stack[k]).sum(-1) for k in _MEANS}
+    mean = {k: (share * stack[k]).sum(-1) for k in _AVERAGED}
     sigma = {
         f"{k}_sigma": np.sqrt(
             (share * (stack[f"{k}_sigma"] ** 2 + (stack[k] - mean[k][..., None]) ** 2)).sum(-1)

@@ -1,4 +1,4 @@
-"""What follows from the direction towards the Sun: whether there are shadows, and how long."""
+"""Sun direction: its validity, and its effect on the length of shadows."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from lunarsim.onboard.perception.shadow_model import LEAST_ELEVATION, MOST_ELEVA
 
 Array = NDArray[np.float64]
 
-# Elevation of the Sun at which what looks differ by was found, rad.
-_LOOK_SUN = float(np.deg2rad(20.0))
-# They differ by this power of how much longer shadows are under a lower one: by 1 pixel at 8 deg.
-_LOOK_POWER = 1.5
+# Sun elevation at which the scatter between observations was determined, rad.
+_REFERENCE_ELEVATION_RAD = float(np.deg2rad(20.0))
+# Exponent of the shadow length ratio that scales the scatter; 1 pixel at 8 deg.
+_SCATTER_POWER = 1.5
 
 
 def unit_vector(sun: ArrayLike) -> Array:
@@ -22,26 +22,26 @@ def unit_vector(sun: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If it is no unit vector.
+        If it is not a unit vector.
     """
     direction = np.asarray(sun, dtype=np.float64)
     if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-6:
-        raise InputError("sun", sun, "a unit vector (3,), ENU")
+        raise InputError("sun", sun, "must be a unit vector (3,) in ENU")
     return direction
 
 
-def throws_shadows(sun: Array) -> bool:
-    """Tell whether the Sun (3,) stands where rocks are seen by their shadows: 2 to 80 deg high."""
+def has_usable_shadows(sun: Array) -> bool:
+    """Return whether the Sun (3,) is between 2 and 80 deg high, as detection requires."""
     elevation = float(np.arcsin(np.clip(sun[2], -1.0, 1.0)))
     return bool(LEAST_ELEVATION <= elevation <= MOST_ELEVATION)
 
 
-def shadow_stretch(sun: Array) -> float:
-    """Return how much longer shadows are under a low Sun (3,) than under 20 deg; 1 for others."""
-    longer = np.tan(_LOOK_SUN) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
-    return max(float(longer), 1.0)
+def shadow_length_ratio(sun: Array) -> float:
+    """Return the length of shadows relative to a Sun elevation of 20 deg, at least 1."""
+    ratio = np.tan(_REFERENCE_ELEVATION_RAD) * np.hypot(sun[0], sun[1]) / max(float(sun[2]), 1e-6)
+    return max(float(ratio), 1.0)
 
 
-def look_stretch(sun: Array) -> float:
-    """Return how much more centres differ from look to look along a low Sun (3,); 1 for others."""
-    return float(shadow_stretch(sun) ** _LOOK_POWER)
+def observation_scatter_factor(sun: Array) -> float:
+    """Return the scatter of centres along the Sun relative to 20 deg, at least 1."""
+    return float(shadow_length_ratio(sun) ** _SCATTER_POWER)

@@ -1,7 +1,7 @@
-"""Retargeting policies: keep the site, or fly to another.
+"""Retargeting policies: keep the landing site or divert to another one.
 
-A policy sees only what an onboard computer would; one that is allowed the truth says so in its
-name and lives with the loop.
+A policy receives only what is available onboard. A policy that uses the true state says so in its
+name and belongs to the simulation package.
 """
 
 from lunarsim.onboard.policies.contract import (

@@ -1,4 +1,4 @@
-"""What a policy sees and what it answers."""
+"""Interface of retargeting policies: observation in, decision out."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Candidates:
-    """Landing sites worth a look, safest first; the site flown to now is not among them.
+    """Candidate landing sites, safest first; the present site is not included.
 
-    All are eligible by the mission.
+    All sites are eligible by the mission.
 
     Attributes
     ----------
     position
-        Estimated ENU (n, 3), m; the third is the ground's elevation.
+        Position in estimated ENU (n, 3), m; z is the terrain height.
     p_safe
-        Probability of landing safely when aiming there (n,).
+        Probability of a safe landing when aiming there (n,).
     distance
-        Distance over the ground from the site flown to now (n,), m.
+        Horizontal distance from the present site (n,), m.
     propellant
-        To reach it (n,), kg; inf where it is out of reach.
+        Propellant to reach it (n,), kg; inf if it is out of reach.
     value
-        How much the mission wants to land there (n,), in [0, 1]; left out: 1.
+        Value for the mission (n,), in [0, 1]; default 1.
     score
-        Of the mapper's own ranking, the less the better (n,); NaN for sites that others proposed,
-        as when left out.
+        Score of the mapper's own ranking, lower is better (n,); NaN for sites that the mapper did
+        not rank, and by default.
     source
-        Which mapper proposed it by which rule, "MAPPER: RULE" (n,); left out: empty.
+        Mapper and rule that proposed it, "MAPPER: RULE" (n,); default empty.
 
     Raises
     ------
     InputError
-        If lengths differ, or a probability, distance, cost or value is NaN or impossible.
+        If lengths differ, or a probability, distance, cost or value is NaN or out of range.
     """
 
     position: Array
@@ -66,14 +66,18 @@ class Candidates:
             object.__setattr__(self, "source", ("",) * n)
         for name in ("p_safe", "distance", "propellant", "value", "score", "source"):
             if len(getattr(self, name)) != n:
-                raise InputError(f"candidates.{name}", len(getattr(self, name)), f"{n} of them")
-        for name, most in (("p_safe", 1.0), ("value", 1.0), ("distance", np.inf),
-                           ("propellant", np.inf)):  # fmt: skip
-            given = np.asarray(getattr(self, name), dtype=np.float64)
-            wrong = ~((given >= 0.0) & (given <= most))
-            if wrong.any():
                 raise InputError(
-                    f"candidates.{name}", float(given[wrong][0]), f"numbers from 0 to {most:g}"
+                    f"candidates.{name}", len(getattr(self, name)), f"must have {n} elements"
+                )
+        for name, upper in (("p_safe", 1.0), ("value", 1.0), ("distance", np.inf),
+                           ("propellant", np.inf)):  # fmt: skip
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            is_wrong = ~((values >= 0.0) & (values <= upper))
+            if is_wrong.any():
+                raise InputError(
+                    f"candidates.{name}",
+                    float(values[is_wrong][0]),
+                    f"must be between 0 and {upper:g}",
                 )
 
     def __len__(self) -> int:
@@ -81,47 +85,49 @@ class Candidates:
 
     @property
     def reachable(self) -> NDArray[np.bool_]:
-        """Tell which sites can be reached (n,)."""
+        """Whether each site can be reached (n,)."""
         return np.isfinite(self.propellant)
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What the onboard computer knows when a decision is due.
+    """Information for a policy when a decision is due.
 
     Attributes
     ----------
     time
-        s.
+        Time, s.
     estimate
-        Navigation's estimate.
+        Navigation estimate.
     hazard_map
-        The map as it stands.
+        Current hazard map.
     candidates
-        Sites to choose from.
+        Candidate sites.
     site
-        The site flown to now, estimated ENU (3,), m.
+        Present site in estimated ENU (3,), m.
     site_p_safe
-        Probability of landing safely there; NaN while not observed.
+        Probability of a safe landing at the present site; NaN if it is not observed yet.
     site_propellant
-        Propellant to reach it, kg.
+        Propellant to reach the present site, kg.
     time_to_go
-        To the end of the approach, s.
+        Time until the planned end of the approach, s.
     propellant
-        Left in the tanks, kg.
-    site_eligible, site_value
-        Whether the mission lets the lander land at the site, and how much it wants to, in [0, 1].
+        Remaining propellant, kg.
+    site_eligible
+        Whether the mission allows a landing at the present site.
+    site_value
+        Value of the present site for the mission, in [0, 1].
     scoreboard
-        Sites that the mapper has ranked itself; None if it ranks none.
+        Sites ranked by the mapper; None if it ranks none.
     expected_miss
-        Of the site on the map, 1 sigma an axis, m.
+        Expected miss of the site relative to the map, 1 sigma per axis, m.
     reach
-        Where on the map it can still land; surveyed when a policy first looks. None if nobody told.
+        Map of the cells within reach, computed on first use; None if not available.
 
     Raises
     ------
     InputError
-        If the cost of the site is NaN.
+        If `site_propellant` is NaN.
     """
 
     time: float
@@ -141,36 +147,41 @@ class Observation:
 
     def __post_init__(self) -> None:
         if np.isnan(self.site_propellant):
-            raise InputError("observation.site_propellant", "NaN", "kg, inf where out of reach")
+            raise InputError(
+                "observation.site_propellant",
+                "NaN",
+                "must be a number in kg",
+                "Use inf for a site out of reach.",
+            )
 
 
 @dataclass(frozen=True)
 class Decision:
-    """A policy's answer.
+    """Decision of a policy.
 
     Attributes
     ----------
     site
-        New site, estimated ENU (3,), m; None keeps the present one.
+        New site in estimated ENU (3,), m; None keeps the present one.
     reason
-        A few words for the record.
+        Short text for the record.
     details
-        Figures for the record.
+        Numbers for the record.
     abort
-        Whether the lander is to give up the landing and climb away.
+        Whether the lander aborts the landing and climbs away.
     stretch
-        Time-to-go to the site over that of the cheapest admissible path there, from where the
-        lander is: which of the paths of its law is flown. None: a new site gets the cheapest, a
-        kept one keeps its arrival. A stretch of 1 plans a kept one afresh. What would break a limit
-        of the approach gives way to the cheapest, "stretch-refused" in the record. So it is where
-        somebody else sets the time-to-go: the mission, which fixes it, or a law that plans its own
-        arrival. A path that is planned afresh later, as it asked for too much or as navigation
-        locks, is the cheapest.
+        Time-to-go to the site, divided by that of the minimum-propellant path from the present
+        state. None: a new site gets the minimum-propellant path, a kept site keeps its arrival
+        time. With 1, the path to a kept site is planned again. If the path would violate a limit of
+        the approach, the minimum-propellant path is flown and "stretch-refused" is recorded. The
+        same holds if the mission or a guidance law that plans its own arrival sets the time-to-go.
+        A path that is replanned later, because it violates limits or navigation locks, is the
+        minimum-propellant path.
 
     Raises
     ------
     InputError
-        If an abort names a site or a stretch, or a stretch is not finite and positive.
+        If an abort has a site or a stretch, or if the stretch is not finite and positive.
     """
 
     site: Array | None
@@ -181,28 +192,30 @@ class Decision:
 
     def __post_init__(self) -> None:
         if self.abort and self.site is not None:
-            raise InputError("decision.site", self.site, "None for an abort")
+            raise InputError("decision.site", self.site, "must be None for an abort")
         if self.stretch is None:
             return
         if self.abort:
-            raise InputError("decision.stretch", self.stretch, "None for an abort")
-        number = isinstance(self.stretch, Real) and not isinstance(self.stretch, bool)
-        if not (number and np.isfinite(self.stretch) and self.stretch > 0.0):
-            raise InputError("decision.stretch", self.stretch, "a positive finite number, or None")
+            raise InputError("decision.stretch", self.stretch, "must be None for an abort")
+        is_number = isinstance(self.stretch, Real) and not isinstance(self.stretch, bool)
+        if not (is_number and np.isfinite(self.stretch) and self.stretch > 0.0):
+            raise InputError(
+                "decision.stretch", self.stretch, "must be positive and finite, or None"
+            )
 
     @classmethod
     def keep(cls, reason: str) -> Decision:
-        """Stay with the present site."""
+        """Return the decision to keep the present site."""
         return cls(None, reason)
 
     @classmethod
     def climb_away(cls, reason: str) -> Decision:
-        """Give up the landing."""
+        """Return the decision to abort the landing."""
         return cls(None, reason, abort=True)
 
 
 class RetargetingPolicy(Protocol):
-    """Anything that decides where to land."""
+    """Interface of a policy that decides where to land."""
 
     @property
     def name(self) -> str:
@@ -210,12 +223,12 @@ class RetargetingPolicy(Protocol):
         ...
 
     def decide(self, observation: Observation) -> Decision:
-        """Return the decision for this observation."""
+        """Return the decision for an observation."""
         ...
 
 
 def checked_decision(policy: object, value: Any, time: float) -> Decision:
-    """Return the decision of a policy, which was asked at a time (s).
+    """Return the decision of a policy, asked at `time` (s), after checking it.
 
     Raises
     ------
@@ -225,5 +238,5 @@ def checked_decision(policy: object, value: Any, time: float) -> Decision:
     if not isinstance(value, Decision):
         raise wrong_result("policy", policy, "decide", value, "a Decision", time)
     if value.site is not None:
-        checked_vector("policy", policy, "decide", value.site, "m as the site", time)
+        checked_vector("policy", policy, "decide", value.site, "m as site", time)
     return value

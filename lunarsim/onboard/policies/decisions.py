@@ -1,4 +1,4 @@
-"""When a policy is asked, and what it chooses from."""
+"""Settings of the decisions: when a policy is asked, and its candidates."""
 
 from __future__ import annotations
 
@@ -10,35 +10,43 @@ from lunarsim.parts.quantity import quantity
 
 @dataclass(frozen=True)
 class Decisions:
-    """When a policy is asked, on which map, and what it chooses from.
+    """Settings of the decisions: schedule, decision map and candidate sites.
 
     Attributes
     ----------
     map
-        Name of the mapper; empty: the first.
+        Name of the mapper whose map is used; empty: see `Outlook.decisions_map`.
     first_altitude, last_altitude
-        Between which decisions are due, m above the site.
+        Altitudes of the first and last decision above the site, m.
     interval
-        s.
-    candidates, separation
-        Number of sites and least distance between them, m.
+        Time between two decisions, s.
+    candidates
+        Number of candidate sites.
+    separation
+        Minimum distance between candidate sites, m.
     touchdown_sigma
-        Expected miss on the map, an axis, m, of a lander that does not drift over it; see
+        Expected miss of a lander that does not drift relative to its map, 1 sigma per axis, m; see
         `expected_miss`.
     """
 
-    map: str = quantity("", help="name of the mapper that decides; left out: the first")
-    first_altitude: float = quantity(400.0, "m", gt=0, help="above the site")
-    last_altitude: float = quantity(50.0, "m", gt=0, help="above the site")
-    interval: float = quantity(1.0, "s", gt=0, help="between two decisions")
-    candidates: int = quantity(16, ge=1, le=256, help="sites to choose from")
-    separation: float = quantity(3.0, "m", gt=0, help="least distance between them")
+    map: str = quantity("", help="Mapper whose map is used for decisions")
+    first_altitude: float = quantity(
+        400.0, "m", gt=0, help="Altitude of the first decision above the site"
+    )
+    last_altitude: float = quantity(
+        50.0, "m", gt=0, help="Altitude of the last decision above the site"
+    )
+    interval: float = quantity(1.0, "s", gt=0, help="Time between two decisions")
+    candidates: int = quantity(16, ge=1, le=256, help="Number of candidate sites")
+    separation: float = quantity(3.0, "m", gt=0, help="Minimum distance between candidate sites")
     touchdown_sigma: float = quantity(
-        0.3, "m", ge=0, help="expected miss on the map, an axis, without drift"
+        0.3, "m", ge=0, help="Expected miss on the map without drift, 1 sigma per axis"
     )
 
     def __post_init__(self) -> None:
         if self.last_altitude >= self.first_altitude:
             raise InputError(
-                "last_altitude", self.last_altitude, f"less than {self.first_altitude}"
+                "last_altitude",
+                self.last_altitude,
+                f"must be less than first_altitude, {self.first_altitude:g} m",
             )

@@ -1,4 +1,4 @@
-"""By how much a lander will miss the site that it aims at, on its own map."""
+"""Estimate by how much the lander will miss the site on its own map."""
 
 from __future__ import annotations
 
@@ -10,53 +10,53 @@ from lunarsim.onboard.navigation.estimate import Estimate
 
 Array = NDArray[np.float64]
 
-# Whatever misses by more has no site to choose, m.
+# Upper limit of the expected miss, m. Beyond it no site can be selected anyway.
 MOST = 30.0
 
 
 def expected_miss(stated: float, estimate: Estimate, adrift: bool, seconds: ArrayLike) -> Array:
-    """Return the standard deviation of the miss over the ground, an axis (n,), m: 30 m at most.
+    """Return the expected horizontal miss, 1 sigma per axis (n,), m, at most 30 m.
 
-    Where map and lander share an error it does no harm. What does is by how much the lander drifts
-    over its map: where nothing holds it there, by what its velocity errs by, all the time from what
-    was mapped last until touchdown. That error changes little in tens of seconds, since it is
-    mostly what the beams of a velocimeter err by. Scans that were laid beside each other by a tilt
-    that is not known do not count.
+    An error common to map and lander is harmless. What matters is the drift of the lander relative
+    to its map between the last mapped scan and touchdown. Without a sensor that measures the
+    position on the map, this drift is the velocity error times the elapsed time. The velocity error
+    is mostly the bias of the velocimeter beams, which changes little within tens of seconds.
+    Misalignment between scans that results from an unknown map tilt is not included.
 
     Parameters
     ----------
     stated
-        What guidance and map miss by without any drift, an axis, m.
+        Miss of guidance and map without drift, 1 sigma per axis, m.
     estimate
-        Of now, with the covariance of the velocity.
+        Current estimate with the covariance of the velocity.
     adrift
-        Whether nothing holds the lander to what it has mapped, see `Navigation.adrift`.
+        Whether no measurement ties the lander to its map, see `Navigation.adrift`.
     seconds
-        From what was mapped last until touchdown (n,), s.
+        Time from the last mapped scan to touchdown (n,), s.
     """
     time = np.atleast_1d(np.asarray(seconds, np.float64))
     if not adrift:
         return np.full(len(time), stated)
-    level = estimate.covariance[3:5, 3:5]
-    speed = float(np.sqrt(max(0.5 * np.trace(level), 0.0)))
+    horizontal = estimate.covariance[3:5, 3:5]
+    speed = float(np.sqrt(max(0.5 * np.trace(horizontal), 0.0)))
     miss = np.hypot(stated, speed * np.maximum(time, 0.0))
     return np.minimum(np.where(np.isfinite(miss), miss, MOST), max(MOST, stated))
 
 
 class Aim:
-    """The map that decides, spread by the miss that is expected.
+    """Disperses the decision map by the expected miss.
 
     Parameters
     ----------
     stated
-        What guidance and map miss by without any drift, an axis, m.
+        Miss of guidance and map without drift, 1 sigma per axis, m.
     descent
-        From the end of an approach to the ground, s.
+        Time from the end of the approach to touchdown, s.
 
     Attributes
     ----------
     mapped_at
-        When something was mapped last, s.
+        Time of the last mapped scan, s.
     """
 
     def __init__(self, stated: float, descent: float) -> None:
@@ -65,14 +65,15 @@ class Aim:
         self._spread: tuple[FloatMap, float, FloatMap] | None = None
 
     def misses(self, estimate: Estimate, adrift: bool, time_to_go: Array) -> Array:
-        """Return `expected_miss` of sites whose approach takes so long from now on (n,), s."""
-        since = estimate.time - self.mapped_at
-        return expected_miss(self._stated, estimate, adrift, since + time_to_go + self._descent)
+        """Return `expected_miss` for sites with times-to-go (n,), s."""
+        elapsed = estimate.time - self.mapped_at
+        return expected_miss(self._stated, estimate, adrift, elapsed + time_to_go + self._descent)
 
     def spread(self, hazard_map: HazardMap, miss: float) -> FloatMap:
-        """Return `HazardMap.dispersed`, once for a map and a miss."""
-        # A map may come again with its ground moved alone.
-        kept = self._spread
-        if kept is None or kept[0] is not hazard_map.p_safe or kept[1] != miss:
-            kept = self._spread = (hazard_map.p_safe, miss, hazard_map.dispersed(miss))
-        return kept[2]
+        """Return `HazardMap.dispersed`, cached for the last map and miss."""
+        # A new map object can share its p_safe layer with the last one; only that layer matters
+        # here.
+        cached = self._spread
+        if cached is None or cached[0] is not hazard_map.p_safe or cached[1] != miss:
+            cached = self._spread = (hazard_map.p_safe, miss, hazard_map.dispersed(miss))
+        return cached[2]

@@ -1,8 +1,8 @@
-"""The policies that come with the simulator.
+"""Retargeting policies supplied with the simulator.
 
-Candidates are eligible, so none chooses ground that the mission excludes; a site flown to that is
-not eligible counts as unsafe. Policies weigh safety in log-odds, and what the mission wants as so
-many log-odds between ground of value 0 and of value 1.
+All candidates are eligible, so no policy selects terrain that the mission excludes. A present site
+that is not eligible counts as unsafe. The policies compare sites by the log odds of safety; the
+value for the mission adds to them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _fly_to(observation: Observation, index: int, reason: str) -> Decision:
 
 @dataclass(frozen=True)
 class NoDivert:
-    """Land where the mission said, whatever the map shows."""
+    """Lands at the briefed site whatever the map shows."""
 
     name: str = hidden("no-divert")
 
@@ -42,55 +42,57 @@ class NoDivert:
 
 @dataclass(frozen=True)
 class Safest:
-    """Fly to the site with the greatest probability of a safe landing.
+    """Diverts to the site with the highest probability of a safe landing.
 
     Attributes
     ----------
     gain
-        Least gain in log-odds of safety that is worth a change of site: a second look at the
-        same ground must not send the lander to and fro.
+        Minimum gain in log odds of safety for a change of site; prevents changes to and fro when
+        the same terrain is observed again.
     worth
-        Log-odds of safety between ground that the mission wants (value 1) and ground that it only
-        allows (value 0): less than the least gain, so that value alone sends nobody on.
+        Difference in log odds between sites of value 1 and 0. The default is below `gain`, so that
+        value alone does not cause a divert.
     """
 
-    worth: float = quantity(0.5, ge=0, help="of a site of value 1 over one of 0, log-odds")
-    gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
+    worth: float = quantity(0.5, ge=0, help="Weight of the mission value of a site in log odds")
+    gain: float = quantity(0.7, ge=0, help="Minimum gain for a change of site in log odds")
     name: str = hidden("safest")
 
     def decide(self, observation: Observation) -> Decision:
-        """Pick the best reachable candidate if it beats the present site."""
+        """Return the best reachable candidate if it beats the present site."""
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
-        # Among sites that are safe beyond telling apart the nearest wins.
-        worth = _log_odds(c.p_safe) + self.worth * c.value
-        best = int(np.argmax(np.where(c.reachable, worth - 1e-3 * c.distance, -np.inf)))
-        stay = _log_odds(_safe_to_stay(observation)) + self.worth * observation.site_value
-        if worth[best] < stay + self.gain:
+        # A small cost of distance selects the nearest of equally safe sites.
+        score = _log_odds(c.p_safe) + self.worth * c.value
+        best = int(np.argmax(np.where(c.reachable, score - 1e-3 * c.distance, -np.inf)))
+        present_score = (
+            _log_odds(_present_p_safe(observation)) + self.worth * observation.site_value
+        )
+        if score[best] < present_score + self.gain:
             return Decision.keep("no safer site")
         return _fly_to(observation, best, "safest site")
 
 
 @dataclass(frozen=True)
 class NearestSafe:
-    """Keep the site if it is safe enough, else fly to the nearest one that is.
+    """Keeps the site if it is safe enough, otherwise diverts to the nearest that is.
 
     Attributes
     ----------
     enough
-        Probability that counts as safe.
+        Minimum probability of a safe landing.
     """
 
-    enough: float = quantity(0.95, gt=0, lt=1, help="probability that counts as safe")
+    enough: float = quantity(0.95, gt=0, lt=1, help="Minimum probability of a safe landing")
     name: str = hidden("nearest-safe")
 
     def decide(self, observation: Observation) -> Decision:
-        """Pick the nearest reachable candidate that is safe enough, else the safest.
+        """Return the nearest reachable candidate that is safe enough, else the safest.
 
-        Of sites equally near the one of the greatest value.
+        Of equally near sites, the one with the highest value is selected.
         """
-        if _safe_to_stay(observation) >= self.enough:
+        if _present_p_safe(observation) >= self.enough:
             return Decision.keep("safe enough")
         c = observation.candidates
         good = c.reachable & (c.p_safe >= self.enough)
@@ -102,25 +104,25 @@ class NearestSafe:
 
 @dataclass(frozen=True)
 class FuelAware:
-    """Trade the probability of safety against the propellant of the divert.
+    """Trades the probability of safety against the propellant of the divert.
 
     Attributes
     ----------
     price
-        Log-odds of safety that one kilogram of propellant is worth.
+        Log odds of safety that one kilogram of propellant is worth.
     gain
-        Least gain of the score that is worth a change of site.
+        Minimum gain of the score for a change of site.
     worth
-        Log-odds of safety between ground of value 1 and of value 0.
+        Difference in log odds between sites of value 1 and 0.
     """
 
-    worth: float = quantity(0.5, ge=0, help="of a site of value 1 over one of 0, log-odds")
-    price: float = quantity(0.25, ge=0, help="log-odds that a kilogram is worth")
-    gain: float = quantity(0.7, ge=0, help="least gain that is worth a change, log-odds")
+    worth: float = quantity(0.5, ge=0, help="Weight of the mission value of a site in log odds")
+    price: float = quantity(0.25, ge=0, help="Weight of one kilogram of propellant in log odds")
+    gain: float = quantity(0.7, ge=0, help="Minimum gain for a change of site in log odds")
     name: str = hidden("fuel-aware")
 
     def decide(self, observation: Observation) -> Decision:
-        """Pick the reachable site with the best log-odds less the price of its propellant."""
+        """Return the reachable site with the best log odds minus propellant cost."""
         c = observation.candidates
         if not c.reachable.any():
             return Decision.keep("no site within reach")
@@ -130,40 +132,44 @@ class FuelAware:
             -np.inf,
         )
         best = int(np.argmax(score))
-        stay = _log_odds(_safe_to_stay(observation)) + self.worth * observation.site_value
-        stay -= self.price * observation.site_propellant
-        if score[best] < stay + self.gain:
-            return Decision.keep("not worth the propellant")
+        present_score = (
+            _log_odds(_present_p_safe(observation)) + self.worth * observation.site_value
+        )
+        present_score -= self.price * observation.site_propellant
+        if score[best] < present_score + self.gain:
+            return Decision.keep("gain too small for the propellant")
         return _fly_to(observation, best, "best value")
 
 
 @dataclass(frozen=True)
 class ScoreboardChoice:
-    """Fly to the best site that the mapper has ranked itself, by its own score.
+    """Diverts to the best site by the mapper's own ranking.
 
-    The choice of the quadtree paper (section 4): sites within slope, roughness and interest limits,
-    ranked by Eq. 9; fuel is looked at for ranked sites alone. A site out of reach is left out, and
-    of sites of one score the cheapest wins; the paper says no more of how fuel counts: its weight
-    is nought unless it is given one. The fuel is that of the trajectory that would be flown (Eq. 10
-    minimised over the time-to-go), not of the least time within limits on jerk and snap.
+    This is the selection of the quadtree paper (section 4): sites within limits of slope, roughness
+    and interest, ranked by Eq. 9; fuel is evaluated for ranked sites only. Sites out of reach are
+    excluded, and the cheapest of equally ranked sites is selected. The paper does not specify the
+    weight of fuel, so it is 0 by default. Fuel is that of the trajectory that would be flown (Eq.
+    10 minimised over the time-to-go), not that of the shortest time within limits on jerk and snap.
 
     Attributes
     ----------
     weight_fuel
         Score that one kilogram of propellant is worth.
     gain
-        Least gain of the score that is worth a change of site.
+        Minimum gain of the score for a change of site.
     """
 
-    weight_fuel: float = quantity(0.0, ge=0, help="score that a kilogram is worth")
-    gain: float = quantity(0.2, ge=0, help="least gain of the score that is worth a change")
+    weight_fuel: float = quantity(
+        0.0, ge=0, help="Weight of one kilogram of propellant in the score"
+    )
+    gain: float = quantity(0.2, ge=0, help="Minimum gain of the score for a change of site")
     name: str = hidden("scoreboard")
 
     def decide(self, observation: Observation) -> Decision:
-        """Pick the reachable ranked site of the least score if it beats the present one."""
+        """Return the reachable ranked site with the lowest score if it beats the present."""
         c = observation.candidates
         if observation.scoreboard is None:
-            return Decision.keep("the map ranks no sites")
+            return Decision.keep("the mapper ranks no sites")
         good = c.reachable & np.isfinite(c.score)
         if not good.any():
             return Decision.keep("no ranked site within reach")
@@ -171,56 +177,64 @@ class ScoreboardChoice:
             good, c.score + self.weight_fuel * np.where(good, c.propellant, 0.0), np.inf
         )
         best = int(np.lexsort((c.propellant, cost))[0])
-        stay = observation.scoreboard.here
+        present_score = observation.scoreboard.here
         if np.isfinite(observation.site_propellant):
-            stay += self.weight_fuel * observation.site_propellant
-        if cost[best] > stay - self.gain:
-            return Decision.keep("no better site on the board")
-        return _fly_to(observation, best, "best of the scoreboard")
+            present_score += self.weight_fuel * observation.site_propellant
+        if cost[best] > present_score - self.gain:
+            return Decision.keep("no better ranked site")
+        return _fly_to(observation, best, "best ranked site")
 
 
 @dataclass(frozen=True)
 class SafestOrAbort(Safest):
-    """Fly to the safest site, and climb away if even that is not safe enough.
+    """Diverts to the safest site, and aborts if even that is not safe enough.
 
     Attributes
     ----------
     least
-        Probability of a safe landing below which the lander climbs away.
+        Probability of a safe landing below which the lander aborts.
     altitude
-        Estimated height of the centre of mass above the site under which it does so, m: above, the
-        map may still change. A site out of reach counts as none from there on.
+        Estimated height of the centre of mass above the site below which an abort is allowed, m.
+        Higher up, the map may still change. Below it, a site out of reach counts as unsafe.
     """
 
-    least: float = quantity(0.5, ge=0, le=1, help="probability below which it climbs away")
-    altitude: float = quantity(80.0, "m", gt=0, help="above the site, under which it does so")
+    least: float = quantity(
+        0.5, ge=0, le=1, help="Probability of a safe landing below which the lander aborts"
+    )
+    altitude: float = quantity(
+        80.0, "m", gt=0, help="Height above the site below which an abort is allowed"
+    )
     name: str = hidden("safest-or-abort")
 
     def decide(self, observation: Observation) -> Decision:
-        """Decide as `Safest`, then abort if neither that site nor the present one will do."""
+        """Decide as `Safest`, then abort if neither site is safe enough."""
         height = float(observation.estimate.position[2] - observation.site[2])
         if height > self.altitude:
             return super().decide(observation)
         if np.isinf(observation.site_propellant):
             observation = replace(observation, site_p_safe=0.0)
         chosen = super().decide(observation)
-        stay = _safe_to_stay(observation)
-        # A site that nobody has looked at is no reason to land there.
-        p = chosen.details["p_safe"] if chosen.site is not None else np.nan_to_num(stay, nan=0.0)
+        present_p_safe = _present_p_safe(observation)
+        # An unobserved site is no reason to land.
+        p = (
+            chosen.details["p_safe"]
+            if chosen.site is not None
+            else np.nan_to_num(present_p_safe, nan=0.0)
+        )
         if p >= self.least:
             return chosen
         return Decision.climb_away(f"no safe site within reach: {p:.2f} at best")
 
 
-def _safe_to_stay(observation: Observation) -> float:
-    """Return the probability of safety at the site flown to; 0 where the mission excludes it."""
+def _present_p_safe(observation: Observation) -> float:
+    """Return p_safe of the present site; 0 if the mission excludes it."""
     return observation.site_p_safe if observation.site_eligible else 0.0
 
 
 def _log_odds(p: np.ndarray | float) -> np.ndarray:
-    """Return log(p / (1 - p)), NaN (unknown) counting as unsafe.
+    """Return log(p / (1 - p)) with p limited to [1e-6, 0.999]; NaN counts as unsafe.
 
-    Cut at 1e-6 and 0.999: beyond that the map's own model errors matter more than its figures.
+    Beyond these limits the model error of the map exceeds the differences in p.
     """
     p = np.clip(np.nan_to_num(np.asarray(p, dtype=np.float64), nan=0.0), 1e-6, 0.999)
     return np.asarray(np.log(p / (1.0 - p)))

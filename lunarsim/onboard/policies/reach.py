@@ -1,4 +1,4 @@
-"""Where the lander can still land, as a map."""
+"""Map the cells that the lander can still land in."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from lunarsim.onboard.hazards.hazard_map import HazardMap
 Array = NDArray[np.float64]
 BoolMap = NDArray[np.bool_]
 
-_SIDE = 100  # cells at most
+_MAX_CELLS_PER_SIDE = 100
 
 
 class Reach:
-    """What it takes to land in each cell of a grid; surveyed when something first asks.
+    """Cost of landing in each cell of a grid, computed on first use.
 
     Parameters
     ----------
     grid
-        Of the cells.
+        Grid of the cells.
     height
-        Of the ground (rows, cols), m.
+        Terrain height (rows, cols), m.
     cost_of
-        Returns what it costs to fly to sites (n, 3) under thrust, tilt, glideslope, propellant and
-        the law that flies.
+        Returns the cost of flying to sites (n, 3), m, with the guidance law in use, within the
+        limits of thrust, tilt, glideslope and propellant.
     """
 
     def __init__(self, grid: Grid, height: Array, cost_of: Callable[[Array], DivertCost]) -> None:
@@ -40,27 +40,27 @@ class Reach:
     def under(
         cls, hazard_map: HazardMap, site: Array, cost_of: Callable[[Array], DivertCost]
     ) -> Reach:
-        """Return the reach over a hazard map, on 100 cells a side at most.
+        """Return the reachability over a hazard map, on at most 100 x 100 cells.
 
-        Where the map has no height the site's (3,) counts.
+        Where the map has no height, the height of `site` (3,), m, is used.
         """
         fine = hazard_map.grid
-        ratio = max(1.0, max(fine.shape) / _SIDE)
+        ratio = max(1.0, max(fine.shape) / _MAX_CELLS_PER_SIDE)
         posting = fine.posting * ratio
-        # Rounded up: no cell of the map lies beyond it.
+        # Rounded up, so that the grid covers every cell of the map.
         rows, cols = (np.ceil(n / ratio - 1e-9) for n in fine.shape)
         grid = Grid.centred(fine.centre, cols * posting, posting, rows * posting)
         return cls(grid, heights_on(grid, hazard_map, float(site[2])), cost_of)
 
     @cached_property
     def cost(self) -> DivertCost:
-        """Of each cell, row by row (rows cols,)."""
+        """Cost for each cell, row by row (rows * cols,)."""
         return self._cost_of(np.column_stack((self.grid.centres().reshape(-1, 2),
                                               self._height.ravel())))  # fmt: skip
 
     @property
     def propellant(self) -> Array:
-        """To reach each cell (rows, cols), kg; inf out of reach."""
+        """Propellant to reach each cell (rows, cols), kg; inf if out of reach."""
         return self.cost.propellant.reshape(self.grid.shape)
 
     @property
@@ -69,7 +69,7 @@ class Reach:
         return self.cost.feasible.reshape(self.grid.shape)
 
     def at(self, xy: ArrayLike) -> BoolMap:
-        """Tell which points (..., 2), m, lie in cells within reach; none beyond the grid does."""
+        """Return which points (..., 2), m, lie in reachable cells; none outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
         inside = np.asarray(self.grid.contains(points))
         row, col = self.grid.cell(np.where(inside[..., None], points, self.grid.centre))
@@ -77,7 +77,17 @@ class Reach:
 
 
 def heights_on(grid: Grid, hazard_map: HazardMap | None, otherwise: float) -> Array:
-    """Return the ground's height at the cells of a grid (rows, cols), m, as a map knows it."""
+    """Return the mapped terrain height at the cells of a grid (rows, cols), m.
+
+    Parameters
+    ----------
+    grid
+        Grid of the cells.
+    hazard_map
+        Hazard map; None or one without elevation gives `otherwise` everywhere.
+    otherwise
+        Height where the map has none, m.
+    """
     height = np.full(grid.shape, otherwise)
     if hazard_map is None or hazard_map.elevation is None:
         return height

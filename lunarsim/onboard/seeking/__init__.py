@@ -1,1 +1,1 @@
-"""Paths that are chosen for what they let the lander see."""
+"""Active perception: plan paths by the information that the sensors gain on them."""

@@ -1,4 +1,4 @@
-"""Compiled score of many paths: what would be known of the ground in reach, and what they take."""
+"""Compiled score of many paths: information gained about the terrain, and delta-v."""
 
 from __future__ import annotations
 
@@ -7,189 +7,319 @@ import numpy as np
 from lunarsim._jit import kernel
 from lunarsim.onboard.guidance._kernels import GRAVITY, HIGH, LOW, SHARE, measure
 
-# Columns of a node of the ground, and of an eye's figures.
-EAST, NORTH, UP, WEIGHT, KNOWN, NEEDS = 0, 1, 2, 3, 4, 5
-PIXEL, SHARPEST, FIELD, GIMBAL, LONGEST, HIGHEST, LOWEST, SUN_EAST, SUN_NORTH = range(9)
+# Columns of a terrain node, and of the parameters of a sensor.
+EAST, NORTH, UP, WEIGHT, KNOWN_FRACTION, MIN_TIME_TO_GO = 0, 1, 2, 3, 4, 5
+(
+    PIXEL,
+    MAX_SHARPNESS,
+    COS_HALF_FIELD,
+    COS_GIMBAL_LIMIT,
+    MAX_RANGE,
+    MAX_ALTITUDE,
+    MIN_ALTITUDE,
+    SUN_EAST,
+    SUN_NORTH,
+) = range(9)
 
 
 @kernel(inline=True)
-def _told(sharp, open_, astray, told, eye, pixel, cosine, sine, distance):
-    """Return the share of the uncertainty that a look takes away; see `eyes.Eye`."""
-    last = sharp.shape[1] - 1
-    u, v = 0.5 * last * (cosine + 1.0), last * sine
+def _removed_uncertainty(
+    sharpness,
+    visible,
+    displacement,
+    reduction,
+    sensor,
+    pixel,
+    cos_azimuth,
+    sin_depression,
+    distance,
+):
+    """Return the fraction of uncertainty that one observation removes.
+
+    The tables are those of `SensorCoverageModel`.
+    """
+    last = sharpness.shape[1] - 1
+    u, v = 0.5 * last * (cos_azimuth + 1.0), last * sin_depression
     i, j = min(max(int(u), 0), last - 1), min(max(int(v), 0), last - 1)
     u, v = u - i, v - j
     a, b, c, d = (1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v
-    unit = (
-        a * sharp[eye, i, j] + b * sharp[eye, i + 1, j]
-        + c * sharp[eye, i, j + 1] + d * sharp[eye, i + 1, j + 1]
+    sharpness_at_1_m = (
+        a * sharpness[sensor, i, j] + b * sharpness[sensor, i + 1, j]
+        + c * sharpness[sensor, i, j + 1] + d * sharpness[sensor, i + 1, j + 1]
     )  # fmt: skip
-    free = (
-        a * open_[eye, i, j] + b * open_[eye, i + 1, j]
-        + c * open_[eye, i, j + 1] + d * open_[eye, i + 1, j + 1]
+    visible_fraction = (
+        a * visible[sensor, i, j] + b * visible[sensor, i + 1, j]
+        + c * visible[sensor, i, j + 1] + d * visible[sensor, i + 1, j + 1]
     )  # fmt: skip
-    off = (
-        a * astray[eye, i, j] + b * astray[eye, i + 1, j]
-        + c * astray[eye, i, j + 1] + d * astray[eye, i + 1, j + 1]
+    displacement_at_1_m = (
+        a * displacement[sensor, i, j] + b * displacement[sensor, i + 1, j]
+        + c * displacement[sensor, i, j + 1] + d * displacement[sensor, i + 1, j + 1]
     )  # fmt: skip
-    free *= np.exp(-off * distance * distance)
-    most = told.shape[1] - 1
-    at = unit / (distance * pixel) * most
-    if at >= most:
-        return free * told[eye, most]
-    k = int(at)
-    return free * (told[eye, k] + (at - k) * (told[eye, k + 1] - told[eye, k]))
+    visible_fraction *= np.exp(-displacement_at_1_m * distance * distance)
+    last_bin = reduction.shape[1] - 1
+    bin_position = sharpness_at_1_m / (distance * pixel) * last_bin
+    if bin_position >= last_bin:
+        return visible_fraction * reduction[sensor, last_bin]
+    k = int(bin_position)
+    return visible_fraction * (
+        reduction[sensor, k]
+        + (bin_position - k) * (reduction[sensor, k + 1] - reduction[sensor, k])
+    )
 
 
 @kernel(inner=True)
-def look(place, pull, left, site, nodes, eye, sharp, open_, astray, told, figures, best):
-    """Raise what is known of each node (g,) by a look from a place (3,) at the site (3,).
+def observe_nodes(
+    position,
+    thrust,
+    time_left,
+    site,
+    nodes,
+    sensor,
+    sharpness,
+    visible,
+    displacement,
+    reduction,
+    sensor_params,
+    known,
+):
+    """Raise the known fraction of each node (g,) by one observation of the site.
 
-    `pull` (3,): direction in which the lander's axis points. Ground counts that could still be
-    flown to with `left` seconds left.
+    Only nodes count that the lander can still divert to with `time_left` seconds left. `position`
+    (3,) is that of the sensor, m; `thrust` (3,) gives the direction of the vehicle axis.
     """
-    bx, by, bz = site[0] - place[0], site[1] - place[1], site[2] - place[2]
+    bx, by, bz = site[0] - position[0], site[1] - position[1], site[2] - position[2]
     size = np.sqrt(bx * bx + by * by + bz * bz)
     if size == 0.0:
         return
     bx, by, bz = bx / size, by / size, bz / size
-    axis = np.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
-    if -(bx * pull[0] + by * pull[1] + bz * pull[2]) < figures[eye, GIMBAL] * axis:
+    axis = np.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
+    if (
+        -(bx * thrust[0] + by * thrust[1] + bz * thrust[2])
+        < sensor_params[sensor, COS_GIMBAL_LIMIT] * axis
+    ):
         return
-    pixel = figures[eye, PIXEL] * figures[eye, SHARPEST]
+    pixel = sensor_params[sensor, PIXEL] * sensor_params[sensor, MAX_SHARPNESS]
     for g in range(nodes.shape[0]):
-        if left < nodes[g, NEEDS] or nodes[g, WEIGHT] <= 0.0:
+        if time_left < nodes[g, MIN_TIME_TO_GO] or nodes[g, WEIGHT] <= 0.0:
             continue
-        x, y, z = place[0] - nodes[g, EAST], place[1] - nodes[g, NORTH], place[2] - nodes[g, UP]
-        level = np.sqrt(x * x + y * y)
-        distance = np.sqrt(level * level + z * z)
-        if z <= 0.0 or distance > figures[eye, LONGEST]:
+        x, y, z = (
+            position[0] - nodes[g, EAST],
+            position[1] - nodes[g, NORTH],
+            position[2] - nodes[g, UP],
+        )
+        horizontal = np.sqrt(x * x + y * y)
+        distance = np.sqrt(horizontal * horizontal + z * z)
+        if z <= 0.0 or distance > sensor_params[sensor, MAX_RANGE]:
             continue
-        if -(x * bx + y * by + z * bz) < figures[eye, FIELD] * distance:
+        if -(x * bx + y * by + z * bz) < sensor_params[sensor, COS_HALF_FIELD] * distance:
             continue
-        cosine = 0.0
-        if level > 0.0:
-            cosine = (x * figures[eye, SUN_EAST] + y * figures[eye, SUN_NORTH]) / level
-        share = _told(sharp, open_, astray, told, eye, pixel, cosine, z / distance, distance)
-        best[g] = max(best[g], share)
+        cos_azimuth = 0.0
+        if horizontal > 0.0:
+            cos_azimuth = (
+                x * sensor_params[sensor, SUN_EAST] + y * sensor_params[sensor, SUN_NORTH]
+            ) / horizontal
+        fraction = _removed_uncertainty(
+            sharpness,
+            visible,
+            displacement,
+            reduction,
+            sensor,
+            pixel,
+            cos_azimuth,
+            z / distance,
+            distance,
+        )
+        known[g] = max(known[g], fraction)
 
 
 @kernel(inner=True)
-def along(target, asked, total, table, s, powers, x, gravity, place, pull):
-    """Write place and thrust acceleration (3,) at sample s of a path; see `measure`."""
+def path_state(target, end_state, total, table, s, powers, x, gravity, position, thrust):
+    """Write position and thrust acceleration (3,) at sample s of a path."""
     low, high = table[s, LOW], table[s, HIGH]
-    left = table[s, SHARE] * total
+    time_left = table[s, SHARE] * total
     f, g = low / (powers[0] + 2.0), high / (powers[1] + 2.0)
     d, e = (powers[0] + 1.0) * low, (powers[1] + 1.0) * high
     for k in range(3):
-        half = 0.5 * asked[1, k] + x[0, k] * f + x[1, k] * g
-        place[k] = target[k] + left * (left * half - asked[0, k])
-        pull[k] = asked[1, k] + d * x[0, k] + e * x[1, k]
-    pull[2] += gravity
+        half = 0.5 * end_state[1, k] + x[0, k] * f + x[1, k] * g
+        position[k] = target[k] + time_left * (time_left * half - end_state[0, k])
+        thrust[k] = end_state[1, k] + d * x[0, k] + e * x[1, k]
+    thrust[2] += gravity
 
 
 @kernel(inner=True)
-def seen(
-    target, asked, total, table, powers, x, gravity, end_tilt, ground, nodes, sharp, open_, astray,
-    told, figures, stations, at, best,
-):  # fmt: skip
-    """Raise what is known of each node (g,) by all looks along a path.
+def observe_along_path(
+    target,
+    end_state,
+    total,
+    table,
+    powers,
+    x,
+    gravity,
+    end_tilt,
+    ground,
+    nodes,
+    sharpness,
+    visible,
+    displacement,
+    reduction,
+    sensor_params,
+    single_altitudes,
+    samples,
+    known,
+):
+    """Raise the known fraction of each node (g,) by all observations along a path.
 
-    Returns False where the thrust leans by more than `end_tilt` (a tangent) once looks no longer
-    count.
+    Returns False if the thrust tilts by more than `end_tilt` (a tangent) below the altitude at
+    which observations cease to count.
 
-    `ground` (5,): the site, the height of the centre of mass of a lander that stands there, and the
-    altitude below which looks no longer count. `stations` (eyes, k): altitudes of single looks of
-    each eye, NaN for none; without any it looks at every sample. `at` (4, 3) is scratch.
+    Parameters
+    ----------
+    ground
+        Site (3,), height of the centre of mass of a landed vehicle, and altitude below which
+        observations do not count, m (5,).
+    single_altitudes
+        Altitudes of single observations of each sensor, m (sensors, k); NaN for none. A sensor
+        without any observes at every sample.
+    samples
+        Scratch array (4, 3).
     """
-    level, least = ground[3], ground[4]
-    lowest = np.inf
+    standing_height, min_altitude = ground[3], ground[4]
+    lowest_altitude = np.inf
     for s in range(table.shape[0]):
-        along(target, asked, total, table, s, powers, x, gravity, at[0], at[1])
-        altitude = at[0, 2] - level
-        if altitude < least:
-            lean = np.sqrt(at[1, 0] ** 2 + at[1, 1] ** 2)
-            if lean > end_tilt * at[1, 2]:
+        path_state(target, end_state, total, table, s, powers, x, gravity, samples[0], samples[1])
+        altitude = samples[0, 2] - standing_height
+        if altitude < min_altitude:
+            lateral_thrust = np.sqrt(samples[1, 0] ** 2 + samples[1, 1] ** 2)
+            if lateral_thrust > end_tilt * samples[1, 2]:
                 return False
-        left = table[s, SHARE] * total
-        for eye in range(figures.shape[0]):
-            if not np.isnan(stations[eye, 0]):
-                for k in range(stations.shape[1]):
-                    h = stations[eye, k]
-                    if s == 0 or not (lowest > h >= altitude) or h < least:
+        time_left = table[s, SHARE] * total
+        for sensor in range(sensor_params.shape[0]):
+            if not np.isnan(single_altitudes[sensor, 0]):
+                for k in range(single_altitudes.shape[1]):
+                    h = single_altitudes[sensor, k]
+                    if s == 0 or not (lowest_altitude > h >= altitude) or h < min_altitude:
                         continue
-                    # Where the path passes the altitude, between the last sample and this one.
-                    part = (at[2, 2] - level - h) / max(at[2, 2] - at[0, 2], 1e-9)
+                    # Interpolate the position at this altitude between the last two samples.
+                    part = (samples[2, 2] - standing_height - h) / max(
+                        samples[2, 2] - samples[0, 2], 1e-9
+                    )
                     part = min(max(part, 0.0), 1.0)
                     for i in range(3):
-                        at[3, i] = at[2, i] + part * (at[0, i] - at[2, i])
-                    look(
-                        at[3], at[1], left, ground, nodes, eye, sharp, open_, astray, told,
-                        figures, best,
-                    )  # fmt: skip
-            elif max(figures[eye, LOWEST], least) <= altitude <= figures[eye, HIGHEST]:
-                look(
-                    at[0], at[1], left, ground, nodes, eye, sharp, open_, astray, told, figures,
-                    best,
-                )  # fmt: skip
-        lowest = min(lowest, altitude)
-        at[2] = at[0]
+                        samples[3, i] = samples[2, i] + part * (samples[0, i] - samples[2, i])
+                    observe_nodes(
+                        samples[3],
+                        samples[1],
+                        time_left,
+                        ground,
+                        nodes,
+                        sensor,
+                        sharpness,
+                        visible,
+                        displacement,
+                        reduction,
+                        sensor_params,
+                        known,
+                    )
+            elif (
+                max(sensor_params[sensor, MIN_ALTITUDE], min_altitude)
+                <= altitude
+                <= sensor_params[sensor, MAX_ALTITUDE]
+            ):
+                observe_nodes(
+                    samples[0],
+                    samples[1],
+                    time_left,
+                    ground,
+                    nodes,
+                    sensor,
+                    sharpness,
+                    visible,
+                    displacement,
+                    reduction,
+                    sensor_params,
+                    known,
+                )
+        lowest_altitude = min(lowest_altitude, altitude)
+        samples[2] = samples[0]
     return True
 
 
 @kernel(shared=True)
 def score(
     share, state, target, speed, plans, fine, coarse, powers, vehicle, end_tilt, ground, nodes,
-    sharp, open_, astray, told, figures, stations, out,
+    sharpness, visible, displacement, reduction, sensor_params, single_altitudes, out,
 ):  # fmt: skip
-    """Write what paths would let the lander know, and what they take (n, 2).
+    """Write the information gained on each path, and its delta-v (n, 2).
 
     Parameters
     ----------
+    share
+        First path and stride of this worker.
     state, target, speed
         Position and velocity now (2, 3); position (3,) and velocity (3,) at the end.
     plans
         Time-to-go and acceleration at the end of each path (n, 4).
     fine, coarse
-        Tables of samples by which limits are checked, and from which looks are taken.
+        Tables of samples at which limits are checked, and at which sensors observe.
     powers, vehicle
         See `measure`.
     end_tilt
-        Tangent of the greatest lean of the thrust once looks no longer count, and at the end.
-    ground, stations
-        See `seen`.
+        Tangent of the maximum tilt of the thrust at the end, and below the minimum altitude of
+        observations.
+    ground, single_altitudes
+        See `observe_along_path`.
     nodes
-        Of the ground (g, 6): place (m), weight, share known already, and least time-to-go with
-        which a lander on its way to the site can still fly there, s.
-    sharp, open_, astray, told, figures
-        Of the eyes, see `eyes.Eye`.
+        Terrain nodes (g, 6): position (m), weight, fraction known already, and minimum time-to-go
+        with which a lander on its way to the site can still divert there, s.
+    sharpness, visible, displacement, reduction, sensor_params
+        Tables and parameters of the sensors, see `SensorCoverageModel`.
     out
-        Mean share known of the nodes, by weight, and increment, m/s: inf where a limit is broken.
+        Weighted mean of the known fraction, and delta-v, m/s; inf if a limit is violated.
     """
     total = 0.0
     for g in range(nodes.shape[0]):
         total += nodes[g, WEIGHT]
-    asked, x, found = np.empty((2, 3)), np.empty((2, 3)), np.empty(4)
-    at, best = np.empty((4, 3)), np.empty(nodes.shape[0])
+    end_state, x, found = np.empty((2, 3)), np.empty((2, 3)), np.empty(4)
+    samples, known = np.empty((4, 3)), np.empty(nodes.shape[0])
     for n in range(share[0], plans.shape[0], share[1]):
         for k in range(3):
-            asked[0, k], asked[1, k] = speed[k], plans[n, 1 + k]
+            end_state[0, k], end_state[1, k] = speed[k], plans[n, 1 + k]
         out[n, 0], out[n, 1] = 0.0, np.inf
-        lift = asked[1, 2] + vehicle[GRAVITY]
-        lean = np.sqrt(asked[1, 0] ** 2 + asked[1, 1] ** 2)
-        if lift <= 0.0 or lean > end_tilt * lift or not plans[n, 0] > 0.0:
+        vertical_thrust = end_state[1, 2] + vehicle[GRAVITY]
+        lateral_thrust = np.sqrt(end_state[1, 0] ** 2 + end_state[1, 1] ** 2)
+        if (
+            vertical_thrust <= 0.0
+            or lateral_thrust > end_tilt * vertical_thrust
+            or not plans[n, 0] > 0.0
+        ):
             continue
-        if not measure(state, target, asked, plans[n, 0], fine, powers, vehicle, x, found):
+        if not measure(state, target, end_state, plans[n, 0], fine, powers, vehicle, x, found):
             continue
         for g in range(nodes.shape[0]):
-            best[g] = nodes[g, KNOWN]
-        if not seen(
-            target, asked, plans[n, 0], coarse, powers, x, vehicle[GRAVITY], end_tilt, ground,
-            nodes, sharp, open_, astray, told, figures, stations, at, best,
-        ):  # fmt: skip
+            known[g] = nodes[g, KNOWN_FRACTION]
+        if not observe_along_path(
+            target,
+            end_state,
+            plans[n, 0],
+            coarse,
+            powers,
+            x,
+            vehicle[GRAVITY],
+            end_tilt,
+            ground,
+            nodes,
+            sharpness,
+            visible,
+            displacement,
+            reduction,
+            sensor_params,
+            single_altitudes,
+            samples,
+            known,
+        ):
             continue
         out[n, 1] = found[0]
         mean = 0.0
         for g in range(nodes.shape[0]):
-            mean += nodes[g, WEIGHT] * best[g]
+            mean += nodes[g, WEIGHT] * known[g]
         out[n, 0] = mean / total if total > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""The ground that is worth looking at, as the lander believes it to be."""
+"""Terrain nodes for the planner, from the current hazard map."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from lunarsim.onboard.seeking.information import entropy
 Array = NDArray[np.float64]
 
 
-def nodes_of(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Array:
-    """Return squares of the ground of a map as the planner takes them (side^2, 5).
+def terrain_nodes(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Array:
+    """Return square terrain nodes over a hazard map (side^2, 5).
 
-    Their middles (3), weight and the share of the uncertainty that the map has taken away already:
-    ``1 - E[H(p)] / H(prior)``, at the prior's where nothing was observed. The weight is the share
-    of a square that the mission lets the lander land on.
+    The columns are the centre (3), m, the weight and the fraction of uncertainty that the map has
+    already removed: ``1 - E[H(p)] / H(prior)``, with the prior where nothing was observed. The
+    weight is the fraction of the square on which the mission allows a landing.
 
     Parameters
     ----------
     hazard_map
-        As it stands.
+        Current hazard map.
     side
         Squares along a side of the map.
     prior
-        Probability of a hazard before anything is seen.
+        Probability of a hazard without any observation.
     site
-        The site (3,), m: its height counts where the map knows none.
+        Site (3,), m; its height is used where the map has none.
     """
     fine = hazard_map.grid
     posting = max(fine.shape) * fine.posting / side
@@ -45,10 +45,10 @@ def nodes_of(hazard_map: HazardMap, side: int, prior: float, site: Array) -> Arr
 
 
 def _averaged(layer: Array, side: int) -> Array:
-    """Return means over equal squares of a layer (side, side); nothing beyond it counts."""
+    """Return means of a layer over equal squares (side, side)."""
     rows, cols = layer.shape
     most = max(rows, cols)
-    # Shares of each row and column of cells that lie in each row and column of squares.
+    # Fractions of each row and column of cells that lie in each row and column of squares.
     edges = np.linspace(0.0, most, side + 1)
 
     def shares(count: int) -> Array:

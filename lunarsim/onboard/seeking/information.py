@@ -1,9 +1,10 @@
-"""How much a look says of whether a hazard lies under the lander.
+"""Information that an observation gives about a hazard under the lander.
 
-Rocks are a Poisson field. Of each size so many are expected to reach into the lander's footprint;
-a look misses one at a rate that depends on how sharp it is. Whether any is there (X) and whether
-the look shows one (Y) are the two ends of a Z-channel: nothing is shown where nothing is. Their
-mutual information over the entropy of X is the share of the uncertainty that the look takes away.
+Rocks are a Poisson field, so the expected number of each size that reaches into the footprint of
+the lander is known. An observation misses a rock at a rate that depends on its sharpness. The
+presence of a rock (X) and its detection (Y) are input and output of a Z-channel without false
+detections. Their mutual information divided by the entropy of X is the fraction of uncertainty
+that the observation removes.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from lunarsim.rocks.laws import golombek_cover
 
 Array = NDArray[np.float64]
 
-LARGEST = 4.0  # diameter, m
+LARGEST = 4.0  # maximum rock diameter, m
 _SIZES = 16
 
 
@@ -33,20 +34,20 @@ def entropy(p: ArrayLike) -> Array:
     """
     p = np.clip(np.asarray(p, dtype=np.float64), 0.0, 1.0)
     q = 1.0 - p
-    # Nought, not minus nought, where nothing is uncertain.
+    # The subtraction from 0.0 avoids a result of -0.0.
     return 0.0 - (p * np.log2(np.where(p > 0.0, p, 1.0)) + q * np.log2(np.where(q > 0.0, q, 1.0)))
 
 
 @dataclass(frozen=True)
 class ExpectedRocks:
-    """Rocks of some sizes that are expected.
+    """Expected rocks in classes of equal size.
 
     Attributes
     ----------
     radius
-        Rising (n,), m.
+        Radius of each class, ascending (n,), m.
     number
-        On a square metre (n,).
+        Expected number of each class per area (n,), 1/m^2.
     """
 
     radius: Array
@@ -54,22 +55,22 @@ class ExpectedRocks:
 
     @classmethod
     def of(cls, cover: float, least_diameter: float) -> ExpectedRocks:
-        """Return those of Golombek's law from a diameter (m) on, up to 4 m.
+        """Return the expected rocks by Golombek's law between a diameter and 4 m.
 
         Parameters
         ----------
         cover
-            Share k of the ground under rocks of any size.
+            Fraction k of the terrain covered by rocks of any size.
         least_diameter
-            m.
+            Minimum diameter, m.
 
         Raises
         ------
         InputError
-            If the cover is no fraction, or the diameter not from 0 to 4 m.
+            If the cover is not a fraction, or the diameter is not between 0 and 4 m.
         """
         if not 0.0 < least_diameter < LARGEST:
-            raise InputError("least_diameter", least_diameter, f"more than 0, less than {LARGEST}")
+            raise InputError("least_diameter", least_diameter, f"must be between 0 and {LARGEST} m")
         edges = np.geomspace(least_diameter, LARGEST, _SIZES + 1)
         diameter = np.sqrt(edges[1:] * edges[:-1])
         share = golombek_cover(edges, cover)
@@ -77,31 +78,34 @@ class ExpectedRocks:
         return cls(0.5 * diameter, number)
 
     def reaching(self, footprint: float) -> Array:
-        """Return how many of each size reach into a disc of a radius, m (n,)."""
+        """Return the expected number of each size that reaches into a disc (n,).
+
+        `footprint` is the radius of the disc, m.
+        """
         return np.asarray(self.number * np.pi * (self.radius + footprint) ** 2)
 
     def hazard(self, footprint: float) -> float:
-        """Return the probability that any reaches into a disc of a radius, m."""
+        """Return the probability that a rock reaches into a disc of `footprint` (m)."""
         return float(-np.expm1(-self.reaching(footprint).sum()))
 
 
-def told_by_look(
+def removed_uncertainty(
     rocks: ExpectedRocks, footprint: float, missed: Callable[[Array], Array], sharpness: ArrayLike
 ) -> Array:
-    """Return the share of the uncertainty that a look of a sharpness takes away (...), 0 to 1.
+    """Return the fraction of uncertainty that an observation removes (...), 0 to 1.
 
-    ``[H(h (1 - m)) - h H(m)] / H(h)``, h the probability of a hazard and m that of missing it.
+    ``[H(h (1 - m)) - h H(m)] / H(h)`` with h the probability of a hazard and m that of missing it.
 
     Parameters
     ----------
     rocks
-        That are hazards.
+        Rocks that are hazards.
     footprint
-        Radius of the disc into which none may reach, m.
+        Radius of the disc that must be free of rocks, m.
     missed
-        From radius times sharpness (..., n) to the rate at which such rocks are missed.
+        Returns the rate at which rocks are missed from radius times sharpness (..., n).
     sharpness
-        Of the looks (...), for a metre of radius.
+        Sharpness of the observations (...), for 1 m of radius.
     """
     weight = rocks.reaching(footprint)
     s = np.asarray(sharpness, dtype=np.float64)[..., None]

@@ -1,10 +1,10 @@
-"""The law that looks where it lands: paths chosen anew as it flies for what they let it see.
+"""Information-seeking guidance law: plans paths by what the sensors observe.
 
-Every so often the planner (`SeekingPlanner`) looks for the path after which most is known of the
-ground that can still be landed on, for no more propellant than the mission allows. It is asked with
-what the lander believes: the hazard map as it stands, its own place, the rocks and the Sun of the
-briefing. In between the path is flown as the Apollo law flies its own. Once looks no longer count
-the lander goes down by the cheapest path.
+At fixed intervals the planner (`SeekingPlanner`) searches for the path that gains most information
+about the terrain within reach, within the propellant that the mission allows. It uses the current
+hazard map, the navigation estimate, and the rocks and the Sun of the briefing. Between plans the
+path is flown as by the Apollo law. Once observations no longer count, because no decision follows,
+the lander descends on the minimum-propellant path.
 """
 
 from __future__ import annotations
@@ -25,96 +25,101 @@ from lunarsim.onboard.guidance.path_law import PathLaw
 from lunarsim.onboard.guidance.paths import APOLLO, PathShape
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
-from lunarsim.onboard.seeking.eyes import eyes_of, footprint_of
-from lunarsim.onboard.seeking.ground import nodes_of
+from lunarsim.onboard.seeking.eyes import build_coverage_models, footprint_radius
+from lunarsim.onboard.seeking.ground import terrain_nodes
 from lunarsim.onboard.seeking.information import ExpectedRocks
-from lunarsim.onboard.seeking.planner import Plan, Problem, SeekingPlanner
+from lunarsim.onboard.seeking.planner import PathPlan, PlanningProblem, SeekingPlanner
 from lunarsim.onboard.tasking.contract import Looks
 from lunarsim.parts.quantity import quantity
 
 Array = NDArray[np.float64]
 
-_MOVED = 1.0  # of the end, m: a divert
-# With less time left than this the last plan is flown out, s.
-_LAST = 6.0
-# After a look the map is drawn anew within so long, s.
-_DRAWN = 1.0
-# Shares of the greatest lean that are tried in turn for the way down after the looks.
-_UPRIGHT = (0.6, 0.8, 1.0)
-# So many times the time of the cheapest one it takes there.
-_CALM = 1.4
-# Share of the speed downward at the end by which it sinks at least, on the mean of what is left.
-_SINKING = 0.5
-_LOOKED_AT = np.linspace(0.0, 1.0, 101)[:-1]  # shares of its time
+# A larger shift of the end of the approach is a divert.
+_DIVERT_DISTANCE_M = 1.0
+# With less time left, the last plan is flown to its end.
+_MIN_REPLANNING_TIME_S = 6.0
+# Maximum delay between an observation and the updated map.
+_MAP_LATENCY_S = 1.0
+# Fractions of the maximum tilt that are tried in turn for the descent after the observations.
+_TILT_FRACTIONS = (0.6, 0.8, 1.0)
+# The calm variant of these paths takes this multiple of the minimum-propellant time.
+_CALM_TIME_RATIO = 1.4
+# Minimum mean sink rate over the remaining path, as a fraction of the sink rate at the end.
+_MIN_SINK_RATIO = 0.5
+_CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 101)[:-1]  # fractions of the time-to-go
 
 
 @dataclass(frozen=True)
 class InformationSeekingLaw(PathLaw):
-    """Paths that reduce what is not known of the ground in reach; the Apollo law's in between.
+    """Apollo-law paths that maximise the information about reachable terrain.
 
-    What it costs to reach a site is told by the paths of the Apollo law.
+    The cost of reaching a site is that of the paths of the Apollo law.
 
     Attributes
     ----------
     interval
-        Between plans, s.
+        Time between plans, s.
     candidates
-        Paths looked at for a plan.
+        Number of paths evaluated for a plan.
     squares
-        Of the ground along a side of the map.
+        Terrain nodes along a side of the map.
     allowance
-        Propellant that seeing may cost over the cheapest path, in all, kg.
+        Propellant that observation may cost in total, above the minimum-propellant path, kg.
     price
-        Share of the uncertainty that a kilogram of propellant is worth, 1/kg.
+        Fraction of uncertainty that one kilogram of propellant is worth, 1/kg.
     least_diameter
-        Of a rock that is a hazard, m.
+        Minimum diameter of a rock that is a hazard, m.
     end_tilt
-        Greatest lean of the thrust once looks no longer count, rad.
+        Maximum tilt of the thrust below the altitude of the last decision, rad.
     """
 
-    interval: float = quantity(2.0, "s", gt=0, le=60, help="between plans")
-    candidates: int = quantity(3000, ge=30, le=100_000, help="paths looked at for a plan")
-    squares: int = quantity(8, ge=2, le=40, help="of the ground along a side of the map")
+    interval: float = quantity(2.0, "s", gt=0, le=60, help="Time between plans")
+    candidates: int = quantity(3000, ge=30, le=100_000, help="Number of paths evaluated for a plan")
+    squares: int = quantity(8, ge=2, le=40, help="Terrain nodes along a side of the map")
     allowance: float = quantity(
-        1.5, "kg", ge=0, help="propellant that seeing may cost over the cheapest path"
+        1.5, "kg", ge=0, help="Propellant allowed for observation above the minimum"
     )
-    price: float = quantity(0.02, ge=0, help="share of the uncertainty that a kilogram is worth")
-    least_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="of a rock that is a hazard")
-    end_tilt: float = quantity(25.0, "deg", ge=0, lt=85, help="greatest below the last decision")
+    price: float = quantity(
+        0.02, ge=0, help="Weight of one kilogram of propellant, fraction of uncertainty"
+    )
+    least_diameter: float = quantity(
+        0.5, "m", gt=0, lt=4, help="Minimum diameter of a rock that is a hazard"
+    )
+    end_tilt: float = quantity(
+        25.0, "deg", ge=0, lt=85, help="Maximum tilt below the altitude of the last decision"
+    )
 
     @property
     def shape(self) -> PathShape:
-        """Of its paths."""
+        """Shape of the paths."""
         return APOLLO
 
     def build(self, briefing: Briefing, lag: float) -> SeekingGuidance:  # type: ignore[override]
-        """Return the law of one flight.
+        """Return the guidance law of one flight.
 
         Raises
         ------
         InputError
-            If the lander has no sensor on a gimbal, or no mapper that takes it in: nothing to see
-            by.
+            If no mapper uses a tasked sensor on a gimbal, so that nothing can be observed.
         """
         return SeekingGuidance(self, briefing, lag)
 
 
 class SeekingGuidance:
-    """The law in flight; see `InformationSeekingLaw`.
+    """Information-seeking guidance of one flight; see `InformationSeekingLaw`.
 
     Attributes
     ----------
     belief
-        Gives the hazard map as it stands; None before the computer has said so.
+        Returns the current hazard map; None until the computer sets it.
     arrival
-        When it means to be at the end, s; None before the first command.
+        Planned time at the end of the approach, s; None before the first command.
     events
-        What happened: time (s), name ("guidance-fallback", "guidance-planned", "seeking-over"),
-        details.
+        Events: time (s), name ("guidance-fallback", "guidance-planned", "seeking-over"), details.
     plan
-        What is flown, as it was made; None: the computer's time-to-go and end.
+        Plan being flown; None: the time-to-go and end of the computer are used.
     planner
-        What looks for plans.
+        Planner of the paths.
     """
 
     def __init__(self, settings: InformationSeekingLaw, briefing: Briefing, lag: float) -> None:
@@ -124,21 +129,23 @@ class SeekingGuidance:
         self.belief: Callable[[], HazardMap | None] | None = None
         self.arrival: float | None = None
         self.events: list[tuple[float, str, dict[str, Any]]] = []
-        self.plan: Plan | None = None
+        self.plan: PathPlan | None = None
         self.limits: PathLimits = briefing.software.approach.limits
-        eyes = eyes_of(briefing, settings.least_diameter)
-        if not eyes:
+        sensors = build_coverage_models(briefing, settings.least_diameter)
+        if not sensors:
             raise InputError(
                 "guidance.kind", "information-seeking",
-                "a lander with a tasked camera or LiDAR that a mapper takes in, and for a camera a "
-                "Sun between 2 and 80 deg high",
+                "needs a tasked camera or LiDAR that a mapper uses",
+                "A camera needs a Sun elevation between 2 and 80 deg.",
             )  # fmt: skip
-        looks = [_looks(briefing.software.tasking[eye.name]) for eye in eyes]
+        looks = [
+            _measurement_altitudes(briefing.software.tasking[sensor.name]) for sensor in sensors
+        ]
         self.planner = SeekingPlanner(
-            eyes, looks, settings.candidates, settings.price, settings.end_tilt
+            sensors, looks, settings.candidates, settings.price, settings.end_tilt
         )
         rocks = ExpectedRocks.of(briefing.rocks.cover, settings.least_diameter)
-        self._prior = rocks.hazard(footprint_of(briefing))
+        self._prior = rocks.hazard(footprint_radius(briefing))
         self._answering = Answering(lag)
         self._apollo = PathGuidance(
             APOLLO, self.gravity, answering=self._answering,
@@ -146,97 +153,108 @@ class SeekingGuidance:
         )  # fmt: skip
         self._end: PhaseEnd | None = None
         self._next = -np.inf
-        self._budget: float | None = None  # mass below which seeing may not burn, kg
+        self._budget: float | None = None  # minimum mass after propellant used for observation, kg
         self._lowest = np.inf
-        self._over = self._fallen = False
+        self._observation_over = self._has_fallen_back = False
 
     def command(self, estimate: Estimate, end: PhaseEnd, time: float, time_to_go: float) -> Array:
         """Return the thrust acceleration (3,), ENU, m/s^2."""
         refuse_unknown(estimate, end)
         if not np.isfinite(time_to_go):
-            raise InputError("guidance.time_to_go", time_to_go, "a finite time in s")
+            raise InputError("guidance.time_to_go", time_to_go, "must be a finite time in s")
         self._answering.follow(time)
-        moved = self._end is not None and _apart(self._end, end) > _MOVED
+        moved = self._end is not None and _horizontal_distance(self._end, end) > _DIVERT_DISTANCE_M
         if self.arrival is None or moved:
-            self.arrival = time + time_to_go  # the computer's guess
+            self.arrival = time + time_to_go  # the computer's estimate
         site = self._site(end)
         altitude = float(estimate.position[2] - site[2] - self.lander.com_height)
         self._lowest = min(self._lowest, altitude)
-        if moved or self._end is None or (time >= self._next - 1e-9 and self._open(time)):
+        if moved or self._end is None or (time >= self._next - 1e-9 and self._can_replan(time)):
             self._end, self._next = end, time + self.settings.interval
-            flown = self.plan
+            previous = self.plan
             if moved:
-                self.plan = None  # it ends elsewhere: only as a first guess is it good
-            self._replan(estimate, end, time, site, flown)
-        elif self._late and not self._over:
-            self._go_down(estimate, end, time)
-        asked = end if self.plan is None else replace(end, acceleration=self.plan.acceleration)
-        return self._apollo.command(estimate, asked, time, self.arrival - time)
+                self.plan = None  # it ends elsewhere and serves only as a first guess
+            self._replan(estimate, end, time, site, previous)
+        elif self._is_past_decisions and not self._observation_over:
+            self._begin_descent(estimate, end, time)
+        target_end = end if self.plan is None else replace(end, acceleration=self.plan.acceleration)
+        return self._apollo.command(estimate, target_end, time, self.arrival - time)
 
-    def _open(self, time: float) -> bool:
-        """Tell whether plans are still made."""
-        return not self._late and self.arrival is not None and self.arrival - time > _LAST
+    def _can_replan(self, time: float) -> bool:
+        """Return whether enough time is left for another plan."""
+        return (
+            not self._is_past_decisions
+            and self.arrival is not None
+            and self.arrival - time > _MIN_REPLANNING_TIME_S
+        )
 
     @property
-    def _late(self) -> bool:
-        """Whether looks no longer count: nothing is decided by them."""
+    def _is_past_decisions(self) -> bool:
+        """Whether observations no longer count, because no decision follows."""
         return bool(self._lowest <= self.briefing.software.decisions.last_altitude)
 
     def _cheapest(
-        self, estimate: Estimate, end: PhaseEnd, limits: PathLimits, least: float = 0.0
+        self, estimate: Estimate, end: PhaseEnd, limits: PathLimits, min_time: float = 0.0
     ) -> tuple[float, float]:
-        """Return propellant (kg) and time-to-go (s) of the cheapest path; inf and NaN: none.
+        """Return propellant (kg) and time-to-go (s) of the cheapest admissible path.
 
-        It takes no less than `least`, s.
+        It takes at least `min_time`. Without an admissible path they are inf and NaN.
         """
-        one = replace(end, position=end.position[None, :])
+        end_batch = replace(end, position=end.position[None, :])
         cost = divert_cost(
-            estimate, one, self.lander, self.gravity, limits=limits, least_times=np.array([least])
+            estimate,
+            end_batch,
+            self.lander,
+            self.gravity,
+            limits=limits,
+            least_times=np.array([min_time]),
         )
         return float(cost.propellant[0]), float(cost.time_to_go[0])
 
     def _site(self, end: PhaseEnd) -> Array:
-        """Return the site of an end of the approach (3,), m."""
+        """Return the site that belongs to an end of the approach (3,), m."""
         approach = self.briefing.software.approach
-        above = approach.end(np.zeros(3), self.lander).position
-        return np.asarray(end.position - above)
+        height = approach.end(np.zeros(3), self.lander).position
+        return np.asarray(end.position - height)
 
-    # --- plans ----------------------------------------------------------------------------
+    # --- Plans ----------------------------------------------------------------------------
 
     def _ahead(self, estimate: Estimate) -> Estimate:
-        """Return where the lander is when a command takes effect."""
+        """Return the estimate at the time when a command takes effect."""
         position, velocity = self._answering.ahead(estimate)
         return replace(estimate, position=position, velocity=velocity)
 
     def _replan(
-        self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, flown: Plan | None
+        self, estimate: Estimate, end: PhaseEnd, time: float, site: Array, previous: PathPlan | None
     ) -> None:
-        """Look for the best path from where commands take effect; `flown`: the one so far."""
-        if self._late:
-            self._go_down(estimate, end, time)
+        """Search for the best path from where commands take effect."""
+        if self._is_past_decisions:
+            self._begin_descent(estimate, end, time)
             return
-        here, lead = self._ahead(estimate), self._answering.lead
-        cheapest, soonest = self._cheapest(here, end, self.limits)
-        left = (self.arrival or time) - time - lead
-        problem = self.problem(here, end, site)
-        last = None if flown is None else replace(flown, time_to_go=left)
-        expected = soonest if np.isfinite(soonest) else max(left, 1.0)
-        most = self._most(estimate.mass, cheapest)
-        plan = None if problem is None else self.planner.best(problem, expected, most, last)
+        start, lead = self._ahead(estimate), self._answering.lead
+        cheapest, fastest = self._cheapest(start, end, self.limits)
+        remaining = (self.arrival or time) - time - lead
+        problem = self.problem(start, end, site)
+        last = None if previous is None else replace(previous, time_to_go=remaining)
+        expected = fastest if np.isfinite(fastest) else max(remaining, 1.0)
+        max_propellant = self._propellant_limit(estimate.mass, cheapest)
+        plan = (
+            None if problem is None else self.planner.best(problem, expected, max_propellant, last)
+        )
         if plan is None:
             self._fall_back(time, "no map" if problem is None else "no admissible path")
             return
-        self._fallen = False
+        self._has_fallen_back = False
         self.plan = plan
         self.arrival = time + lead + plan.time_to_go
         self.events.append((time, "guidance-planned", {
             "known": plan.known, "propellant": plan.propellant, "time_to_go": plan.time_to_go,
         }))  # fmt: skip
 
-    def _most(self, mass: float, cheapest: float) -> float:
-        """Return the propellant that a path may take, kg: what is left of that of the first plan.
+    def _propellant_limit(self, mass: float, cheapest: float) -> float:
+        """Return the propellant that a path may use, kg: the rest of the initial budget.
 
-        A site that is dearer than that may be flown to all the same.
+        A site that needs more than this can still be flown to.
         """
         if self._budget is None:
             if not np.isfinite(cheapest):
@@ -244,81 +262,85 @@ class SeekingGuidance:
             self._budget = mass - cheapest - self.settings.allowance
         return max(mass - self._budget, cheapest if np.isfinite(cheapest) else 0.0)
 
-    def _fall_back(self, time: float, why: str) -> None:
-        """Fly on as before: by the last plan to this end, or as the computer wants it."""
-        if not self._fallen:
-            self.events.append((time, "guidance-fallback", {"reason": why}))
-        self._fallen = True
+    def _fall_back(self, time: float, reason: str) -> None:
+        """Keep the last plan to this end, or fly as the computer commands."""
+        if not self._has_fallen_back:
+            self.events.append((time, "guidance-fallback", {"reason": reason}))
+        self._has_fallen_back = True
 
-    def _go_down(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
-        """Take a path that leans little where looks no longer count, if there is one.
+    def _begin_descent(self, estimate: Estimate, end: PhaseEnd, time: float) -> None:
+        """Select a path with little tilt once observations no longer count.
 
-        The less the better, and not in haste: a lander that is to lean to the other side takes a
-        second or two to turn over. But for that no more is burnt over the cheapest of these paths
-        than seeing may cost: one that leans by hardly more than nothing may hover down for
-        minutes. Where there is none the plan is flown out, which keeps the greatest lean too;
-        so it is where they all hover about the height of the end, which would end the phase beside
-        it. After a divert that no plan was found for, one that hovers is better than none.
+        Paths with less tilt are preferred, and of those the slower variant, because a reversal of
+        the tilt takes one or two seconds. The propellant above that of the cheapest of these paths
+        is limited by the allowance, since a path with almost no tilt can hover down for minutes. If
+        no path is admissible, the plan is flown to its end, which also keeps the maximum tilt. The
+        same holds if all paths hover near the height of the end, because this would end the phase
+        beside the end point. After a divert without a plan, a hovering path is accepted.
         """
-        ways = self._ways_down(self._ahead(estimate), end)
-        if not ways:
+        paths = self._descent_paths(self._ahead(estimate), end)
+        if not paths:
             return
-        most = min(propellant for propellant, _, _ in ways) + self.settings.allowance
-        _, soonest, lean = next(way for way in ways if way[0] <= most)
-        self.plan, self._over = None, True
-        self.arrival = time + soonest + self._answering.lead
-        self.events.append((time, "seeking-over", {"time_to_go": soonest, "lean": lean}))
+        max_propellant = min(propellant for propellant, _, _ in paths) + self.settings.allowance
+        _, fastest, tilt = next(path for path in paths if path[0] <= max_propellant)
+        self.plan, self._observation_over = None, True
+        self.arrival = time + fastest + self._answering.lead
+        self.events.append((time, "seeking-over", {"time_to_go": fastest, "lean": tilt}))
 
-    def _ways_down(self, here: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
-        """Return propellant (kg), time-to-go (s) and lean (rad) of paths, the calmest first."""
-        ways = []
-        for share in _UPRIGHT:
-            lean = share * min(self.settings.end_tilt, self.limits.max_tilt)
-            limits = replace(self.limits, max_tilt=lean)
-            hasty, soonest = self._cheapest(here, end, limits)
-            calm, slower = self._cheapest(here, end, limits, _CALM * soonest)
-            ways += [(calm, slower, lean), (hasty, soonest, lean)]
-        ways = [way for way in ways if np.isfinite(way[0])]
-        sinking = [way for way in ways if self._sinks(here, end, way[1])]
-        return sinking if sinking or self.plan is not None else ways
+    def _descent_paths(self, start: Estimate, end: PhaseEnd) -> list[tuple[float, float, float]]:
+        """Return propellant (kg), time-to-go (s) and tilt (rad), least tilt first."""
+        paths = []
+        for share in _TILT_FRACTIONS:
+            tilt = share * min(self.settings.end_tilt, self.limits.max_tilt)
+            limits = replace(self.limits, max_tilt=tilt)
+            fast_propellant, fastest = self._cheapest(start, end, limits)
+            calm_propellant, slower = self._cheapest(start, end, limits, _CALM_TIME_RATIO * fastest)
+            paths += [(calm_propellant, slower, tilt), (fast_propellant, fastest, tilt)]
+        paths = [path for path in paths if np.isfinite(path[0])]
+        monotonic = [path for path in paths if self._descends_monotonically(start, end, path[1])]
+        return monotonic if monotonic or self.plan is not None else paths
 
-    def _sinks(self, here: Estimate, end: PhaseEnd, time_to_go: float) -> bool:
-        """Tell whether a path comes to the height of its end no sooner than to its end."""
-        path = self.settings.shape.path(here.position, here.velocity, end, time_to_go)
-        above = path.at(_LOOKED_AT * time_to_go)[0][:, 2] - end.position[2]
-        left = (1.0 - _LOOKED_AT) * time_to_go
-        return bool((above >= _SINKING * -end.velocity[2] * left).all())
+    def _descends_monotonically(self, start: Estimate, end: PhaseEnd, time_to_go: float) -> bool:
+        """Return whether a path reaches the height of its end no earlier than its end."""
+        path = self.settings.shape.path(start.position, start.velocity, end, time_to_go)
+        height = path.at(_CHECKED_FRACTIONS * time_to_go)[0][:, 2] - end.position[2]
+        remaining = (1.0 - _CHECKED_FRACTIONS) * time_to_go
+        return bool((height >= _MIN_SINK_RATIO * -end.velocity[2] * remaining).all())
 
-    def problem(self, here: Estimate, end: PhaseEnd, site: Array) -> Problem | None:
-        """Return what a plan is to be made for; None without a map."""
+    def problem(self, start: Estimate, end: PhaseEnd, site: Array) -> PlanningProblem | None:
+        """Return the planning problem; None without a map."""
         hazard_map = None if self.belief is None else self.belief()
         if hazard_map is None:
             return None
-        nodes = nodes_of(hazard_map, self.settings.squares, self._prior, site)
-        away = np.hypot(*(nodes[:, :2] - site[:2]).T)
-        # A path with T left answers a step d to the side with 6 d / T^2 at once; before that the
-        # map has to be drawn, and the site chosen.
+        nodes = terrain_nodes(hazard_map, self.settings.squares, self._prior, site)
+        distance = np.hypot(*(nodes[:, :2] - site[:2]).T)
+        # With time-to-go T, a lateral divert d needs an initial acceleration of 6 d / T^2. Before
+        # that, the map must be updated and the site selected.
         decisions = self.briefing.software.decisions
-        needs = np.sqrt(6.0 * away / self._aside(here.mass)) + _DRAWN + decisions.interval
-        return Problem(
-            here, end, site, np.column_stack((nodes, needs)), self.lander, self.gravity,
+        min_time_to_go = (
+            np.sqrt(6.0 * distance / self._lateral_acceleration(start.mass))
+            + _MAP_LATENCY_S
+            + decisions.interval
+        )
+        return PlanningProblem(
+            start, end, site, np.column_stack((nodes, min_time_to_go)), self.lander, self.gravity,
             self.limits, self.lander.com_height, decisions.last_altitude, self._lowest,
         )  # fmt: skip
 
-    def _aside(self, mass: float) -> float:
-        """Return the acceleration that a divert may ask for to the side, m/s^2."""
+    def _lateral_acceleration(self, mass: float) -> float:
+        """Return the lateral acceleration available for a divert, m/s^2."""
         lander = self.lander
         margin = self.limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
-        most = (lander.thrust_max - margin) / mass
-        spare = np.sqrt(max(most**2 - self.gravity**2, 1e-4))
+        max_acceleration = (lander.thrust_max - margin) / mass
+        spare = np.sqrt(max(max_acceleration**2 - self.gravity**2, 1e-4))
         return float(min(self.gravity * np.tan(self.limits.max_tilt), spare))
 
 
-def _looks(part: Any) -> Looks:
-    """Return when a schedule measures."""
+def _measurement_altitudes(part: Any) -> Looks:
+    """Return the altitudes at which a schedule measures."""
     known = getattr(part, "looks", None)
     return known if isinstance(known, Looks) else Looks()
 
 
-def _apart(a: PhaseEnd, b: PhaseEnd) -> float:
+def _horizontal_distance(a: PhaseEnd, b: PhaseEnd) -> float:
     return float(np.hypot(*(a.position[:2] - b.position[:2])))

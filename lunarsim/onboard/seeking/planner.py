@@ -1,9 +1,9 @@
-"""The search for the path that lets the lander know most of the ground in reach.
+"""Search for the path that gains most information about reachable terrain.
 
-Paths are those of the Apollo law (Klumpp 1974), each told by its time-to-go and the acceleration at
-its end: what is asked for there bends the whole path, to the side as well as up, so that it may
-overfly the site or come in from elsewhere. Thousands of them, drawn evenly by Halton's sequence
-over both and closer about the best, are scored by one kernel.
+Paths are those of the Apollo law (Klumpp 1974), defined by time-to-go and acceleration at the end.
+The end acceleration bends the complete path laterally and vertically, so that it can overfly the
+site or approach it from another direction. One kernel scores thousands of paths: a Halton sequence
+over all parameters, then a denser one about the best path.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from lunarsim.onboard.guidance.divert import PathLimits
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.seeking import _seeking_kernels as kernels
-from lunarsim.onboard.seeking.eyes import Eye
+from lunarsim.onboard.seeking.eyes import SensorCoverageModel
 from lunarsim.onboard.tasking.contract import Looks
 
 Array = NDArray[np.float64]
 
-# Samples by which limits are checked (Simpson's intervals), and from which looks are taken.
-_FINE, _COARSE = 24, 24
-# Bounds of the family: shares of the expected time-to-go, and accelerations at the end as shares
-# of gravity: along the way there and across it, and up.
-_TIMES = (0.7, 1.8)
-_ALONG, _UP = 1.2, (-0.5, 1.2)
-# A path close by differs from the best by such a share of the family's extents.
-_CLOSE = 0.12
+# Samples at which limits are checked (Simpson intervals), and at which sensors observe.
+_LIMIT_SAMPLES, _OBSERVATION_SAMPLES = 24, 24
+# Bounds of the path parameters: time-to-go as a fraction of the expected one, and end accelerations
+# as fractions of gravity, along and across the way, and vertical.
+_TIME_TO_GO_RANGE = (0.7, 1.8)
+_MAX_HORIZONTAL, _VERTICAL_RANGE = 1.2, (-0.5, 1.2)
+# Width of the refinement about the best path, as a fraction of the parameter ranges.
+_REFINEMENT_WIDTH = 0.12
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A path, and what is expected of it.
+class PathPlan:
+    """Planned path and its expected result.
 
     Attributes
     ----------
     time_to_go
-        s.
+        Time-to-go, s.
     acceleration
-        At its end (3,), m/s^2.
+        Acceleration at the end (3,), m/s^2.
     known
-        Share of the uncertainty about the ground in reach that will be gone.
+        Expected fraction of uncertainty removed, averaged over the reachable terrain.
     propellant
-        kg.
+        Propellant, kg.
     """
 
     time_to_go: float
@@ -61,27 +61,31 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """What a plan is made for.
+class PlanningProblem:
+    """Inputs of a plan.
 
     Attributes
     ----------
     estimate
-        Where the lander is when it begins.
+        Navigation estimate at the start of the path.
     end
-        Where the approach ends.
+        End of the approach.
     site
-        The site (3,), m.
+        Site (3,), m.
     nodes
-        Of the ground (g, 6), see the kernel.
-    lander, gravity, limits
-        Of the vehicle, m/s^2, and of its paths.
-    standing
-        Height of the centre of mass over the pads, m.
-    least_altitude
-        Of the pads above the site, below which looks no longer count, m.
-    passed
-        Least altitude so far, m: single looks above it are past.
+        Terrain nodes (g, 6), see `_seeking_kernels.score`.
+    lander
+        Lander.
+    gravity
+        Gravity, m/s^2.
+    limits
+        Limits of the path.
+    com_height
+        Height of the centre of mass above the pads, m.
+    min_altitude
+        Altitude of the pads above the site below which observations do not count, m.
+    lowest_altitude
+        Lowest altitude so far, m; single observations above it are in the past.
     """
 
     estimate: Estimate
@@ -91,116 +95,161 @@ class Problem:
     lander: Lander
     gravity: float
     limits: PathLimits
-    standing: float
-    least_altitude: float
-    passed: float = np.inf
+    com_height: float
+    min_altitude: float
+    lowest_altitude: float = np.inf
 
 
 class SeekingPlanner:
-    """Scores the family of paths with what is known of sensors and their schedules.
+    """Scores candidate paths with models of the sensors and their schedules.
 
     Parameters
     ----------
-    eyes, looks
-        Sensors, and when each of them measures.
+    sensors, looks
+        Models of the sensors, and the altitudes at which each of them measures.
     candidates
-        Paths looked at for a plan.
-    price
-        Share of the uncertainty that a kilogram of propellant is worth, 1/kg.
+        Number of paths evaluated for a plan.
+    propellant_weight
+        Fraction of uncertainty that one kilogram of propellant is worth, 1/kg.
     end_tilt
-        Greatest lean of the thrust at the end of the approach, rad.
+        Maximum tilt of the thrust at the end of the approach, rad.
     """
 
     def __init__(
-        self, eyes: list[Eye], looks: list[Looks], candidates: int, price: float, end_tilt: float
+        self,
+        sensors: list[SensorCoverageModel],
+        looks: list[Looks],
+        candidates: int,
+        propellant_weight: float,
+        end_tilt: float,
     ) -> None:
-        self.candidates, self.price, self.end_tilt = candidates, price, end_tilt
+        self.candidates, self.propellant_weight, self.end_tilt = (
+            candidates,
+            propellant_weight,
+            end_tilt,
+        )
         self._looks = looks
         self._tables = [
-            np.ascontiguousarray([getattr(eye, name) for eye in eyes])
-            for name in ("sharp", "open", "astray", "told")
+            np.ascontiguousarray([getattr(sensor, name) for sensor in sensors])
+            for name in ("sharpness", "visible_fraction", "displacement", "reduction")
         ]
-        self._figures = np.array([_figures_of(e, o) for e, o in zip(eyes, looks, strict=True)])
-        self._fine, self._coarse = _samples(_FINE), _samples(_COARSE)
+        self._sensor_params = np.array(
+            [_sensor_params(e, o) for e, o in zip(sensors, looks, strict=True)]
+        )
+        self._fine, self._coarse = _samples(_LIMIT_SAMPLES), _samples(_OBSERVATION_SAMPLES)
 
     def best(
-        self, problem: Problem, expected: float, most: float, last: Plan | None
-    ) -> Plan | None:
-        """Return the best path that keeps the limits; None without one.
+        self,
+        problem: PlanningProblem,
+        expected: float,
+        max_propellant: float,
+        last: PathPlan | None,
+    ) -> PathPlan | None:
+        """Return the best path within the limits; None if there is none.
 
-        Where none is to be had for what it may take, it is the one that takes least.
+        If no path stays below `max_propellant`, the path with the least propellant is returned.
 
         Parameters
         ----------
         problem
-            From where to where, over which ground.
+            Planning problem.
         expected
-            Time-to-go about which paths are looked for, s.
-        most
-            Propellant that a path may take, kg.
+            Time-to-go about which paths are sampled, s.
+        max_propellant
+            Propellant that a path may use, kg.
         last
-            What is flown now: it stays unless another is better.
+            Plan being flown; it is kept unless another is better.
         """
         low, high = self._bounds(problem, expected)
         plans = self.drawn(problem, expected, 2 * self.candidates // 3)
         if last is not None:
-            plans = np.vstack((_row(last), plans))
-        value, known, burnt = self._values(problem, plans, most)
+            plans = np.vstack((_plan_row(last), plans))
+        value, known, propellant = self._values(problem, plans, max_propellant)
         if not np.isfinite(value).any():
-            most = float(np.min(burnt))
-            value, known, burnt = self._values(problem, plans, most)
+            max_propellant = float(np.min(propellant))
+            value, known, propellant = self._values(problem, plans, max_propellant)
         first = int(np.argmax(value))
         if not np.isfinite(value[first]):
             return None
-        near = _CLOSE * (high - low) * (_spread(self.candidates // 3) - 0.5)
-        about = plans[first] + _turned(problem, near)
-        about[:, 0] = np.maximum(about[:, 0], 1.0)
-        better, known_too, burnt_too = self._values(problem, about, most)
-        plans = np.vstack((plans, about))
-        value = np.append(value, better)
-        known, burnt = np.append(known, known_too), np.append(burnt, burnt_too)
+        offsets = _REFINEMENT_WIDTH * (high - low) * (_halton_points(self.candidates // 3) - 0.5)
+        refined = plans[first] + _to_enu(problem, offsets)
+        refined[:, 0] = np.maximum(refined[:, 0], 1.0)
+        refined_value, refined_known, refined_propellant = self._values(
+            problem, refined, max_propellant
+        )
+        plans = np.vstack((plans, refined))
+        value = np.append(value, refined_value)
+        known, propellant = (
+            np.append(known, refined_known),
+            np.append(propellant, refined_propellant),
+        )
         k = int(np.argmax(value))
-        return Plan(float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(burnt[k]))
+        return PathPlan(
+            float(plans[k, 0]), plans[k, 1:].copy(), float(known[k]), float(propellant[k])
+        )
 
-    def _bounds(self, problem: Problem, expected: float) -> tuple[Array, Array]:
-        """Return the least and greatest parameters of the family (4,), along and across."""
+    def _bounds(self, problem: PlanningProblem, expected: float) -> tuple[Array, Array]:
+        """Return lower and upper bounds of the path parameters (4,), along and across."""
         g = problem.gravity
-        low = np.array([_TIMES[0] * expected, -_ALONG * g, -_ALONG * g, _UP[0] * g])
-        high = np.array([_TIMES[1] * expected, _ALONG * g, _ALONG * g, _UP[1] * g])
+        low = np.array(
+            [
+                _TIME_TO_GO_RANGE[0] * expected,
+                -_MAX_HORIZONTAL * g,
+                -_MAX_HORIZONTAL * g,
+                _VERTICAL_RANGE[0] * g,
+            ]
+        )
+        high = np.array(
+            [
+                _TIME_TO_GO_RANGE[1] * expected,
+                _MAX_HORIZONTAL * g,
+                _MAX_HORIZONTAL * g,
+                _VERTICAL_RANGE[1] * g,
+            ]
+        )
         low[0] = max(low[0], 1.0)
         return low, np.maximum(high, low)
 
-    def drawn(self, problem: Problem, expected: float, count: int) -> Array:
-        """Return plans spread evenly over the family (count, 4): time and acceleration at the end.
+    def drawn(self, problem: PlanningProblem, expected: float, count: int) -> Array:
+        """Return evenly spread plans (count, 4): time-to-go and acceleration at the end.
 
         Parameters
         ----------
         problem
-            From where to where.
+            Planning problem.
         expected
-            Time-to-go about which they lie, s.
+            Time-to-go about which plans are sampled, s.
         count
-            How many.
+            Number of plans.
         """
         low, high = self._bounds(problem, expected)
-        return _turned(problem, low + (high - low) * _spread(count))
+        return _to_enu(problem, low + (high - low) * _halton_points(count))
 
-    def _values(self, problem: Problem, plans: Array, most: float) -> tuple[Array, Array, Array]:
-        """Return worth, share known and propellant (kg) of plans (n,); -inf: not to be had."""
+    def _values(
+        self, problem: PlanningProblem, plans: Array, max_propellant: float
+    ) -> tuple[Array, Array, Array]:
+        """Return value (-inf: not admissible), known fraction and propellant (kg)."""
         scored = self.score(problem, plans)
         e, lander = problem.estimate, problem.lander
-        burnt = e.mass * -np.expm1(-scored[:, 1] / lander.exhaust_velocity)
-        held = e.mass - lander.dry_mass - problem.limits.reserve
-        good = burnt <= min(most, held)
-        value = np.where(good, scored[:, 0] - self.price * np.where(good, burnt, 0.0), -np.inf)
-        return value, scored[:, 0], burnt
+        propellant = e.mass * -np.expm1(-scored[:, 1] / lander.exhaust_velocity)
+        available = e.mass - lander.dry_mass - problem.limits.reserve
+        is_admissible = propellant <= min(max_propellant, available)
+        value = np.where(
+            is_admissible,
+            scored[:, 0] - self.propellant_weight * np.where(is_admissible, propellant, 0.0),
+            -np.inf,
+        )
+        return value, scored[:, 0], propellant
 
-    def score(self, problem: Problem, plans: Array) -> Array:
-        """Return share known and increment (m/s) of plans (n, 4): time and acceleration (n, 2)."""
+    def score(self, problem: PlanningProblem, plans: Array) -> Array:
+        """Return known fraction and delta-v (m/s) of plans (n, 2).
+
+        The plans (n, 4) consist of time-to-go (s) and acceleration at the end (m/s^2).
+        """
         p = problem
         out = np.empty((len(plans), 2))
-        vehicle = vehicle_figures(p.estimate, p.lander, p.gravity, p.limits)
-        ground = np.array([*p.site, p.site[2] + p.standing, p.least_altitude])
+        vehicle = vehicle_params(p.estimate, p.lander, p.gravity, p.limits)
+        ground = np.array([*p.site, p.site[2] + p.com_height, p.min_altitude])
         with threads_for(10.0 * len(plans)):
             kernels.score(
                 np.array([p.estimate.position, p.estimate.velocity], dtype=np.float64),
@@ -208,32 +257,29 @@ class SeekingPlanner:
                 np.asarray(p.end.velocity, dtype=np.float64), np.ascontiguousarray(plans),
                 self._fine, self._coarse, np.array(APOLLO.powers), vehicle,
                 float(np.tan(self.end_tilt)), ground, np.ascontiguousarray(p.nodes),
-                *self._tables, self._figures, self._stations(p.passed), out,
+                *self._tables, self._sensor_params, self._single_altitudes(p.lowest_altitude), out,
             )  # fmt: skip
         return out
 
-    def _stations(self, passed: float) -> Array:
-        """Return altitudes of single looks that are to come (eyes, k); NaN for none.
+    def _single_altitudes(self, lowest_altitude: float) -> Array:
+        """Return altitudes of future single observations (sensors, k), m; NaN for none.
 
-        An eye all of whose looks are past has one that is never reached.
+        A sensor without future observations gets an altitude of -inf, which is never reached.
         """
-        most = max(max((len(o.at) for o in self._looks), default=0), 1)
-        out = np.full((len(self._looks), most), np.nan)
+        max_count = max(max((len(o.at) for o in self._looks), default=0), 1)
+        out = np.full((len(self._looks), max_count), np.nan)
         for row, looks in zip(out, self._looks, strict=True):
             if looks.at:
-                ahead = [h for h in looks.at if h < passed] or [-np.inf]
+                ahead = [h for h in looks.at if h < lowest_altitude] or [-np.inf]
                 row[: len(ahead)] = ahead
         return out
 
 
-def _turned(problem: Problem, plans: Array) -> Array:
-    """Return plans with accelerations in ENU that are given along the way there, and across it.
-
-    Along is the way over ground from the lander to the end.
-    """
-    way = problem.end.position[:2] - problem.estimate.position[:2]
-    size = float(np.hypot(*way))
-    along = way / size if size > 1.0 else np.array([1.0, 0.0])
+def _to_enu(problem: PlanningProblem, plans: Array) -> Array:
+    """Return plans with end accelerations rotated from along/across to ENU."""
+    direction = problem.end.position[:2] - problem.estimate.position[:2]
+    length = float(np.hypot(*direction))
+    along = direction / length if length > 1.0 else np.array([1.0, 0.0])
     out = plans.copy()
     a, b = plans[:, 1], plans[:, 2]
     out[:, 1] = a * along[0] - b * along[1]
@@ -241,19 +287,24 @@ def _turned(problem: Problem, plans: Array) -> Array:
     return out
 
 
-def _figures_of(eye: Eye, looks: Looks) -> list[float]:
-    """Return an eye's figures as the kernel takes them (9,)."""
-    field = 1.0 / np.sqrt(1.0 + eye.half_field**2)
-    limit = float(np.cos(min(eye.gimbal_limit, np.pi)))
+def _sensor_params(sensor: SensorCoverageModel, looks: Looks) -> list[float]:
+    """Return the parameters of a sensor for the kernel (9,)."""
+    field = 1.0 / np.sqrt(1.0 + sensor.half_field**2)
+    limit = float(np.cos(min(sensor.gimbal_limit, np.pi)))
     return [
-        eye.pixel, eye.sharpest, field, limit, eye.longest, looks.highest, looks.lowest, *eye.sun,
-    ]  # fmt: skip
+        sensor.pixel,
+        sensor.max_sharpness,
+        field,
+        limit,
+        sensor.max_range,
+        looks.highest,
+        looks.lowest,
+        *sensor.sun,
+    ]
 
 
-def vehicle_figures(
-    estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits
-) -> Array:
-    """Return vehicle and limits as `measure` takes them (7,)."""
+def vehicle_params(estimate: Estimate, lander: Lander, gravity: float, limits: PathLimits) -> Array:
+    """Return vehicle and limits as an array for `measure` (7,)."""
     margin = limits.throttle_margin * (lander.thrust_max - lander.thrust_min)
     return np.array([
         gravity, estimate.mass, lander.exhaust_velocity, lander.thrust_min + margin,
@@ -262,17 +313,17 @@ def vehicle_figures(
 
 
 def _samples(count: int) -> Array:
-    """Return share of the time that is left and its powers along a path (count + 1, 3)."""
+    """Return the fraction of time left and its powers along a path (count + 1, 3)."""
     left = 1.0 - np.arange(count + 1) / count
     return np.column_stack((left, left**APOLLO.low, left**APOLLO.high))
 
 
-def _row(plan: Plan) -> Array:
+def _plan_row(plan: PathPlan) -> Array:
     return np.array([[plan.time_to_go, *plan.acceleration]])
 
 
 @lru_cache(maxsize=8)
-def _spread(count: int) -> Array:
-    """Return points spread evenly over the unit cube (count, 4)."""
-    drawn: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
-    return np.asarray(drawn)
+def _halton_points(count: int) -> Array:
+    """Return evenly spread points of the unit cube (count, 4)."""
+    points: Any = qmc.Halton(4, scramble=False).random(max(count, 1) + 1)[1:]
+    return np.asarray(points)

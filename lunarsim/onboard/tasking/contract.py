@@ -1,4 +1,4 @@
-"""The contract of tasking."""
+"""Interface of sensor tasking."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Situation:
-    """What tasking is told.
+    """Input of a schedule.
 
     Attributes
     ----------
     time
-        Of the task, s.
+        Time of the measurement, s.
     altitude
-        Then, of the pads above the site, m.
+        Altitude of the pads above the site at that time, m.
     site
-        Where the lander is going (3,), m.
+        Site that the lander flies to (3,), m.
     estimate
-        Where it will be when the task is done: at the end of the cycle that is to come.
+        Predicted state at that time, the end of the next cycle.
     """
 
     time: float
@@ -44,9 +44,9 @@ class Looks:
     Attributes
     ----------
     highest, lowest
-        Between which it measures over and over, m.
+        Limits of the altitude range with repeated measurements, m.
     at
-        Of single measurements, m; empty: over and over.
+        Altitudes of single measurements, m; empty for repeated measurements.
     """
 
     highest: float = np.inf
@@ -55,13 +55,13 @@ class Looks:
 
 
 class TaskingPart(Protocol):
-    """What the registry knows of a schedule: a frozen dataclass of its settings.
+    """Part of the registry that builds a schedule: a frozen dataclass of settings.
 
     Attributes
     ----------
     looks
-        May be left out: the altitudes at which it measures (`Looks`), for what plans by them; else
-        it is taken to measure all the way down.
+        Optional: the altitudes at which it measures (`Looks`), for planners. Default: all
+        altitudes.
     """
 
     def build(self, sensor: str, briefing: Briefing) -> Tasking:
@@ -70,18 +70,18 @@ class TaskingPart(Protocol):
         Raises
         ------
         InputError
-            If the sensor cannot do it.
+            If the sensor cannot follow the schedule.
         """
         ...
 
 
 class Tasking(Protocol):
-    """Anything that points and triggers one sensor."""
+    """Interface of a schedule that points and triggers one sensor."""
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Return what the sensor is to do now, None for nothing; called once a cycle."""
+        """Return the task of the sensor, None for no measurement; called once per cycle."""
         ...
 
     def stop(self) -> None:
-        """Ask for no more measurements."""
+        """Stop all further measurements."""
         ...

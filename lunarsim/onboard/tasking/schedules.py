@@ -1,4 +1,4 @@
-"""Schedules by altitude and by time, and the sweep of a square."""
+"""Schedules by altitude and by time, and the raster scan of a square."""
 
 from __future__ import annotations
 
@@ -25,41 +25,43 @@ def _check_rate(sensor: str, key: str, rate: float, briefing: Briefing) -> None:
         raise InputError(
             f"tasking.{sensor}.{key}",
             rate,
-            f"at most {1.0 / briefing.cycle:g}, one measurement a control cycle",
+            f"must be at most {1.0 / briefing.cycle:g}, one measurement per control cycle",
         )
 
 
 def _next_due(due: float, now: float, interval: float) -> float:
-    """Return when to measure again after measuring `now` what was due at `due`, s.
+    """Return the time of the next measurement after measuring at `now`, s.
 
-    Cycles later than due are not lost, so that a rate that does not divide that of the cycles is
-    kept on the whole; after a pause it begins anew.
+    Delays of less than an interval are made up, so that a rate that does not divide the cycle rate
+    is kept on average. After a pause, the schedule restarts.
     """
     return due + interval if now < due + interval else now + interval
 
 
 @dataclass(frozen=True)
 class AtAltitudes:
-    """One measurement at each of some altitudes.
+    """Settings of a schedule with one measurement at each of several altitudes.
 
     Attributes
     ----------
     altitudes
-        Above the site, m.
+        Altitudes above the site, m.
     boresight
-        "site" or "nadir".
+        Aim of the boresight: "site" or "nadir".
     """
 
-    altitudes: tuple[float, ...] = quantity((350.0, 160.0), "m", gt=0, help="above the site")
-    boresight: Literal["site", "nadir"] = quantity("site", help="where it looks")
+    altitudes: tuple[float, ...] = quantity(
+        (350.0, 160.0), "m", gt=0, help="Altitudes above the site of single measurements"
+    )
+    boresight: Literal["site", "nadir"] = quantity("site", help="Aim of the boresight")
 
     def __post_init__(self) -> None:
         if not self.altitudes:
-            raise InputError("altitudes", (), "at least one altitude in metres")
+            raise InputError("altitudes", (), "must contain at least one altitude in m")
 
     @property
     def looks(self) -> Looks:
-        """Where it measures."""
+        """Altitudes at which it measures."""
         return Looks(at=self.altitudes)
 
     def build(self, sensor: str, briefing: Briefing) -> AltitudeSchedule:
@@ -70,16 +72,16 @@ class AtAltitudes:
 
 @dataclass(frozen=True)
 class Periodic:
-    """Measurements of the site at a fixed rate below an altitude, down to another.
+    """Settings of measurements of the site at a fixed rate between two altitudes.
 
     Attributes
     ----------
     rate
-        Hz.
+        Measurement rate, Hz.
     first_altitude
-        Above the site, m.
+        Altitude of the first measurement above the site, m.
     last_altitude
-        At and below it nothing is measured: another sensor looks there, m.
+        Altitude above the site at and below which there are no measurements, m.
 
     Raises
     ------
@@ -87,22 +89,24 @@ class Periodic:
         If the last altitude is not below the first.
     """
 
-    rate: float = quantity(10.0, "Hz", gt=0, help="measurements a second")
-    first_altitude: float = quantity(400.0, "m", gt=0, help="of the first, above the site")
+    rate: float = quantity(10.0, "Hz", gt=0, help="Measurement rate")
+    first_altitude: float = quantity(
+        400.0, "m", gt=0, help="Altitude of the first measurement above the site"
+    )
     last_altitude: float = quantity(
-        0.0, "m", ge=0, help="above the site; from there on nothing is measured"
+        0.0, "m", ge=0, help="Altitude above the site where measurements end"
     )
 
     def __post_init__(self) -> None:
         if not self.last_altitude < self.first_altitude:
             raise InputError(
                 "last_altitude_m", self.last_altitude,
-                f"less than first_altitude_m, {self.first_altitude:g} m",
+                f"must be less than first_altitude_m, {self.first_altitude:g} m",
             )  # fmt: skip
 
     @property
     def looks(self) -> Looks:
-        """Where it measures."""
+        """Altitudes at which it measures."""
         return Looks(highest=self.first_altitude, lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> PeriodicSchedule:
@@ -116,29 +120,33 @@ class Periodic:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A square about the site swept row by row, then a dwell on the site.
+    """Settings of a raster scan of a square about the site, followed by a dwell on it.
 
     Attributes
     ----------
     size
         Side of the square, m.
     duration
-        Of the sweep, s.
+        Duration of the scan, s.
     rate, dwell_rate
-        While it sweeps, and on the site, Hz.
+        Measurement rates during the scan and on the site, Hz.
     last_altitude
-        Below it the sensor is turned away, m.
+        Altitude below which there are no measurements, m.
     """
 
-    size: float = quantity(90.0, "m", gt=0, help="side of the square")
-    duration: float = quantity(20.0, "s", gt=0, help="then it dwells on the site")
-    rate: float = quantity(20.0, "Hz", gt=0, help="while it sweeps")
-    dwell_rate: float = quantity(5.0, "Hz", gt=0, help="on the site")
-    last_altitude: float = quantity(15.0, "m", ge=0, help="below it the sensor is turned away")
+    size: float = quantity(90.0, "m", gt=0, help="Side of the scanned square")
+    duration: float = quantity(
+        20.0, "s", gt=0, help="Duration of the scan before the dwell on the site"
+    )
+    rate: float = quantity(20.0, "Hz", gt=0, help="Measurement rate during the scan")
+    dwell_rate: float = quantity(5.0, "Hz", gt=0, help="Measurement rate on the site")
+    last_altitude: float = quantity(
+        15.0, "m", ge=0, help="Altitude below which there are no measurements"
+    )
 
     @property
     def looks(self) -> Looks:
-        """Where it measures."""
+        """Altitudes at which it measures."""
         return Looks(lowest=self.last_altitude)
 
     def build(self, sensor: str, briefing: Briefing) -> SweepSchedule:
@@ -153,18 +161,18 @@ class Sweep:
 
 
 class AltitudeSchedule:
-    """One measurement at each of some altitudes, of the site or straight down.
+    """Measures the site or the nadir once at each of several altitudes.
 
     Parameters
     ----------
     sensor
         Name of the sensor.
     altitudes
-        Above the site, m.
+        Altitudes above the site, m.
     at_site
-        Whether it looks at the site, else straight down.
+        Whether the boresight points at the site instead of nadir.
     limit
-        See `gimbal_mount`, rad.
+        Gimbal limit, rad; see `gimbal_mount`.
     """
 
     def __init__(
@@ -176,7 +184,7 @@ class AltitudeSchedule:
         self._limit = limit
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Measure when an altitude is passed."""
+        """Return a task when an altitude is passed."""
         if not self._pending or situation.altitude > self._pending[0]:
             return None
         while self._pending and situation.altitude <= self._pending[0]:
@@ -187,25 +195,25 @@ class AltitudeSchedule:
         return SensorTask(self._sensor, mount)
 
     def stop(self) -> None:
-        """Measure no more."""
+        """Stop all further measurements."""
         self._pending.clear()
 
 
 class PeriodicSchedule:
-    """Measurements of the site at a fixed rate below an altitude, down to another.
+    """Measures the site at a fixed rate between two altitudes.
 
     Parameters
     ----------
     sensor
         Name of the sensor.
     rate
-        Hz.
+        Measurement rate, Hz.
     first_altitude
-        Above the site, m.
+        Altitude of the first measurement above the site, m.
     limit
-        See `gimbal_mount`, rad.
+        Gimbal limit, rad; see `gimbal_mount`.
     last_altitude
-        At and below it nothing is measured, m.
+        Altitude at and below which there are no measurements, m.
     """
 
     def __init__(
@@ -224,7 +232,7 @@ class PeriodicSchedule:
         self._next = -np.inf
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Measure when the next one is due."""
+        """Return a task when the next measurement is due."""
         s = situation
         due = s.time >= self._next - 1e-9
         if not (due and self._last_altitude < s.altitude <= self._first_altitude):
@@ -234,12 +242,12 @@ class PeriodicSchedule:
         return SensorTask(self._sensor, mount)
 
     def stop(self) -> None:
-        """Measure no more."""
+        """Stop all further measurements."""
         self._next = np.inf
 
 
 class SweepSchedule:
-    """A square swept row by row, then a dwell on the site.
+    """Scans a square row by row, then dwells on the site.
 
     Parameters
     ----------
@@ -248,13 +256,13 @@ class SweepSchedule:
     size
         Side of the square about the site, m.
     duration
-        Of the sweep, s.
+        Duration of the scan, s.
     rate, dwell_rate
-        Measurements a second while it sweeps, and on the site, Hz.
+        Measurement rates during the scan and on the site, Hz.
     last_altitude
-        Below it nothing is measured, m.
+        Altitude below which there are no measurements, m.
     limit
-        See `gimbal_mount`, rad.
+        Gimbal limit, rad; see `gimbal_mount`.
     """
 
     def __init__(
@@ -278,7 +286,7 @@ class SweepSchedule:
         self._count = 0
 
     def task(self, situation: Situation) -> SensorTask | None:
-        """Measure when the next one is due."""
+        """Return a task when the next measurement is due."""
         s = situation
         if s.time < self._next - 1e-9 or not s.altitude > self._last_altitude:
             return None
@@ -291,10 +299,10 @@ class SweepSchedule:
         return SensorTask(self._sensor, mount)
 
     def _offset(self) -> Array:
-        """Return where to look at next from the middle of the square (3,), m."""
+        """Return the offset of the next aim point from the centre of the square (3,), m."""
         rows = max(2, round(np.sqrt(self._duration * self._rate)))
         row, col = divmod(self._count, rows)
-        # There and back, like an ox that ploughs; over again if measurements are left.
+        # Alternate the direction of the rows; start again if measurements are left.
         row %= rows
         col = col if row % 2 == 0 else rows - 1 - col
         step = self._size / (rows - 1)
@@ -302,5 +310,5 @@ class SweepSchedule:
         return np.array([row * step, col * step, 0.0]) - corner
 
     def stop(self) -> None:
-        """Measure no more."""
+        """Stop all further measurements."""
         self._next = np.inf

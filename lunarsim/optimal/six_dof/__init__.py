@@ -1,24 +1,24 @@
-"""Descents of least propellant of a rigid body, by the simulator's own equations, in two ways.
+"""Minimum-propellant descents of a rigid body, with the simulator's dynamics.
 
-`shoot` solves by direct multiple shooting and IPOPT, `Successive` by a row of quadratic programs.
-Both hold thrust and torques over intervals, so that what they find is flown as it is
+`shoot` uses direct multiple shooting and IPOPT, `Successive` a sequence of quadratic programs.
+Both hold thrust and torques constant over intervals, so that the result can be flown open loop
 (`lunarsim.evaluation.open_loop`).
 """
 
-from lunarsim.optimal.six_dof.guess import Guess, carried_on
-from lunarsim.optimal.six_dof.path import Kept, RigidPath, kept
+from lunarsim.optimal.six_dof.guess import InitialGuess, carried_on
+from lunarsim.optimal.six_dof.path import ConstraintViolations, RigidPath, evaluate_violations
 from lunarsim.optimal.six_dof.problem import RigidDescent, Sight
 from lunarsim.optimal.six_dof.shooting import shoot
 from lunarsim.optimal.six_dof.successive import Successive
 
 __all__ = [
-    "Guess",
-    "Kept",
+    "ConstraintViolations",
+    "InitialGuess",
     "RigidDescent",
     "RigidPath",
     "Sight",
     "Successive",
     "carried_on",
-    "kept",
+    "evaluate_violations",
     "shoot",
 ]

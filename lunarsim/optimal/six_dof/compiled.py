@@ -1,7 +1,7 @@
-"""C code of a nonlinear program, compiled once and kept.
+"""Compiled C code of nonlinear programs, cached in the user's cache folder.
 
-CasADi writes the program and its derivatives as C; a compiler makes a library of it, in the user's
-cache folder, named by what was written.
+CasADi writes the program and its derivatives as C; a compiler builds a library. Its file name
+contains a hash of the source.
 """
 
 from __future__ import annotations
@@ -20,56 +20,60 @@ from lunarsim.optimal.errors import SolverError
 from lunarsim.user_cache import user_cache
 from lunarsim.whole_files import write_whole
 
-# -O1: -O2 takes three times as long to compile, for a program that is no faster.
+# -O1: -O2 takes three times as long to compile, and the program is not faster.
 _FLAGS = ("-O1", "-fPIC", "-shared")
 
 
 def compiler() -> str | None:
-    """Return the C compiler: $CC, cc, gcc or clang, the first there is; None for none."""
+    """Return the first available C compiler of $CC, cc, gcc and clang, or None."""
     wanted = (os.environ.get("CC", ""), "cc", "gcc", "clang")
     return next((found for name in wanted if name and (found := shutil.which(name))), None)
 
 
 def compiled_library(name: str, make: Callable[[], Any]) -> Path:
-    """Return the library of a program's functions.
+    """Compile a program's functions to a library, or find it in the cache.
 
     Parameters
     ----------
     name
-        Begins its file name.
+        Start of the file name.
     make
-        Returns the solver whose functions are written.
+        Returns the solver whose functions are compiled.
 
     Raises
     ------
     InputError
         If there is no compiler.
     SolverError
-        If it fails.
+        If the compiler fails.
     """
-    with_what = compiler()
-    if with_what is None:
-        raise InputError("optimal.compiled", True, "false where no C compiler is (set CC to one)")
+    compiler_path = compiler()
+    if compiler_path is None:
+        raise InputError(
+            "optimal.compiled", True, "must be false without a C compiler", "Set CC to a compiler."
+        )
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / f"{name}.c"
-        here = Path.cwd()
-        os.chdir(folder)  # CasADi writes where it stands
+        working_directory = Path.cwd()
+        os.chdir(folder)  # CasADi writes to the working directory
         try:
             make().generate_dependencies(source.name)
         finally:
-            os.chdir(here)
+            os.chdir(working_directory)
         digest = hashlib.sha256(source.read_bytes() + " ".join(_FLAGS).encode()).hexdigest()[:16]
         library = user_cache("optimal") / f"{name}-{digest}.so"
         if not library.exists():
             library.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(library, lambda part: _compile(with_what, source, part))
+            write_whole(library, lambda part: _compile(compiler_path, source, part))
     return library
 
 
-def _compile(with_what: str, source: Path, library: Path) -> None:
-    done = subprocess.run(
-        [with_what, *_FLAGS, "-o", str(library), str(source), "-lm"],
+def _compile(compiler_path: str, source: Path, library: Path) -> None:
+    process = subprocess.run(
+        [compiler_path, *_FLAGS, "-o", str(library), str(source), "-lm"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode:
-        raise SolverError(f"{with_what} fails on CasADi's code: {done.stderr.strip()[-300:]}")
+    if process.returncode:
+        raise SolverError(
+            f"{compiler_path} cannot compile CasADi's code: {process.stderr.strip()[-300:]}"
+        )

@@ -1,4 +1,4 @@
-"""Where a search for a rigid body's path begins: the optimum of a point mass, with a body to it."""
+"""Initial guess of a rigid body's path from the optimum of a point mass."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Guess:
-    """States and commands that need not fit each other.
+class InitialGuess:
+    """States and commands that need not be consistent with each other.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Guess:
     thrust: Array
     torque: Array
 
-    def on(self, intervals: int) -> Guess:
-        """Return it on another number of intervals."""
+    def resample(self, intervals: int) -> InitialGuess:
+        """Resample to another number of intervals."""
         count = len(self.thrust)
         if count == intervals:
             return self
@@ -45,29 +45,31 @@ class Guess:
         states = np.column_stack([np.interp(new, old, column) for column in self.states.T])
         states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
         of = np.minimum((0.5 * (new[1:] + new[:-1]) * count).astype(np.int64), count - 1)
-        return Guess(self.duration, states, self.thrust[of], self.torque[of])
+        return InitialGuess(self.duration, states, self.thrust[of], self.torque[of])
 
 
-def guess_of(descent: RigidDescent, intervals: int) -> Guess:
-    """Return the optimum of a point mass with an attitude along its thrust.
+def initial_guess(descent: RigidDescent, intervals: int) -> InitialGuess:
+    """Return the optimum of a point mass with attitudes along its thrust.
 
-    Yaw stays that of the start. Rates and torques are differences of the attitude.
+    Yaw is that of the start. Rates and torques are differences of the attitude.
 
     Raises
     ------
     InfeasibleError
         If a point mass cannot land.
     SolverError
-        If its solver fails.
+        If the solver for the point mass fails.
     """
     d = descent
-    path = least_propellant(Planner(intervals), d.as_point(), lossy=True)
+    path = least_propellant(Planner(intervals), d.as_point(), allow_lossy=True)
     n, step = intervals, path.step
     states = np.zeros((n + 1, 15))
     states[:, :3], states[:, 3:6], states[:, 13] = path.position, path.velocity, path.mass
-    push = np.vstack((path.thrust[:1], 0.5 * (path.thrust[1:] + path.thrust[:-1]), [[0, 0, 1.0]]))
-    turns = _along(push, Rotation.from_quat(d.start.attitude))
-    states[:, 6:10] = _same_side(turns.as_quat())
+    thrust_direction = np.vstack(
+        (path.thrust[:1], 0.5 * (path.thrust[1:] + path.thrust[:-1]), [[0, 0, 1.0]])
+    )
+    turns = _align_with_thrust(thrust_direction, Rotation.from_quat(d.start.attitude))
+    states[:, 6:10] = _make_continuous(turns.as_quat())
     away = (turns[:-1].inv() * turns[1:]).as_rotvec() / step
     rates = np.vstack((d.start.rate, 0.5 * (away[1:] + away[:-1]), np.zeros(3)))
     states[:, 10:13] = rates
@@ -79,11 +81,11 @@ def guess_of(descent: RigidDescent, intervals: int) -> Guess:
     moments = np.array([d.lander.inertia(m) for m in path.mass[:-1]])
     torque = np.clip(moments * np.diff(rates, axis=0) / step, -d.torques, d.torques)
     thrust = np.clip(path.forces, d.least, d.most)
-    return Guess(path.duration, states, thrust, torque)
+    return InitialGuess(path.duration, states, thrust, torque)
 
 
-def carried_on(path: RigidPath, elapsed: float) -> Guess:
-    """Return what is left of a path some time (s) after its start, in as many intervals.
+def carried_on(path: RigidPath, elapsed: float) -> InitialGuess:
+    """Return the rest of a path after a time (s), on as many intervals.
 
     Raises
     ------
@@ -92,18 +94,20 @@ def carried_on(path: RigidPath, elapsed: float) -> Guess:
     """
     n, left = len(path.thrust), path.duration - elapsed
     if not 0.0 <= elapsed < path.duration:
-        raise InputError("optimal.elapsed", elapsed, f"0 to less than {path.duration:.1f} s")
+        raise InputError(
+            "optimal.elapsed", elapsed, f"must be 0 or more and less than {path.duration:.1f} s"
+        )
     old = np.linspace(0.0, path.duration, n + 1)
     new = np.linspace(elapsed, path.duration, n + 1)
     states = np.column_stack([np.interp(new, old, column) for column in path.states.T])
     states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
     of = np.clip(np.searchsorted(old, 0.5 * (new[1:] + new[:-1])) - 1, 0, n - 1)
-    return Guess(left, states, path.thrust[of], path.torque[of])
+    return InitialGuess(left, states, path.thrust[of], path.torque[of])
 
 
-def _along(push: Array, start: Rotation) -> Rotation:
-    """Return attitudes whose body z lies along (K, 3), the first as given, all with its yaw."""
-    up = push / np.linalg.norm(push, axis=1, keepdims=True)
+def _align_with_thrust(thrust_direction: Array, start: Rotation) -> Rotation:
+    """Return attitudes with body z along vectors (K, 3) and the initial yaw."""
+    up = thrust_direction / np.linalg.norm(thrust_direction, axis=1, keepdims=True)
     heading = start.apply([1.0, 0.0, 0.0])
     y = np.cross(up, heading)
     y /= np.linalg.norm(y, axis=1, keepdims=True)
@@ -112,7 +116,7 @@ def _along(push: Array, start: Rotation) -> Rotation:
     return Rotation.from_matrix(matrices)
 
 
-def _same_side(q: Array) -> Array:
-    """Return quaternions each on the side of the one before."""
+def _make_continuous(q: Array) -> Array:
+    """Choose quaternion signs so that consecutive quaternions are near each other."""
     signs = np.where((q[1:] * q[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.asarray(q * np.concatenate(([1.0], np.cumprod(signs)))[:, None])

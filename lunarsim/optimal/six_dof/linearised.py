@@ -1,4 +1,4 @@
-"""A rigid body's path with the tangents of motion and limits there."""
+"""Rigid-body path with the linearised motion and constraints."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Array = NDArray[np.float64]
 
 _INPUTS = STATES + CONTROLS + 1
 _ROWS = STATES + len(SHARES) * LIMITS
-# What an interval's end apart from the next one's start, or a limit passed, costs in units.
-_APART = 0.03
+# Penalty per scaled unit of a defect between intervals or of a constraint violation.
+_DEFECT_PENALTY = 0.03
 
 
 @dataclass(frozen=True)
-class Point:
-    """A path in units, and the motion's tangents there.
+class LinearisedPath:
+    """Scaled path with its linearisation.
 
     Attributes
     ----------
     x, v, length
-        Scaled states (n + 1, 15), shares of commands (n, 4), length of an interval.
+        Scaled states (n + 1, 15), scaled commands (n, 4), scaled length of an interval.
     values, tangents
-        See `tangents_at`.
-    passed
-        By how much limits are passed, summed up.
+        Results of `tangents_at`.
+    violation
+        Sum of the constraint violations.
     """
 
     x: Array
@@ -40,40 +40,42 @@ class Point:
     length: float
     values: Array
     tangents: Array
-    passed: float
+    violation: float
 
     @classmethod
-    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> Point:
-        """Return a path with its tangents."""
+    def at(cls, x: Array, v: Array, length: float, scale: Scale) -> LinearisedPath:
+        """Linearise a path."""
         values, tangents = tangents_at(x, v, length, scale.parameters)
         asked = scale.rows(len(v))[0][STATES * len(v) :].reshape(len(v), -1)
-        under = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
-        return cls(x, v, length, values, tangents, float(np.maximum(under, 0.0).sum()))
+        violation_each = np.where(np.isfinite(asked), -values[:, STATES:], 0.0)
+        return cls(x, v, length, values, tangents, float(np.maximum(violation_each, 0.0).sum()))
 
     @property
-    def burnt(self) -> float:
-        """Propellant, as a share of the start's mass."""
+    def propellant_used(self) -> float:
+        """Propellant, as a fraction of the initial mass."""
         return float(self.x[0, 13] - self.x[-1, 13])
 
     @property
-    def gaps(self) -> Array:
-        """Ends of intervals less the next ones' starts (n, 15)."""
+    def defects(self) -> Array:
+        """Defects: ends of intervals minus the next starts (n, 15)."""
         return np.asarray(self.values[:, :STATES] - self.x[1:])
 
     @property
-    def apart(self) -> float:
-        """The largest gap."""
-        return float(np.abs(self.gaps).max())
+    def max_defect(self) -> float:
+        """Maximum defect."""
+        return float(np.abs(self.defects).max())
 
     @property
     def merit(self) -> float:
-        """Propellant and what is not yet kept, less is better."""
-        return self.burnt + _APART * (float(np.abs(self.gaps).sum()) + self.passed)
+        """Merit function: propellant plus penalties; lower is better."""
+        return self.propellant_used + _DEFECT_PENALTY * (
+            float(np.abs(self.defects).sum()) + self.violation
+        )
 
 
 @cache
-def _shot() -> Any:
-    """Return (state, control, length; parameters) -> end, limits (35,) and derivatives (35, 20)."""
+def _shooting_function() -> Any:
+    """Return (inputs, parameters) -> end, limits (35,) and derivatives (35, 20)."""
     z, p = casadi.SX.sym("z", _INPUTS), casadi.SX.sym("p", PARAMETERS)
     x, v, length = z[:STATES], z[STATES:-1], z[-1]
     states = interval()(x, v * p[11:15], length, p[:11])
@@ -84,12 +86,12 @@ def _shot() -> Any:
 
 
 def tangents_at(x: Array, v: Array, length: float, p: Array) -> tuple[Array, Array]:
-    """Return ends of all intervals and limits in them (n, 35), and their derivatives (n, 35, 20).
+    """Return ends and constraint values (n, 35), and derivatives (n, 35, 20).
 
-    The last column is with the length of an interval.
+    The last column is the derivative by the length of an interval.
     """
     n = len(v)
     z = np.column_stack((x[:-1], v, np.full(n, length)))
-    out, jacobian = _shot().map(n)(z.T, np.tile(p[:, None], n))
+    out, jacobian = _shooting_function().map(n)(z.T, np.tile(p[:, None], n))
     tangents = np.asarray(jacobian).reshape(_ROWS, n, _INPUTS).transpose(1, 0, 2)
     return np.asarray(out).T, tangents

@@ -1,8 +1,7 @@
-"""The simulator's equations of motion over one interval of held commands, for CasADi.
+"""Simulator's equations of motion over one control interval, for CasADi.
 
-The same equations as `lunarsim.vehicle.dynamics.Dynamics`, without thrusters' forces and round
-Moon, in units of the problem (`Units`), so that one compiled program serves every lander and
-descent.
+The equations are those of `lunarsim.vehicle.dynamics.Dynamics`, without thruster forces and round
+Moon, in scaled units (`Units`), so that one compiled program serves every lander and descent.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from lunarsim.optimal.units import Units
 Array = NDArray[np.float64]
 
 STATES, CONTROLS = 15, 4
-# Steps of an interval, as shares of it: the engine answers within the first ones.
+# Fractions of an interval for its integration steps: the engine responds within the first ones.
 SHARES = (0.06, 0.10, 0.17, 0.27, 0.40)
-_LEAST_LAG = 1e-6  # s: divided by
+_LEAST_LAG = 1e-6  # s; the lag is a divisor
 
 
 def state_units(units: Units) -> Array:
-    """Return the units of a state vector (15,)."""
+    """Return the scales of a state vector (15,)."""
     u = units
     return np.array(
         [u.length] * 3 + [u.speed] * 3 + [1.0] * 4 + [1.0 / u.time] * 3 + [u.mass, u.force]
@@ -34,12 +33,12 @@ def state_units(units: Units) -> Array:
 
 
 def control_units(units: Units) -> Array:
-    """Return the units of thrust and torques (4,)."""
+    """Return the scales of thrust and torques (4,)."""
     return np.array([units.force] + [units.force * units.length] * 3)
 
 
 def figures_of(descent: RigidDescent, units: Units) -> Array:
-    """Return gravity, exhaust velocity, lag, dry and full mass, and moments, in units (11,)."""
+    """Return gravity, exhaust velocity, lag, masses and moments, scaled (11,)."""
     v = descent.lander
     moment = units.mass * units.length**2
     return np.concatenate(
@@ -80,25 +79,25 @@ def _rates(y: Any, thrust: Any, torque: Any, p: Any) -> Any:
 
 @cache
 def interval() -> Any:
-    """Return the function (state, control, length, figures) -> states after each step (15, 5).
+    """Return the map (state, control, length, parameters) -> states (15, 5).
 
-    Classical Runge-Kutta steps, in each of which the thrust is the mean of what the engine's lag
-    makes of what is asked.
+    It takes classical Runge-Kutta steps; the thrust of a step is the mean response of the engine's
+    lag to the command.
     """
     x, u = casadi.SX.sym("x", STATES), casadi.SX.sym("u", CONTROLS)
     length, p = casadi.SX.sym("h"), casadi.SX.sym("p", 11)
     y, torque = x[:14], u[1:]
-    begun, left, out = 0.0, x[14] - u[0], []
+    elapsed, left, out = 0.0, x[14] - u[0], []
     for share in SHARES:
         h = share * length
-        after = (x[14] - u[0]) * casadi.exp(-(begun + share) * length / p[2])
+        after = (x[14] - u[0]) * casadi.exp(-(elapsed + share) * length / p[2])
         thrust = u[0] + (left - after) * p[2] / h
         k1 = _rates(y, thrust, torque, p)
         k2 = _rates(y + 0.5 * h * k1, thrust, torque, p)
         k3 = _rates(y + 0.5 * h * k2, thrust, torque, p)
         k4 = _rates(y + h * k3, thrust, torque, p)
         y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        begun, left = begun + share, after
+        elapsed, left = elapsed + share, after
         out.append(casadi.vertcat(y, u[0] + after))
     return casadi.Function(
         "interval", [x, u, length, p], [casadi.horzcat(*out)], ["x", "u", "h", "p"], ["states"]
@@ -107,14 +106,14 @@ def interval() -> Any:
 
 @cache
 def limits() -> Any:
-    """Return the function (state, limits) -> what has to be 0 or more (4,).
+    """Return the map (state, limits) -> constraint values, 0 or more (4,).
 
-    Tilt, rate, glideslope and sight of the site, from `limit_figures`; positions are from the end.
+    They are tilt, rate, glideslope and sight of the site; positions are relative to the end.
     """
     x, p = casadi.SX.sym("x", STATES), casadi.SX.sym("p", 8)
     qx, qy, qz, qw = (x[6 + k] for k in range(4))
     upright = 1.0 - 2.0 * (qx * qx + qy * qy)
-    aside = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-8)
+    horizontal = casadi.sqrt(x[0] ** 2 + x[1] ** 2 + 1e-8)
     # From body to ENU: the columns of the direction cosine matrix.
     east = casadi.vertcat(
         1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)
@@ -124,18 +123,18 @@ def limits() -> Any:
     )
     up = casadi.vertcat(2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), upright)
     axis = p[4] * east + p[5] * north + p[6] * up
-    way = casadi.sqrt(casadi.sumsqr(x[:3]) + 1e-8)
+    distance = casadi.sqrt(casadi.sumsqr(x[:3]) + 1e-8)
     rows = casadi.vertcat(
         upright - p[0],
         1.0 - casadi.sumsqr(x[10:13]) / p[1],
-        x[2] + p[3] - p[2] * aside,
-        -casadi.dot(axis, x[:3]) / way - p[7],
+        x[2] + p[3] - p[2] * horizontal,
+        -casadi.dot(axis, x[:3]) / distance - p[7],
     )
     return casadi.Function("limits", [x, p], [rows], ["x", "p"], ["left"])
 
 
 def limit_figures(descent: RigidDescent, units: Units) -> Array:
-    """Return cosine of tilt, square of rate, slope, drop, axis and cosine of sight (8,)."""
+    """Return tilt cosine, squared rate, slope, drop, sight axis and cosine (8,)."""
     d = descent
     axis = np.array([0.0, 0.0, -1.0]) if d.sight is None else d.sight.axis
     return np.array(

@@ -1,4 +1,4 @@
-"""A landing of a rigid body to be flown with the least propellant."""
+"""Minimum-propellant landing problem of a rigid body."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lunarsim.optimal.problem import Descent
 Array = NDArray[np.float64]
 
 
-class Start(Protocol):
-    """Where a descent begins: what a `lunarsim.vehicle.State` has."""
+class InitialState(Protocol):
+    """Initial state of a descent; `lunarsim.vehicle.State` satisfies this interface."""
 
     @property
     def position(self) -> Array:
@@ -42,7 +42,7 @@ class Start(Protocol):
 
     @property
     def thrust(self) -> float:
-        """What the engine gives now, N."""
+        """Current thrust of the engine, N."""
 
 
 def angle_between(a: Array, b: Array) -> float:
@@ -52,21 +52,21 @@ def angle_between(a: Array, b: Array) -> float:
 
 @dataclass(frozen=True)
 class Sight:
-    """A sensor that is to see the site.
+    """Sensor that must see the landing site.
 
     Attributes
     ----------
     axis
-        Its boresight, body axes (3,); brought to length 1.
+        Boresight, body axes (3,); normalised.
     half_angle
-        Of the cone about it in which the site has to lie, rad.
+        Half angle of the field of view around the boresight, rad.
     share
-        Of the descent, from its start, for which it has to.
+        Fraction of the descent, from its start, during which the site must be visible.
 
     Raises
     ------
     InputError
-        If the axis is none, or an angle or share cannot be.
+        If the axis is zero, or an angle or fraction is invalid.
     """
 
     axis: Array
@@ -74,58 +74,62 @@ class Sight:
     share: float = 0.7
 
     def __post_init__(self) -> None:
-        axis = numbers("sight.axis", self.axis, (3,), "three numbers, not all 0")
+        axis = numbers("sight.axis", self.axis, (3,), "must be three numbers, not all 0")
         if np.linalg.norm(axis) == 0.0:
-            raise InputError("optimal.sight.axis", axis.tolist(), "three numbers, not all 0")
+            raise InputError(
+                "optimal.sight.axis", axis.tolist(), "must be three numbers, not all 0"
+            )
         object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
         if not (is_number(self.half_angle) and 0.0 < self.half_angle < 0.5 * np.pi):
-            raise InputError("optimal.sight.half_angle", self.half_angle, "0 to 90 deg, in rad")
+            raise InputError(
+                "optimal.sight.half_angle", self.half_angle, "must be from 0 to 90 deg, in rad"
+            )
         if not (is_number(self.share) and 0.0 < self.share <= 1.0):
-            raise InputError("optimal.sight.share", self.share, "more than 0, at most 1")
+            raise InputError("optimal.sight.share", self.share, "must be more than 0 and at most 1")
 
 
 @dataclass(frozen=True)
 class RigidDescent:
-    """A powered descent of a rigid body under uniform gravity, by the simulator's own equations.
+    """Powered descent of a rigid body, with the simulator's equations.
 
-    The engine burns all the way along body z and answers with its lag; torques turn the body
-    (`Dynamics`). At the end the body is upright and does not turn.
+    The engine pushes along body z, responds with its lag, and cannot be shut down before touchdown;
+    torques turn the body (`Dynamics`). At the end the body is upright and does not rotate.
 
     Attributes
     ----------
     lander
         Masses, moments of inertia, engine and torques.
     start
-        Where it begins; its mass and thrust count.
+        Initial state, including mass and thrust.
     end_position, end_velocity
-        Of the centre of mass (3,), ENU, m and m/s.
+        Final state of the centre of mass (3,), ENU, m and m/s.
     gravity
         Downward acceleration, m/s^2.
     thrust_min, thrust_max
-        What may be asked of the engine, N; None: the lander's throttle range.
+        Range of the thrust command, N; None: the lander's throttle range.
     torque_share
-        Of the lander's torques that may be used.
+        Usable fraction of the lander's torques.
     max_tilt
-        Of body z from the vertical, rad; None for none.
+        Maximum tilt of body z from the vertical, rad; None: no limit.
     max_rate
-        Of the body, rad/s; None for none.
+        Maximum angular rate of the body, rad/s; None: no limit.
     glideslope
-        Least elevation of the path as seen from its end, rad; None for none.
+        Minimum elevation of the path, seen from its end, rad; None: no limit.
     drop
-        By how much the glideslope's tip lies under the end, m.
+        Depth of the glideslope's apex below the end, m.
     sight
-        Sensor that is to see the site; None for none.
+        Sensor that must see the site; None: no such constraint.
     reserve
-        Propellant that is to be left, kg.
+        Propellant reserve at the end, kg.
 
     Raises
     ------
     InputError
-        If something is not finite or cannot be: see the message.
+        If a value is not finite or not admissible.
     """
 
     lander: Lander
-    start: Start
+    start: InitialState
     end_position: Array
     end_velocity: Array = field(default_factory=lambda: np.zeros(3))
     gravity: float = 1.622
@@ -141,32 +145,35 @@ class RigidDescent:
 
     def __post_init__(self) -> None:
         if not isinstance(self.lander, Lander):
-            raise InputError("optimal.lander", type(self.lander).__name__, "a Lander")
+            raise InputError("optimal.lander", type(self.lander).__name__, "must be a Lander")
         for name in ("end_position", "end_velocity"):
-            value = numbers(name, getattr(self, name), (3,), "three finite coordinates")
+            value = numbers(name, getattr(self, name), (3,), "must be three finite coordinates")
             object.__setattr__(self, name, value)
         for name, given in (("thrust_min", self.lander.thrust_min),
                             ("thrust_max", self.lander.thrust_max)):  # fmt: skip
             if getattr(self, name) is None:
                 object.__setattr__(self, name, given)
         if not (self.sight is None or isinstance(self.sight, Sight)):
-            raise InputError("optimal.sight", type(self.sight).__name__, "a Sight, or None")
+            raise InputError("optimal.sight", type(self.sight).__name__, "must be a Sight or None")
         self._check_figures()
         try:
             state = self.start_vector
         except (AttributeError, TypeError, ValueError):
-            raise InputError("optimal.start", type(self.start).__name__, "a State") from None
-        numbers("start", state, (15,), "a state of finite numbers")
+            raise InputError(
+                "optimal.start", type(self.start).__name__, "must be a State"
+            ) from None
+        numbers("start", state, (15,), "must be a state of finite numbers")
         if abs(np.linalg.norm(self.start.attitude) - 1.0) > 1e-6:
             raise InputError(
                 "optimal.start.attitude",
                 np.asarray(self.start.attitude).tolist(),
-                "a quaternion of length 1",
+                "must be a unit quaternion",
             )
         if not self.dry_mass < self.start.mass:
             raise InputError(
-                "optimal.start.mass", self.start.mass, f"more than the {self.dry_mass} kg left"
-            )
+                "optimal.start.mass", self.start.mass,
+                f"must exceed the final mass of {self.dry_mass} kg",
+            )  # fmt: skip
         self._check_start()
 
     def _check_figures(self) -> None:
@@ -175,25 +182,31 @@ class RigidDescent:
         if not (all(map(is_number, given)) and low <= self.least < self.most <= high):
             raise InputError(
                 "optimal.thrust_max", list(given),
-                f"a range within the engine's, {low} to {high} N",
+                f"must be a range within the engine's, {low} to {high} N",
             )  # fmt: skip
         if not (is_number(self.gravity) and self.gravity > 0.0):
-            raise InputError("optimal.gravity", self.gravity, "a positive number")
+            raise InputError("optimal.gravity", self.gravity, "must be positive and finite")
         if not (is_number(self.torque_share) and 0.0 < self.torque_share <= 1.0):
-            raise InputError("optimal.torque_share", self.torque_share, "more than 0, at most 1")
+            raise InputError(
+                "optimal.torque_share", self.torque_share, "must be more than 0 and at most 1"
+            )
         for name in ("drop", "reserve"):
             if not (is_number(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise InputError(f"optimal.{name}", getattr(self, name), "0 or more")
+                raise InputError(
+                    f"optimal.{name}", getattr(self, name), "must be 0 or more, and finite"
+                )
         for name in ("max_tilt", "glideslope"):
             angle = getattr(self, name)
             if angle is not None and not (is_number(angle) and 0.0 < angle < 0.5 * np.pi):
-                raise InputError(f"optimal.{name}", angle, "an angle from 0 to 90 deg, in rad")
+                raise InputError(f"optimal.{name}", angle, "must be from 0 to 90 deg, in rad")
         rate = self.max_rate
         if rate is not None and not (is_number(rate) and rate > 0.0):
-            raise InputError("optimal.max_rate", self.max_rate, "a positive rate, rad/s")
+            raise InputError(
+                "optimal.max_rate", self.max_rate, "must be positive and finite, in rad/s"
+            )
 
     def _check_start(self) -> None:
-        """Refuse a start that passes the limits itself."""
+        """Reject a start that violates the constraints."""
         at = self.start.position - self.end_position
         body = Rotation.from_quat(self.start.attitude)
         held: list[tuple[str, float, float | None]] = [
@@ -208,45 +221,46 @@ class RigidDescent:
             if most is not None and value > most:
                 raise InputError(
                     f"optimal.start.{name}", round(float(np.rad2deg(value)), 3),
-                    f"at most the {np.rad2deg(most):.3f} deg that the descent is to keep",
+                    f"must be at most {np.rad2deg(most):.3f} deg, the limit of the descent",
                 )  # fmt: skip
         slope = np.tan(self.glideslope or 0.0) * np.hypot(at[0], at[1]) - self.drop
         if self.glideslope is not None and at[2] < slope:
             raise InputError(
                 "optimal.start.position", self.start.position.tolist(),
-                f"above the glideslope: {slope:.1f} m or more over the end",
+                f"must be above the glideslope, {slope:.1f} m or more over the end",
             )  # fmt: skip
 
     @property
     def start_vector(self) -> Array:
-        """The start as one array (15,): position, velocity, attitude, rate, mass, thrust."""
+        """Initial state (15,): position, velocity, attitude, rate, mass, thrust."""
         s = self.start
         return np.concatenate((s.position, s.velocity, s.attitude, s.rate, [s.mass, s.thrust]))
 
     @property
     def least(self) -> float:
-        """Least thrust that may be asked for, N."""
+        """Minimum thrust command, N."""
         return float(self.thrust_min or 0.0)
 
     @property
     def most(self) -> float:
-        """Greatest thrust that may be asked for, N."""
+        """Maximum thrust command, N."""
         return float(self.thrust_max or 0.0)
 
     @property
     def dry_mass(self) -> float:
-        """Least mass at the end, kg."""
+        """Minimum final mass, kg."""
         return self.lander.dry_mass + self.reserve
 
     @property
     def torques(self) -> Array:
-        """Greatest torques about the body axes (3,), N m."""
+        """Maximum torques about the body axes (3,), N m."""
         return self.torque_share * np.asarray(self.lander.torque_max)
 
     def as_point(self) -> Descent:
-        """Return the descent of a point mass that is like this one.
+        """Return the corresponding descent of a point mass.
 
-        Its thrust turns at once; only near the end it is held to what the body can turn.
+        Its thrust direction is free; only near the end its tilt is limited to what the body can
+        turn.
         """
         return Descent(
             position=self.start.position, velocity=self.start.velocity, mass=self.start.mass,

@@ -1,8 +1,8 @@
-"""The structure of the programs of successive convexification, and what fills it.
+"""Quadratic programs of successive convexification: structure and values.
 
 Variables: states at nodes 1 to N, commands, the length of an interval, virtual controls.
-Equalities: tangents of the motion, and the end. Inequalities: bounds of commands, mass and time,
-tangents of the limits. All matrices keep their pattern, so that a solver may be updated.
+Equalities: linearised motion, and the final state. Inequalities: bounds of commands, mass and time,
+and linearised constraints. All matrices keep their sparsity pattern, so that a solver is updated.
 """
 
 from __future__ import annotations
@@ -14,25 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from lunarsim.optimal.six_dof.linearised import Point
+from lunarsim.optimal.six_dof.linearised import LinearisedPath
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES
 from lunarsim.optimal.six_dof.scale import EFFORT, LIMITS, Scale
 
 Array = NDArray[np.float64]
 
-# Price of virtual controls, against the mass at the end as a share of the start's.
-_VIRTUAL = 1e6
-# Mass and thrust have none: they follow commands by themselves, and mass is what counts.
-_EXEMPT = (13, 14)
+# Penalty on virtual controls, relative to the final mass as a fraction of the initial mass.
+_VIRTUAL_CONTROL_PENALTY = 1e6
+# States without virtual control: mass and thrust follow the commands, and mass is the objective.
+_WITHOUT_VIRTUAL_CONTROL = (13, 14)
 
 _STEPS = len(SHARES)
-_END = (0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12)  # upright, at rest: heading and thrust are free
-_FAR = 1e3  # a bound that never binds, in units
+_FIXED_AT_END = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    10,
+    11,
+    12,
+)  # upright and at rest; heading and thrust are free
+_INACTIVE_BOUND = 1e3  # bound that is never active, scaled
 
 
 @dataclass(frozen=True)
-class Filled:
-    """A quadratic program: ``x P x / 2 + c x``, ``A x = b``, ``G x <= h``."""
+class QuadraticProgram:
+    """Quadratic program: ``x P x / 2 + c x``, ``A x = b``, ``G x <= h``."""
 
     p: Any
     c: Array
@@ -43,7 +55,7 @@ class Filled:
 
 
 class _Pattern:
-    """A sparse matrix whose entries are given in another order than it keeps them."""
+    """Sparse matrix whose entries are given in a different order than CSC."""
 
     def __init__(self, rows: Array, columns: Array, shape: tuple[int, int]) -> None:
         order = sparse.coo_matrix(
@@ -53,40 +65,40 @@ class _Pattern:
         self._matrix = order
 
     def filled(self, data: Array) -> Any:
-        """Return the matrix with these entries, CSC."""
+        """Return the CSC matrix with these entries."""
         m = self._matrix
         return sparse.csc_matrix((data[self._order], m.indices, m.indptr), shape=m.shape)
 
 
-class Layout:
-    """Where everything stands, for N intervals.
+class ProgramLayout:
+    """Arrangement of variables and constraints for N intervals.
 
     Parameters
     ----------
     n
-        Intervals.
+        Number of intervals.
     """
 
     def __init__(self, n: int) -> None:
         self.n = n
         self.first_control = STATES * n
         self.length = self.first_control + CONTROLS * n
-        helped = (STATES - len(_EXEMPT)) * n
-        self.virtual = slice(self.length + 1, self.length + 1 + helped)
+        controlled = (STATES - len(_WITHOUT_VIRTUAL_CONTROL)) * n
+        self.virtual = slice(self.length + 1, self.length + 1 + controlled)
         self.count = self.virtual.stop
         self._inputs = self._columns()
         self._a, self._g = self._equalities(), self._inequalities()
 
     def _columns(self) -> Array:
-        """Return the variables that each interval depends on (n, 20); -1: the start."""
+        """Return the variables of each interval (n, 20); -1 for the fixed initial state."""
         n = self.n
         states = np.arange(-STATES, STATES * (n - 1)).reshape(n, STATES)
         states[0] = -1
         controls = self.first_control + np.arange(CONTROLS * n).reshape(n, CONTROLS)
         return np.column_stack((states, controls, np.full(n, self.length)))
 
-    def _blocks(self, rows: int) -> tuple[Any, Any, Any]:
-        """Return rows, columns and which are kept of a block of rows an interval."""
+    def _block_indices(self, rows: int) -> tuple[Any, Any, Any]:
+        """Return rows, columns and a mask of kept entries, `rows` per interval."""
         n = self.n
         r = np.broadcast_to(np.arange(rows * n).reshape(n, rows, 1), (n, rows, 20)).ravel()
         c = np.broadcast_to(self._inputs[:, None, :], (n, rows, 20)).ravel()
@@ -94,57 +106,61 @@ class Layout:
 
     def _equalities(self) -> _Pattern:
         n = self.n
-        r, c, keep = self._blocks(STATES)
+        r, c, keep = self._block_indices(STATES)
         nodes = np.arange(STATES * n)
-        helped = nodes[~np.isin(nodes % STATES, _EXEMPT)]
-        ends = STATES * (n - 1) + np.array(_END)
-        rows = np.concatenate((r[keep], nodes, helped, STATES * n + np.arange(len(_END))))
-        own = self.virtual.start + np.arange(len(helped))
+        controlled = nodes[~np.isin(nodes % STATES, _WITHOUT_VIRTUAL_CONTROL)]
+        ends = STATES * (n - 1) + np.array(_FIXED_AT_END)
+        rows = np.concatenate(
+            (r[keep], nodes, controlled, STATES * n + np.arange(len(_FIXED_AT_END)))
+        )
+        own = self.virtual.start + np.arange(len(controlled))
         columns = np.concatenate((c[keep], nodes, own, ends))
-        return _Pattern(rows, columns, (STATES * n + len(_END), self.count))
+        return _Pattern(rows, columns, (STATES * n + len(_FIXED_AT_END), self.count))
 
     def _inequalities(self) -> _Pattern:
         n = self.n
-        r, c, keep = self._blocks(_STEPS * LIMITS)
-        begun = _STEPS * LIMITS * n
+        r, c, keep = self._block_indices(_STEPS * LIMITS)
+        first_row = _STEPS * LIMITS * n
         controls = self.first_control + np.arange(CONTROLS * n)
         mass = STATES * (n - 1) + 13
         columns = np.concatenate((controls, controls, [self.length, self.length, mass]))
-        rows = np.concatenate((r[keep], begun + np.arange(len(columns))))
+        rows = np.concatenate((r[keep], first_row + np.arange(len(columns))))
         return _Pattern(
-            rows, np.concatenate((c[keep], columns)), (begun + len(columns), self.count)
+            rows, np.concatenate((c[keep], columns)), (first_row + len(columns), self.count)
         )
 
-    def fill(self, scale: Scale, point: Point, step: float) -> Filled:
-        """Return the program at a path.
+    def build(self, scale: Scale, point: LinearisedPath, step: float) -> QuadraticProgram:
+        """Return the program linearised at a path.
 
         Parameters
         ----------
         scale
-            The descent.
+            Scaling of the descent.
         point
-            The path and its tangents.
+            Path with its linearisation.
         step
-            Price of steps, of the kind of `_VIRTUAL`.
+            Penalty on steps, in the unit of `_VIRTUAL_CONTROL_PENALTY`.
         """
         x, v, length, tangents = point.x, point.v, point.length, point.tangents
         n = self.n
         keep = self._inputs >= 0
         known = np.column_stack((x[:-1], v, np.full(n, length)))
-        # At its own path a tangent has its value; the start does not move.
+        # The linearisation is exact at its own path; the initial state is fixed.
         rest = point.values - np.einsum("nij,nj->ni", tangents, np.where(keep, known, 0.0))
         low_x, low_v, _ = Scale.split(scale.bounds(n)[0], n)
         some = np.broadcast_to(keep[:, None, :], tangents.shape)
         motion, held = tangents[:, :STATES], tangents[:, STATES:]
-        ones, helped = np.ones(STATES * n), self.virtual.stop - self.virtual.start
+        ones, controlled = np.ones(STATES * n), self.virtual.stop - self.virtual.start
         a = self._a.filled(
-            np.concatenate((-motion[some[:, :STATES]], ones, -ones[:helped], np.ones(len(_END))))
+            np.concatenate(
+                (-motion[some[:, :STATES]], ones, -ones[:controlled], np.ones(len(_FIXED_AT_END)))
+            )
         )
-        b = np.concatenate((rest[:, :STATES].ravel(), low_x[n, list(_END)]))
+        b = np.concatenate((rest[:, :STATES].ravel(), low_x[n, list(_FIXED_AT_END)]))
         asked = scale.rows(n)[0][STATES * n :].reshape(n, -1)
         free = ~np.isfinite(asked)
         g_held = np.where(free[:, :, None], 0.0, -held)
-        h_held = np.where(free, _FAR, rest[:, STATES:])
+        h_held = np.where(free, _INACTIVE_BOUND, rest[:, STATES:])
         controls = np.ones(CONTROLS * n)
         g = self._g.filled(
             np.concatenate((g_held[some[:, STATES:]], -controls, controls, [-1.0, 1.0, -1.0]))
@@ -153,13 +169,13 @@ class Layout:
             (h_held.ravel(), -low_v.ravel(), controls,
              [-0.8 * length, 1.25 * length, -low_x[1, 13]])
         )  # fmt: skip
-        return Filled(*self._cost(x, v, length, step), a, b, g, h)
+        return QuadraticProgram(*self._cost(x, v, length, step), a, b, g, h)
 
     def _cost(self, x: Array, v: Array, length: float, step: float) -> tuple[Any, Array]:
-        """Return P and c: the mass at the end, torques, steps and virtual controls."""
+        """Return P and c: final mass, torques, steps and virtual controls."""
         n = self.n
         weight = np.full(self.count, step)
-        weight[self.virtual] = _VIRTUAL
+        weight[self.virtual] = _VIRTUAL_CONTROL_PENALTY
         last = np.concatenate(
             (x[1:].ravel(), v.ravel(), [length], np.zeros(self.count - self.length - 1))
         )
@@ -170,7 +186,7 @@ class Layout:
         return sparse.diags(weight, format="csc"), c
 
     def read(self, z: Array, start: Array) -> tuple[Array, Array, float]:
-        """Return scaled states (n + 1, 15), shares of commands (n, 4), length of an interval."""
+        """Return scaled states (n + 1, 15), scaled commands (n, 4), length of an interval."""
         n = self.n
         states = np.vstack((start, z[: STATES * n].reshape(n, STATES)))
         return states, z[self.first_control : self.length].reshape(n, CONTROLS), z[self.length]

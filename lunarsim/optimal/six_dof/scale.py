@@ -1,4 +1,4 @@
-"""A descent in the units of the programs that solve it, and what bounds their variables."""
+"""Scaling of a rigid-body descent, and bounds of the scaled variables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.optimal.six_dof.guess import Guess
+from lunarsim.optimal.six_dof.guess import InitialGuess
 from lunarsim.optimal.six_dof.motion import (
     CONTROLS,
     SHARES,
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 LIMITS = 4
 PARAMETERS = 23
-# What torques of full size all the way cost, as a share of the start's mass: least propellant alone
-# does not say how a body turns that has time to.
+# Cost of full torques over the complete descent, as a fraction of the initial mass. Without it, the
+# rotation of a body with time to spare is not unique.
 EFFORT = 1e-4
 
 _STEPS = len(SHARES)
@@ -33,33 +33,33 @@ _STEPS = len(SHARES)
 
 @dataclass(frozen=True)
 class Scale:
-    """Between a descent and the numbers of the programs.
+    """Conversion between a descent and the scaled variables of its programs.
 
     Attributes
     ----------
     descent
-        The problem.
+        Problem.
     units
-        What one is.
+        Scales.
     """
 
     descent: RigidDescent
     units: Units
 
     @classmethod
-    def of(cls, descent: RigidDescent, guess: Guess) -> Scale:
-        """Return that in which way, time and mass are about 1."""
-        way = float(np.linalg.norm(descent.start.position - descent.end_position))
-        return cls(descent, Units(way + 1.0, guess.duration, descent.start.mass))
+    def of(cls, descent: RigidDescent, guess: InitialGuess) -> Scale:
+        """Return the scaling in which distance, time and mass are about 1."""
+        distance = float(np.linalg.norm(descent.start.position - descent.end_position))
+        return cls(descent, Units(distance + 1.0, guess.duration, descent.start.mass))
 
     @property
     def control(self) -> Array:
-        """Greatest thrust and torques (4,)."""
+        """Maximum thrust and torques (4,)."""
         return np.array([self.descent.most, *self.descent.torques])
 
     @property
     def parameters(self) -> Array:
-        """What the program takes of the descent (23,)."""
+        """Parameters of the program (23,)."""
         d, u = self.descent, self.units
         return np.concatenate(
             (figures_of(d, u), self.control / control_units(u), limit_figures(d, u))
@@ -70,8 +70,8 @@ class Scale:
         moved[..., :3] -= self.descent.end_position
         return np.asarray(moved / state_units(self.units))
 
-    def start(self, guess: Guess) -> Array:
-        """Return the variables at a guess."""
+    def start(self, guess: InitialGuess) -> Array:
+        """Return the scaled variables of a guess."""
         controls = np.column_stack((guess.thrust, guess.torque)) / self.control
         return np.concatenate(
             (self._scaled(guess.states).ravel(), controls.ravel(),
@@ -79,7 +79,7 @@ class Scale:
         )  # fmt: skip
 
     def bounds(self, n: int) -> tuple[Array, Array]:
-        """Return bounds of the variables: the start, the end, what commands may be."""
+        """Return bounds of the variables, including initial and final state."""
         d, u = self.descent, self.units
         low = np.full((n + 1, STATES), -np.inf)
         high = -low
@@ -95,12 +95,12 @@ class Scale:
         )
 
     def rows(self, n: int) -> tuple[Array, Array]:
-        """Return bounds of the constraints: motion, then limits after each step."""
+        """Return bounds of the constraints: motion, then path constraints after each step."""
         low = np.zeros((n * _STEPS, LIMITS))
         d = self.descent
         held = (d.max_tilt, d.max_rate, d.glideslope, d.sight)
         low[:, [limit is None for limit in held]] = -np.inf
-        # The glideslope's tip and the site itself are where the path ends.
+        # At the end of the path the glideslope's apex and the direction to the site are undefined.
         low[-1, 2:] = -np.inf
         if d.sight is not None:
             done = np.arange(n)[:, None] + np.cumsum(SHARES)
@@ -111,7 +111,7 @@ class Scale:
         )
 
     def read(self, x: Array, n: int) -> tuple[Array, Array, float]:
-        """Return states (n + 1, 15), controls (n, 4) and the final time of the variables."""
+        """Return states (n + 1, 15), controls (n, 4) and the final time, unscaled."""
         scaled, shares, total = self.split(x, n)
         states = scaled * state_units(self.units)
         states[:, :3] += self.descent.end_position
@@ -121,6 +121,6 @@ class Scale:
 
     @staticmethod
     def split(x: Array, n: int) -> tuple[Array, Array, float]:
-        """Return scaled states (n + 1, 15), shares of commands (n, 4) and the final time."""
+        """Return scaled states (n + 1, 15), scaled commands (n, 4) and the final time."""
         nodes = STATES * (n + 1)
         return x[:nodes].reshape(n + 1, STATES), x[nodes:-1].reshape(n, CONTROLS), float(x[-1])

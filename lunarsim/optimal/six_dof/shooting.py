@@ -1,8 +1,8 @@
-"""Direct multiple shooting: the states at all nodes are variables, joined by the motion between.
+"""Direct multiple shooting: node states are variables, linked by the motion.
 
-One nonlinear program a number of intervals, whose descent is a parameter, solved by IPOPT (Waechter
-and Biegler 2006) with derivatives by CasADi (Andersson and others 2019), begun at the path of a
-point mass. Limits are asked for after every step of an interval, not at its ends alone.
+There is one nonlinear program per number of intervals, with the descent as a parameter. IPOPT
+(Waechter and Biegler 2006) solves it with derivatives by CasADi (Andersson and others 2019), from
+the path of a point mass. Constraints apply after every step of an interval, not only at its ends.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from lunarsim.optimal.checks import count
 from lunarsim.optimal.errors import SolverError
 from lunarsim.optimal.six_dof.compiled import compiled_library
-from lunarsim.optimal.six_dof.guess import Guess, guess_of
+from lunarsim.optimal.six_dof.guess import InitialGuess, initial_guess
 from lunarsim.optimal.six_dof.motion import CONTROLS, SHARES, STATES, interval, limits
 from lunarsim.optimal.six_dof.path import RigidPath
 from lunarsim.optimal.six_dof.problem import RigidDescent
@@ -27,7 +27,7 @@ _STEPS = len(SHARES)
 _OPTIONS: dict[str, Any] = {
     "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-6,
     "ipopt.acceptable_tol": 1e-5, "ipopt.mu_strategy": "adaptive", "error_on_fail": False,
-    # A start that is worth something stays what it is.
+    # Small pushes keep the initial guess.
     "ipopt.bound_push": 1e-4, "ipopt.bound_frac": 1e-4,
 }  # fmt: skip
 
@@ -36,39 +36,42 @@ def shoot(
     descent: RigidDescent,
     intervals: int = 30,
     *,
-    guess: Guess | None = None,
-    most: int = 300,
+    guess: InitialGuess | None = None,
+    max_iterations: int = 300,
     compiled: bool = False,
 ) -> RigidPath:
-    """Return the path of least propellant of a rigid body.
+    """Compute the minimum-propellant path of a rigid body.
 
     Parameters
     ----------
     descent
-        The problem.
+        Problem.
     intervals
-        N, of held thrust and torques.
+        N, with constant thrust and torques in each.
     guess
-        Where to begin; None: at the optimum of a point mass.
-    most
-        Iterations of IPOPT.
+        Initial guess; None: the optimum of a point mass.
+    max_iterations
+        Maximum number of iterations of IPOPT.
     compiled
-        True: through C code, compiled once and kept; see `compiled_library`.
+        Whether to use compiled C code from `compiled_library`.
 
     Raises
     ------
     InputError
-        If there are under 4 intervals, or C code is asked for where no compiler is.
+        If there are fewer than 4 intervals, or compilation is requested without a compiler.
     InfeasibleError
-        If a point mass cannot land either.
+        If not even a point mass can land.
     SolverError
         If IPOPT does not converge.
     """
-    intervals, most = count("intervals", intervals, 4), count("most", most, 1)
-    begun = time.perf_counter()
-    guess = guess_of(descent, intervals) if guess is None else guess.on(intervals)
+    intervals, max_iterations = (
+        count("intervals", intervals, 4),
+        count("max_iterations", max_iterations, 1),
+    )
+    start_time = time.perf_counter()
+    guess = initial_guess(descent, intervals) if guess is None else guess.resample(intervals)
     scale = Scale.of(descent, guess)
-    solver = _solver(intervals, most, compiled)
+    solver = _solver(intervals, max_iterations, compiled)
     low, high = scale.bounds(intervals)
     got = solver(
         x0=scale.start(guess), p=scale.parameters, lbx=low, ubx=high,
@@ -76,19 +79,22 @@ def shoot(
     )  # fmt: skip
     stats = solver.stats()
     if not stats["success"]:
-        raise SolverError(f"IPOPT: {stats['return_status']} after {stats['iter_count']} iterations")
+        raise SolverError(
+            f"IPOPT does not converge: {stats['return_status']} after "
+            f"{stats['iter_count']} iterations."
+        )
     x = np.asarray(got["x"]).ravel()
     states, controls, duration = scale.read(x, intervals)
     return RigidPath(
         descent, duration, states, controls[:, 0], controls[:, 1:], int(stats["iter_count"]),
-        time.perf_counter() - begun,
+        time.perf_counter() - start_time,
     )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
-def _solver(n: int, most: int, compiled: bool) -> Any:
+def _solver(n: int, max_iterations: int, compiled: bool) -> Any:
     """Return IPOPT for n intervals."""
-    options = {**_OPTIONS, "ipopt.max_iter": most}
+    options = {**_OPTIONS, "ipopt.max_iter": max_iterations}
     if not compiled:
         return casadi.nlpsol("six_dof", "ipopt", _program(n), options)
     path = compiled_library(f"six_dof_{n}", lambda: casadi.nlpsol("six_dof", "ipopt", _program(n)))

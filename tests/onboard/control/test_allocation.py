@@ -8,7 +8,7 @@ from scipy.optimize import linprog, nnls
 
 from lunarsim.errors import InputError
 from lunarsim.models.thrusters import Thrusters
-from lunarsim.onboard.control.allocation import Allocation
+from lunarsim.onboard.control.allocation import ThrusterAllocation
 
 
 def odd_layout(seed: int, count: int = 10) -> Thrusters:
@@ -27,13 +27,13 @@ def odd_layout(seed: int, count: int = 10) -> Thrusters:
 LAYOUTS = [Thrusters(), Thrusters(cluster_height=0.7), odd_layout(1), odd_layout(2)]
 
 
-def totals(layout: Thrusters, allocation: Allocation, torque) -> float:
+def totals(layout: Thrusters, allocation: ThrusterAllocation, torque) -> float:
     return float(allocation.group_thrust(np.asarray(torque)).sum())
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_no_other_thrusters_make_the_torque_with_less(layout):
-    allocation = Allocation(layout)
+    allocation = ThrusterAllocation(layout)
     columns = layout.torques.T / layout.force
     rng = np.random.default_rng(7)
     for torque in rng.normal(0.0, 10.0, (60, 3)):
@@ -45,7 +45,7 @@ def test_no_other_thrusters_make_the_torque_with_less(layout):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_long_firings_give_the_torque_that_was_asked_for(layout):
-    allocation = Allocation(layout)
+    allocation = ThrusterAllocation(layout)
     rng = np.random.default_rng(3)
     period = 1.0
     for direction in rng.standard_normal((40, 3)):
@@ -61,7 +61,7 @@ def test_long_firings_give_the_torque_that_was_asked_for(layout):
 
 def test_too_much_is_made_less_in_the_same_direction():
     layout = Thrusters()
-    allocation = Allocation(layout)
+    allocation = ThrusterAllocation(layout)
     torque = np.array([3e4, -1e4, 5e3])
     given = allocation.impulse(allocation.on_times(torque, 1.0))
     assert given / np.linalg.norm(given) == pytest.approx(torque / np.linalg.norm(torque), abs=2e-2)
@@ -75,18 +75,18 @@ def test_too_much_is_made_less_in_the_same_direction():
 
 def test_the_authority_of_four_clusters_is_all_that_they_have():
     layout = Thrusters()
-    allocation = Allocation(layout)
+    allocation = ThrusterAllocation(layout)
     arm = layout.cluster_radius / np.sqrt(2.0)
     assert allocation.authority == pytest.approx([4 * 60.0 * arm] * 3)
     # Pitch and roll take two thrusters, yaw one, of 20 ms.
-    assert allocation.least_impulse == pytest.approx(
+    assert allocation.min_impulse == pytest.approx(
         [2 * 60.0 * arm * 0.02, 2 * 60.0 * arm * 0.02, 60.0 * arm * 0.02]
     )
 
 
 def test_short_firings_go_round_the_thrusters_of_a_group():
-    allocation = Allocation(Thrusters())
-    torque = np.array([0.0, 0.0, allocation.least_impulse[2] * 1.2 / 0.1])
+    allocation = ThrusterAllocation(Thrusters())
+    torque = np.array([0.0, 0.0, allocation.min_impulse[2] * 1.2 / 0.1])
     used = [tuple(np.flatnonzero(allocation.on_times(torque, 0.1))) for _ in range(8)]
     assert all(len(one) == 1 for one in used)
     assert len(set(used)) == 4
@@ -94,7 +94,7 @@ def test_short_firings_go_round_the_thrusters_of_a_group():
 
 def test_a_torque_that_is_no_number_is_refused():
     with pytest.raises(InputError, match="finite"):
-        Allocation(Thrusters()).on_times(np.array([np.nan, 0.0, 0.0]), 0.1)
+        ThrusterAllocation(Thrusters()).on_times(np.array([np.nan, 0.0, 0.0]), 0.1)
 
 
 ONE_SIDED = [(odd_layout(1), ()), (odd_layout(1), (2,)), (odd_layout(2), (1,)), (Thrusters(), (1,))]
@@ -103,7 +103,7 @@ ONE_SIDED = [(odd_layout(1), ()), (odd_layout(1), (2,)), (odd_layout(2), (1,)), 
 @pytest.mark.parametrize(("layout", "out"), ONE_SIDED)
 def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
     """What is held either way, and the shortest pulses that make a clean turn either way."""
-    allocation, period = Allocation(layout, out), 1.0
+    allocation, period = ThrusterAllocation(layout, out), 1.0
     assert allocation.complete
     exact = np.zeros((3, 2), bool)
     clean = np.zeros((3, 2), bool)
@@ -117,7 +117,7 @@ def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
             most = allocation.authority[axis] * along
             assert given(0.999 * most) == pytest.approx(0.999 * most, rel=1e-9, abs=1e-9)
             exact[axis, n] = np.allclose(given(1.05 * most), 1.05 * most)
-            least = allocation.least_impulse[axis] * along
+            least = allocation.min_impulse[axis] * along
             assert given(1.001 * least) == pytest.approx(1.001 * least, rel=1e-9, abs=1e-9)
             clean[axis, n] = np.allclose(given(0.48 * least), 0.48 * least)
     # More than that is not held one way, and half of it is no clean turn one way.
@@ -127,7 +127,7 @@ def test_authority_and_least_impulse_hold_in_both_senses(layout, out):
 
 def test_no_valve_is_open_for_longer_than_the_period():
     """Two of 60 ms share 0.11 s where each could be open for 0.1: one may not take it all."""
-    allocation = Allocation(Thrusters(minimum_on=0.06))
+    allocation = ThrusterAllocation(Thrusters(minimum_on=0.06))
     rng = np.random.default_rng(5)
     for torque in rng.normal(0.0, 150.0, (200, 3)):
         assert allocation.on_times(torque, 0.1).max() <= 0.1

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lunarsim.models.thrusters import Thrusters
-from lunarsim.onboard.control.allocation import Allocation
-from lunarsim.onboard.control.thruster_watch import ThrusterWatch
+from lunarsim.onboard.control.allocation import ThrusterAllocation
+from lunarsim.onboard.control.thruster_watch import ThrusterFailureDetector
 
 INERTIA = np.array([1350.0, 1350.0, 1550.0])
 PERIOD = 0.1
@@ -14,7 +14,7 @@ PERIOD = 0.1
 def watched(dead, periods, *, from_period=0, steady=(0.0, 0.0, 0.0), known=0.0, seed=1):
     """Return a watch, and when it gave up which thrusters; pulses of a small random torque."""
     rng, jets = np.random.default_rng(seed), Thrusters()
-    allocation, watch = Allocation(jets), ThrusterWatch(jets.count)
+    allocation, watch = ThrusterAllocation(jets), ThrusterFailureDetector(jets.count)
     found = []
     for n in range(periods):
         times = allocation.on_times(rng.normal(0.0, 12.0, 3), PERIOD)
@@ -25,7 +25,7 @@ def watched(dead, periods, *, from_period=0, steady=(0.0, 0.0, 0.0), known=0.0, 
         engine = known * rng.normal(0.0, 1.0, 3)
         change = pushed @ (jets.torques / INERTIA) + PERIOD * np.array(steady) + engine
         change += rng.normal(0.0, 2e-4, 3)
-        found += [(n, j) for j in watch.see(change, engine, turns, PERIOD)]
+        found += [(n, j) for j in watch.update(change, engine, turns, PERIOD)]
     return watch, found
 
 
@@ -58,16 +58,16 @@ def test_none_is_given_up_for_nothing(seed):
 def test_what_the_engine_turns_is_not_blamed_on_thrusters():
     """The same pulses with the engine's part left out are another story."""
     rng, jets = np.random.default_rng(4), Thrusters()
-    watch = ThrusterWatch(jets.count)
+    watch = ThrusterFailureDetector(jets.count)
     jet = jets.torques[0] * 0.02 / INERTIA
     turns = np.zeros((16, 3))
-    blamed, found = ThrusterWatch(jets.count), []
+    blamed, found = ThrusterFailureDetector(jets.count), []
     for _ in range(300):
         # A pulse now and then, each of which the engine undoes.
         turns[0] = jet * (rng.random() < 0.3)
         seen = rng.normal(0.0, 1e-4, 3)
-        watch.see(seen, -turns[0], turns, PERIOD)
-        found += blamed.see(seen, 0.0 * jet, turns, PERIOD)
+        watch.update(seen, -turns[0], turns, PERIOD)
+        found += blamed.update(seen, 0.0 * jet, turns, PERIOD)
     assert watch.effectiveness[0] == pytest.approx(1.0, abs=0.1)
     assert watch.failed == []
     assert found == [0]
@@ -76,7 +76,7 @@ def test_what_the_engine_turns_is_not_blamed_on_thrusters():
 @pytest.mark.parametrize("out", [[0], [2], [5, 11], [0, 1, 2, 3]])
 def test_torques_are_made_without_the_dead(out):
     rng, jets = np.random.default_rng(2), Thrusters()
-    left = Allocation(jets, out)
+    left = ThrusterAllocation(jets, out)
     assert left.complete
     for _ in range(50):
         torque = rng.normal(0.0, 15.0, 3)
@@ -88,23 +88,23 @@ def test_torques_are_made_without_the_dead(out):
 
 def test_what_cannot_turn_every_way_is_told():
     up = [0, 4, 8, 12, 1, 5, 9, 13]  # all that push along body z
-    assert not Allocation(Thrusters(), up).complete
-    assert Allocation(Thrusters()).complete
+    assert not ThrusterAllocation(Thrusters(), up).complete
+    assert ThrusterAllocation(Thrusters()).complete
 
 
 def test_a_guess_is_no_verdict_and_what_is_not_seen_is_not_forgotten():
     """An estimate under a half is not enough while it may be wrong; doubt stops growing."""
-    watch, nothing = ThrusterWatch(16), np.zeros((16, 3))
+    watch, nothing = ThrusterFailureDetector(16), np.zeros((16, 3))
     faint = nothing.copy()
     faint[3, 0] = 4e-3  # little beside the steady torque that there may be
-    assert watch.see(np.array([-1e-3, 0.0, 0.0]), np.zeros(3), faint, PERIOD) == []
+    assert watch.update(np.array([-1e-3, 0.0, 0.0]), np.zeros(3), faint, PERIOD) == []
     assert watch.effectiveness[3] < 0.5
-    idle = ThrusterWatch(16)
+    idle = ThrusterFailureDetector(16)
     for _ in range(4_000):
-        idle.see(np.zeros(3), np.zeros(3), nothing, PERIOD)
+        idle.update(np.zeros(3), np.zeros(3), nothing, PERIOD)
     assert idle.sigma == pytest.approx(np.full(16, 0.5), rel=1e-9)
     # What nobody can mistake: it was ordered, and nothing turned.
     clear = nothing.copy()
     clear[3] = 2e-2, -1e-2, 3e-2
-    found = [watch.see(np.zeros(3), np.zeros(3), clear, PERIOD) for _ in range(12)]
+    found = [watch.update(np.zeros(3), np.zeros(3), clear, PERIOD) for _ in range(12)]
     assert [j for new in found for j in new] == [3]

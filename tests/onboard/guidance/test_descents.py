@@ -16,7 +16,7 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.braking import Braking
 from lunarsim.onboard.guidance.climb import climb
 from lunarsim.onboard.guidance.contract import PhaseEnd
-from lunarsim.onboard.guidance.gravity_turn import GravityTurn, turn_thrust
+from lunarsim.onboard.guidance.gravity_turn import GravityTurn, gravity_turn_thrust
 from lunarsim.onboard.guidance.rate_of_descent import RateOfDescent
 from lunarsim.onboard.guidance.velocity_null import VelocityNull
 from lunarsim.onboard.guidance.vertical import VerticalDescent
@@ -52,7 +52,7 @@ def closed_loop(law, position, velocity, seconds, dt=0.02):
 def test_a_constant_gravity_turn_loses_the_height_of_the_closed_form(velocity):
     """N from the formula, flown open loop by SciPy: it stands still when that is lost."""
     height = 600.0
-    n = turn_thrust(height, np.array(velocity), G)
+    n = gravity_turn_thrust(height, np.array(velocity), G)
 
     def rate(_, y):
         v = y[3:]
@@ -69,12 +69,12 @@ def test_a_constant_gravity_turn_loses_the_height_of_the_closed_form(velocity):
 
 
 def test_a_vertical_gravity_turn_needs_one_plus_half_v2_over_gh():
-    assert turn_thrust(100.0, np.array([0.0, 0.0, -10.0]), G) == pytest.approx(
+    assert gravity_turn_thrust(100.0, np.array([0.0, 0.0, -10.0]), G) == pytest.approx(
         1.0 + 100.0 / (2.0 * G * 100.0)
     )
     for height in (0.0, -3.0, float("nan")):
         with pytest.raises(InputError, match="height"):
-            turn_thrust(height, np.array([0.0, 0.0, -10.0]), G)
+            gravity_turn_thrust(height, np.array([0.0, 0.0, -10.0]), G)
 
 
 def test_the_turn_goes_over_into_a_straight_descent():
@@ -87,7 +87,7 @@ def test_the_turn_goes_over_into_a_straight_descent():
     assert np.hypot(*v[:2]) < 0.05
     assert law.lean == VerticalDescent(G).lean
     # By then upright: at 1.6 m/s the rest of the way is v^2 / (2 g (N - 1)), N that of the start.
-    n = turn_thrust(295.0, np.array([12.0, -5.0, -14.0]), G)
+    n = gravity_turn_thrust(295.0, np.array([12.0, -5.0, -14.0]), G)
     slow = rows[np.linalg.norm(rows[:, 1], axis=1) > 1.6]
     assert slow[-1, 0, 2] == pytest.approx(5.0 + 1.6**2 / (2.0 * G * (n - 1.0)), rel=0.02)
 

@@ -12,9 +12,9 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.jerk_limited import (
     increment,
-    limited_times,
+    max_jerk_and_snap,
+    min_times_to_go,
     site_cost,
-    steepest,
 )
 from lunarsim.onboard.guidance.paths import APOLLO
 from lunarsim.onboard.navigation.estimate import Estimate
@@ -29,18 +29,18 @@ def test_jerk_and_snap_are_the_derivatives_of_the_acceleration():
     t = np.linspace(0.0, 30.0, 30_001)
     jerk = np.gradient(path.at(t)[2], t, axis=0)
     snap = np.gradient(jerk, t, axis=0)[2:-2]
-    most, fourth = steepest(path)
+    most, fourth = max_jerk_and_snap(path)
     assert most == pytest.approx(np.linalg.norm(jerk, axis=1).max(), rel=1e-3)
     assert fourth == pytest.approx(np.linalg.norm(snap, axis=1).max(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("jerk", "snap"), [(0.25, 9.0), (9.0, 0.05), (0.25, 0.05), (0.01, 0.01)])
 def test_the_least_time_that_keeps_both_limits(jerk, snap):
-    time = limited_times(R, V, END, jerk=jerk, snap=snap)[0]
-    j, s = steepest(APOLLO.path(R, V, END, time))
+    time = min_times_to_go(R, V, END, jerk=jerk, snap=snap)[0]
+    j, s = max_jerk_and_snap(APOLLO.path(R, V, END, time))
     assert max(j / jerk, s / snap) == pytest.approx(1.0, abs=1e-4)
     for sooner in np.linspace(1.0, 0.999 * time, 50):
-        j, s = steepest(APOLLO.path(R, V, END, sooner))
+        j, s = max_jerk_and_snap(APOLLO.path(R, V, END, sooner))
         assert max(j / jerk, s / snap) > 1.0
 
 
@@ -55,7 +55,7 @@ def test_least_times_of_many_targets_are_those_of_quartics_one_by_one(jerk, snap
     targets[20] = np.nan
     targets[36] = 1e9, 0.0, 0.0
     v_f, a_f = np.array([0.4, -0.3, -1.5]), pull * np.array([0.2, -0.1, 0.3])
-    times = limited_times(R, V, PhaseEnd(targets, v_f, a_f), jerk=jerk, snap=snap)
+    times = min_times_to_go(R, V, PhaseEnd(targets, v_f, a_f), jerk=jerk, snap=snap)
     assert np.flatnonzero(np.isnan(times)).tolist() == [20, 36]
     for target, time in zip(targets, times, strict=True):
         if np.isnan(time):
@@ -65,10 +65,10 @@ def test_least_times_of_many_targets_are_those_of_quartics_one_by_one(jerk, snap
         for sooner in np.arange(0.99 * time, 1.0, -0.01 * time):
             j, s = plain.steepness(R, V, target, v_f, a_f, sooner)
             assert max(j / jerk, s / snap) > 1.0
-    alone = limited_times(R, V, PhaseEnd(targets[5], v_f, a_f), jerk=jerk, snap=snap)
+    alone = min_times_to_go(R, V, PhaseEnd(targets[5], v_f, a_f), jerk=jerk, snap=snap)
     assert alone[0] == times[5]
     # One that keeps both at once gets the least time that is looked at.
-    still = limited_times(np.zeros(3), v_f, PhaseEnd(v_f, v_f), jerk=jerk, snap=snap)
+    still = min_times_to_go(np.zeros(3), v_f, PhaseEnd(v_f, v_f), jerk=jerk, snap=snap)
     assert still[0] == 1.0
 
 
@@ -126,4 +126,4 @@ def test_costs_of_what_is_no_number_are_refused(changes, field):
 @pytest.mark.parametrize(("jerk", "snap"), [(0.0, 1.0), (1.0, -1.0), (np.nan, 1.0)])
 def test_limits_must_be_positive(jerk, snap):
     with pytest.raises(InputError, match="guidance"):
-        limited_times(R, V, END, jerk=jerk, snap=snap)[0]
+        min_times_to_go(R, V, END, jerk=jerk, snap=snap)[0]

@@ -128,7 +128,7 @@ def test_a_site_is_judged_alike_whoever_stands_beside_it(glide):
 
 @numba.njit
 def lanes_of(w, state, asked, table, powers, figures):
-    kernels.sixteen(w, state, asked, table, powers, figures)
+    kernels.evaluate_lanes(w, state, asked, table, powers, figures)
 
 
 @pytest.mark.parametrize("glide", [0.25, 0.0, -0.3, -1e9])

@@ -19,8 +19,12 @@ from lunarsim.onboard.guidance.apollo import ApolloLaw, jerk_time_to_go
 from lunarsim.onboard.guidance.augmented_apollo import AugmentedApolloLaw
 from lunarsim.onboard.guidance.contract import PhaseEnd
 from lunarsim.onboard.guidance.e_guidance import EGuidanceLaw
-from lunarsim.onboard.guidance.fractional import FractionalPolynomialLaw, feedback_of, shape_of
-from lunarsim.onboard.guidance.jerk_limited import steepest
+from lunarsim.onboard.guidance.fractional import (
+    FractionalPolynomialLaw,
+    fractional_feedback,
+    fractional_shape,
+)
+from lunarsim.onboard.guidance.jerk_limited import max_jerk_and_snap
 from lunarsim.onboard.guidance.modified_apollo import ModifiedApolloLaw
 from lunarsim.onboard.guidance.paths import APOLLO, E_GUIDANCE, PathShape
 from lunarsim.onboard.guidance.zem_zev import ZemZevLaw, zem_zev
@@ -93,11 +97,11 @@ def test_lu_s_feedback_is_the_start_of_the_path(r, v, rf, vf, af, time_to_go, po
     low, high = powers
     gain = (low + 2.0) * (high + 2.0)
     for gamma in powers:
-        thrust = feedback_of(r, v, end, time_to_go, G, gamma=gamma, gain=gain)
+        thrust = fractional_feedback(r, v, end, time_to_go, G, gamma=gamma, gain=gain)
         path = PathShape(low, high).path(r, v, end, time_to_go)
         assert np.allclose(thrust, path.command + UP, rtol=1e-6, atol=1e-6)
     for shape, gain in ((E_GUIDANCE, 6.0), (APOLLO, 12.0)):
-        thrust = feedback_of(r, v, end, time_to_go, G, gamma=1.0, gain=gain)
+        thrust = fractional_feedback(r, v, end, time_to_go, G, gamma=1.0, gain=gain)
         assert np.allclose(thrust, shape.path(r, v, end, time_to_go).command + UP, atol=1e-8)
     assert np.allclose(
         zem_zev(r, v, end, time_to_go, G),
@@ -274,7 +278,7 @@ def test_impossible_parameters_are_refused(given, field):
         FractionalPolynomialLaw(**given)
     with pytest.raises(InputError, match="powers"):
         PathShape(2.0, 1.0)
-    assert shape_of(2.0, 12.0).powers == (1.0, 2.0)
+    assert fractional_shape(2.0, 12.0).powers == (1.0, 2.0)
 
 
 def test_modified_apollo_keeps_its_limits():
@@ -290,7 +294,7 @@ def test_modified_apollo_keeps_its_limits():
     for n, site in enumerate(sites):
         for law_cost, keeps in ((cost, True), (free, False)):
             path = APOLLO.path(R, V, PhaseEnd(site, END.velocity), law_cost.time_to_go[n])
-            jerk, snap = steepest(path)
+            jerk, snap = max_jerk_and_snap(path)
             ok = jerk <= 0.06 * (1.0 + 1e-6) and snap <= 0.01 * (1.0 + 1e-6)
             assert ok or not keeps
             broken += not ok

@@ -16,7 +16,7 @@ from lunarsim.onboard.guidance.approach import Approach
 from lunarsim.onboard.guidance.contract import PhaseEnd, PlansArrival
 from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.neural_law import (
-    LEAST_ELEVATION,
+    MIN_ELEVATION_RAD,
     NeuralGuidance,
     NeuralOptimalLaw,
     shipped,
@@ -119,9 +119,12 @@ def test_a_descent_turned_or_mirrored_is_flown_alike():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"weight": 3.71}, "another problem"),
-        ({"lander": Lander(thrust_max=9000.0)}, "another problem"),
-        ({"software": SimpleNamespace(approach=Approach(max_tilt=0.9))}, "another problem"),
+        ({"weight": 3.71}, "problem differs from training"),
+        ({"lander": Lander(thrust_max=9000.0)}, "problem differs from training"),
+        (
+            {"software": SimpleNamespace(approach=Approach(max_tilt=0.9))},
+            "problem differs from training",
+        ),
     ],
 )
 def test_another_problem_than_it_was_taught_is_flown_by_apollo(change, why):
@@ -147,13 +150,13 @@ def test_outside_of_what_it_was_taught_apollo_flies_until_it_is_within():
 
 def test_it_takes_over_no_lower_than_descents_that_it_was_taught_begin():
     """Each number is within what it was shown, the way in is not; once on a path it may lie low."""
-    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(MIN_ELEVATION_RAD) - 5.0])
     speed = np.array([25.0, 0.0, -5.0])
     shown, _ = reduced(low - END.position, speed, 1400.0)
-    assert shipped().knows(shown)
+    assert shipped().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(low, speed, 1400.0), END, 0.0, 40.0)
-    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]
     flight.command(estimate(low + [0.0, 0.0, 10.0], speed, 1400.0, 1.0), END, 1.0, 39.0)
     flight.command(estimate(low, speed, 1400.0, 1.1), END, 1.1, 38.9)
     assert flight.asked == 2
@@ -201,7 +204,7 @@ def test_problems_that_differ_by_little_are_other_problems_too(change):
     end = change.pop("end", END)
     flight = NeuralOptimalLaw().build(SimpleNamespace(**{**vars(BRIEFING), **change}), 0.0)
     flight.command(estimate(), end, 0.0, 34.0)
-    assert [told["reason"] for _, _, told in flight.events] == ["another problem"]
+    assert [told["reason"] for _, _, told in flight.events] == ["problem differs from training"]
 
 
 @pytest.mark.parametrize(
@@ -216,7 +219,7 @@ def test_problems_that_differ_by_little_are_other_problems_too(change):
 def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass):
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(position, velocity, mass), END, 0.0, 40.0)
-    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]
     assert flight.asked == 0
 
 
@@ -231,10 +234,10 @@ def test_states_beyond_what_it_was_taught_are_not_told(position, velocity, mass)
 def test_it_does_not_take_over_where_no_descent_that_it_was_taught_begins(gap, velocity, mass):
     """Of the first it ended 52 m off, 37 m too low; Apollo guidance lands."""
     shown, _ = reduced(gap, velocity, mass)
-    assert shipped().knows(shown)
+    assert shipped().is_in_domain(shown)
     flight = NeuralOptimalLaw().build(BRIEFING, 0.0)
     flight.command(estimate(END.position + gap, velocity, mass), END, 0.0, 60.0)
-    assert [told["reason"] for _, _, told in flight.events] == ["outside what it was taught"]
+    assert [told["reason"] for _, _, told in flight.events] == ["outside the training domain"]
 
 
 @pytest.mark.parametrize(("left", "asked"), [(2.9, 1), (3.1, 2)])
@@ -247,7 +250,7 @@ def test_the_last_seconds_are_left_to_another_law(left, asked):
 
 def test_after_a_fall_it_takes_over_no_lower_either():
     """What was followed until then is left: it lies low by another law's doing."""
-    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(LEAST_ELEVATION) - 5.0])
+    low = END.position + np.array([-500.0, 0.0, 500.0 * np.tan(MIN_ELEVATION_RAD) - 5.0])
     flight = NeuralGuidance(NeuralOptimalLaw(), BRIEFING, 0.0, constant((0.0, 0.0, 2.0), 20.0))
     flight.command(estimate(), END, 0.0, 34.0)
     flight.network = constant((0.0, 0.0, 6.0), 20.0)
@@ -341,7 +344,7 @@ def broken(**changes):
         ({"format": "lunarsim optimal network 0"}, "format"),
         ({"weight_1": np.zeros((3, 5))}, "a layer of shape"),
         ({"bias_0": np.full(96, np.nan)}, "not finite"),
-        ({"scale": np.ones(3)}, "another shape"),
+        ({"scale": np.ones(3)}, "wrong shape"),
         ({"far": np.ones(5)}, "missing"),
         ({"more": np.random.default_rng(1).random(200_000)}, "more than 1 MB"),
         ({"low": np.array([None])}, "pickle"),

@@ -22,7 +22,7 @@ from lunarsim.onboard.guidance.divert import divert_cost
 from lunarsim.onboard.guidance.optimal_law import OptimalLaw
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.optimal.errors import SolverError
-from lunarsim.optimal.final_time import least_propellant, masses_left
+from lunarsim.optimal.final_time import least_propellant, remaining_log_mass
 from lunarsim.optimal.planner import Planner
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
@@ -199,14 +199,14 @@ def test_ten_thousand_states_never_give_a_command_that_is_not_finite():
 @pytest.fixture
 def searches(monkeypatch):
     """Return what is searched for as a law plans: descent and path, one of each plan."""
-    found, search = [], optimal_law.search_about
+    found, search = [], optimal_law.search_near
 
     def noted(planner, descent, first, **given):
         path = search(planner, descent, first, **given)
         found.append((descent, path))
         return path
 
-    monkeypatch.setattr(optimal_law, "search_about", noted)
+    monkeypatch.setattr(optimal_law, "search_near", noted)
     return found
 
 
@@ -219,7 +219,7 @@ def test_plans_are_made_under_the_limits_of_the_approach(searches):
     assert (d.glideslope, d.max_tilt, d.drop) == (0.3, 0.6, 0.5)
     assert d.thrust_min == LANDER.thrust_min + 0.1 * throttle
     assert d.thrust_max == LANDER.thrust_max - 0.1 * throttle
-    assert d.spare == 0.1 * throttle
+    assert d.thrust_slack == 0.1 * throttle
     assert (d.end_tilt, d.tilt_rate) == (OptimalLaw().end_tilt, OptimalLaw().tilt_rate)
 
 
@@ -231,7 +231,7 @@ def test_some_thrust_is_kept_back_whatever_the_margin(searches, margin):
     OptimalLaw(intervals=10).build(told, 0.0).command(estimate(), END, 0.0, 34.0)
     d, throttle = searches[0][0], LANDER.thrust_max - LANDER.thrust_min
     assert d.thrust_max == pytest.approx(LANDER.thrust_max - 0.04 * throttle)
-    assert d.thrust_max + d.spare == pytest.approx(LANDER.thrust_max)
+    assert d.thrust_max + d.thrust_slack == pytest.approx(LANDER.thrust_max)
     assert d.thrust_min == pytest.approx(LANDER.thrust_min + margin * throttle)
 
 
@@ -277,7 +277,7 @@ def test_apollo_takes_over_with_a_time_of_its_own():
 
 
 def test_a_plan_that_breaks_the_limits_of_thrust_is_not_flown(monkeypatch):
-    monkeypatch.setattr(optimal_law, "flyable", lambda path: False)
+    monkeypatch.setattr(optimal_law, "is_flyable", lambda path: False)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, 34.0)
     assert flight.plans == 0
@@ -290,7 +290,7 @@ def test_apollo_takes_over_from_a_plan_too(monkeypatch):
     """A plan that was made before is flown no further: it told what was to be then."""
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, 34.0)
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     here = estimate(R + V, V, time=1.0)
     got = flight.command(here, END, 1.0, 33.0)
     apollo = ApolloLaw().build(BRIEFING, 0.0).command(here, END, 1.0, flight.arrival - 1.0)
@@ -301,7 +301,7 @@ def test_apollo_takes_over_from_a_plan_too(monkeypatch):
 @pytest.mark.parametrize("expected", [34.0, 24.0])
 def test_a_solver_that_finds_no_path_where_there_is_one_is_told_so(monkeypatch, expected):
     """At 24 s there is none, a little later there is."""
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
     flight.command(estimate(), END, 0.0, expected)
     assert [told["reason"] for _, _, told in flight.events] == ["solver"]
@@ -312,7 +312,7 @@ def test_a_second_solver_that_fails_is_no_proof(monkeypatch):
         raise SolverError("it gave up")
 
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.0)
-    monkeypatch.setattr(optimal_law, "search_about", lambda *given, **more: None)
+    monkeypatch.setattr(optimal_law, "search_near", lambda *given, **more: None)
     monkeypatch.setattr(Planner, "at_time", fails)
     flight.command(estimate(), END, 0.0, 34.0)
     assert [told["reason"] for _, _, told in flight.events] == ["solver"]
@@ -325,24 +325,24 @@ def test_a_lander_short_of_fuel_or_low_over_the_end_plans_under_limits_that_it_c
     descent = searches[0][0]
     assert descent.dry_mass == LANDER.dry_mass + 5.0
     assert descent.glideslope == pytest.approx(np.deg2rad(4.5), abs=1e-6)
-    assert not descent.outside
+    assert not descent.violates_glideslope
 
 
 def test_masses_of_the_last_plan_are_taken_over_but_not_at_a_divert(monkeypatch):
-    taken, search = [], optimal_law.search_about
+    taken, search = [], optimal_law.search_near
 
     def noted(planner, descent, first, **given):
         path = search(planner, descent, first, **given)
         taken.append((path, given["log_mass"]))
         return path
 
-    monkeypatch.setattr(optimal_law, "search_about", noted)
+    monkeypatch.setattr(optimal_law, "search_near", noted)
     flight = OptimalLaw(intervals=10).build(BRIEFING, 0.5)
     other = PhaseEnd(END.position + [2.0, 0.0, 0.0], END.velocity)
     for t, end in ((0.0, END), (1.0, END), (1.1, other)):
         flight.command(estimate(R + t * V, V, time=t), end, t, 34.0 - t)
     assert [masses is None for _, masses in taken] == [True, False, True]
-    assert np.allclose(taken[1][1], masses_left(taken[0][0], 1.0, 10))
+    assert np.allclose(taken[1][1], remaining_log_mass(taken[0][0], 1.0, 10))
 
 
 def test_after_its_end_the_end_of_a_plan_is_held(searches):

@@ -1,4 +1,4 @@
-"""What a hazard map may hold, and what it says of places."""
+"""Test the validity checks and queries of hazard maps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every mapper of LiDAR returns must do: call no ground safer for being worse."""
+"""Test that LiDAR mappers never call worse terrain safer."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.site_probability import (
     COUNT,
     FREE,
-    MOST_HAZARDS,
-    MOST_NOISE,
-    MOST_SINKING,
+    MAX_EXPECTED_HAZARDS,
+    MAX_EXPECTED_HOLES,
+    MAX_NOISE_RATIO,
     SiteEvidence,
     evidence_of,
     measured,
@@ -59,7 +59,7 @@ def tilted(degrees: float, rocks: int = 0, size: float = 0.8) -> Terrain:
 
 
 def flashes(terrain: Terrain) -> list[tuple[LidarScan, Estimate]]:
-    """Return three flashes from above, with the poses they were taken at."""
+    """Return three scans from above with their poses."""
     lidar = FlashLidar(rows=128, cols=128)
     out = []
     for n, height in enumerate((110.0, 100.0, 92.0)):
@@ -88,7 +88,7 @@ def test_no_map_calls_steeper_ground_safer(name):
         p.append(float(drawn.p_safe[middle].mean()))
     assert (np.diff(p) <= 0.01).all(), p
     assert p[0] > 0.9, p
-    # The limit is 10 deg; a calibrated map may not doubt it for long.
+    # The limit is 10 deg; a calibrated map must not stay uncertain for long.
     assert p[-1] < 0.01, p
     assert p[-2] < 0.05, p
 
@@ -110,7 +110,7 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
         share.append(sure.sum() / judged.sum())
         if sure.any():
             assert drawn.p_safe[sure].mean() - truth.safe[sure].mean() < 0.005
-    # Ground of which a tenth is unsafe, for rocks that no sample has told, is not surely safe.
+    # Terrain of which a tenth is unsafe, due to rocks without samples, is not claimed safe.
     assert share[0] > 0.3
     assert share[1] < 0.1
 
@@ -118,7 +118,7 @@ def test_what_is_claimed_holds_where_small_rocks_under_a_pad_tilt_the_lander_ove
 @pytest.mark.parametrize("name", ["calibrated", "quadtree"])
 @pytest.mark.parametrize("expected", [0.05, 1e-6])
 def test_gravel_is_not_taken_for_bare_ground(name, expected):
-    """Whether the mission expects any or not: what is surely safe is, where gravel tilts it too."""
+    """Sites claimed safe are safe, even where gravel adds tilt, expected or not."""
     rocks = RockExpectation(cover=expected)
     made = {"calibrated": GaussianDemMapper, "quadtree": QuadtreeMapper}[name]
     for tilt in (4.0, 8.4, 9.0):
@@ -216,17 +216,18 @@ weights = st.integers(0, 10_000).map(
 
 SITE = {
     "slope": 0.4, "roughness": 0.3, "mesh_slope": 0.4, "fitted_slope": 0.4, "mesh_spread": 0.1,
-    "fitted_spread": 0.1, "ratio": 0.0, "near": 0.0, "relief": 0.2, "top": 0.2,
+    "fitted_spread": 0.1, "ratio": 0.0, "footprint_ratio": 0.0, "relief": 0.2,
+    "footprint_relief": 0.2,
 }  # fmt: skip
 
 
 def site(rocks: float, noise: float = 0.02, **changes: float) -> SiteEvidence:
-    """Return one site, gentle and without an exception but for changes, among so many rocks."""
+    """Return a smooth site without exceptions, except for changes, among expected rocks."""
     return site_among(curve_of(rocks), curve_of(0.01), noise, **changes)
 
 
 def curve_of(rocks: float) -> HeightCurve:
-    """Return the curve of so many times the usual rocks."""
+    """Return the height curve of a multiple of the usual rocks."""
     height = Lander().roughness_limit * np.geomspace(0.08, 8.0, 40)
     return HeightCurve(height, np.minimum(rocks * law_share(height, 0.05, 0.5), 0.5))
 
@@ -235,7 +236,7 @@ def site_among(
     curve: HeightCurve, holes: HeightCurve, noise: float, **changes: float
 ) -> SiteEvidence:
     own = {k: np.array([v]) for k, v in (SITE | changes).items()}
-    own = {"density": np.array([30.0]), "thinnest": np.array([30.0])} | own
+    own = {"density": np.array([30.0]), "min_density": np.array([30.0])} | own
     own["doomed"] = np.maximum(own["slope"], own["roughness"]) >= 1.0
     return SiteEvidence(**own, curve=curve, holes=holes, lander=Lander(), noise=noise)
 
@@ -247,8 +248,8 @@ def site_among(
 def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, worse):
     here = {
         "slope": slope, "fitted_slope": slope, "mesh_slope": 0.8 * slope, "roughness": rough,
-        "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "top": 0.8 * rough,
-        "relief": rough, "ratio": ratio, "near": 0.5 * ratio,
+        "mesh_spread": 0.4 * rough, "fitted_spread": 0.3 * rough, "footprint_relief": 0.8 * rough,
+        "relief": rough, "ratio": ratio, "footprint_ratio": 0.5 * ratio,
     }  # fmt: skip
     p = site_safety(site(rocks, **here), model)[0][0]
     for name, value in here.items():
@@ -261,23 +262,23 @@ def test_worse_sites_are_never_called_safer(model, slope, rough, ratio, rocks, w
     st.floats(2.0, 200.0),
 )  # fmt: skip
 def test_sites_among_taller_rocks_are_never_called_safer(model, seed, times, slope, density):
-    """Some of the points that met a rock, or fell into a hole, met a greater one."""
+    """Some of the points on a rock or in a hole are on a larger one."""
     rng = np.random.default_rng(seed)
-    rises = np.zeros(int(rng.choice([300, 3000, 20_000])))
+    residual_heights = np.zeros(int(rng.choice([300, 3000, 20_000])))
     count = int(rng.integers(1, 100))
-    rises[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
-    worse = rises.copy()
+    residual_heights[:count] = 0.25 * rng.uniform(0.3, 2.5, count) * rng.choice([-1.0, 1.0], count)
+    worse = residual_heights.copy()
     worse[: int(rng.integers(1, count + 1))] *= times
-    own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "thinnest": density}
+    own = {"slope": slope, "mesh_slope": slope, "fitted_slope": slope, "min_density": density}
     p = [
         site_safety(site_among(height_curve(*said), depth_curve(*said), 0.02, **own), model)[0][0]
-        for said in ((r, 0.02, 0.25, 0.05) for r in (rises, worse))
+        for said in ((r, 0.02, 0.25, 0.05) for r in (residual_heights, worse))
     ]
     assert p[1] <= p[0] + 1e-12
 
 
 def fits_of(*odds: float) -> Ensemble:
-    """Return fits that say the same of all sites."""
+    """Return fits that give the same probability for all sites."""
     return Ensemble(tuple((o, *[0.0] * (COUNT - 1)) for o in odds))
 
 
@@ -292,10 +293,10 @@ def test_where_fits_differ_on_a_site_the_lowest_counts_and_is_no_frequency():
     p, known = site_safety(doubtful, fits_of(2.8, 2.8))
     assert p == pytest.approx((1.0 - UNTOLD) * SURE * expit(2.8 - MARGIN))
     assert not known.any()
-    # Far from the domain no more than the chance that no unseen rock stands there.
+    # Far from the domain, p is at most the probability of no undetected rock.
     far = site(30.0)
     assert not far.near_domain.any()
-    nothing = np.exp(-far.piercing() - far.tilting())
+    nothing = np.exp(-far.expected_roughness_violations() - far.expected_tilt_violations())
     assert nothing < 0.5
     p, known = site_safety(far, fits_of(2.8, 2.8))
     assert p == pytest.approx(SURE * nothing)
@@ -310,7 +311,7 @@ def test_a_site_is_surely_unsafe_only_where_it_is_so_without_its_holes():
         assert known[0] == claims
 
 
-@pytest.mark.parametrize("name", [*SITE, "density", "thinnest"])
+@pytest.mark.parametrize("name", [*SITE, "density", "min_density"])
 def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
     for value in (np.nan, np.inf):
         own = site(0.02, **{name: value})
@@ -322,7 +323,13 @@ def test_a_site_of_which_anything_is_unknown_is_not_judged(name):
 
 def test_a_site_at_which_anything_fatal_was_seen_is_not_called_safe():
     assert site_safety(site(0.02))[0][0] > 0.95
-    fatal = {"slope": 1.3, "mesh_slope": 1.15, "fitted_slope": 1.15, "roughness": 1.6, "top": 4.0}
+    fatal = {
+        "slope": 1.3,
+        "mesh_slope": 1.15,
+        "fitted_slope": 1.15,
+        "roughness": 1.6,
+        "footprint_relief": 4.0,
+    }
     for name, value in fatal.items():
         assert site_safety(site(0.02, **{name: value}))[0][0] < 0.5, name
 
@@ -349,38 +356,41 @@ def test_gravel_matters_to_a_site_where_it_tilts_the_lander_too_far(slope, matte
 def test_the_domain_ends_where_rocks_may_stand_unseen_or_noise_is_not_that_of_the_fit():
     assert site(0.02).in_domain.all()
     limit = Lander().roughness_limit
-    assert site(0.02, noise=0.9 * MOST_NOISE * limit).in_domain.all()
-    assert not site(0.02, noise=1.1 * MOST_NOISE * limit).in_domain.any()
+    assert site(0.02, noise=0.9 * MAX_NOISE_RATIO * limit).in_domain.all()
+    assert not site(0.02, noise=1.1 * MAX_NOISE_RATIO * limit).in_domain.any()
     assert site(0.25).in_domain.all()
-    assert not site(0.25, thinnest=1.0).in_domain.any()
+    assert not site(0.25, min_density=1.0).in_domain.any()
     assert not site(20.0).in_domain.any()
-    # Few hazards, but at the limit of the slope any stone tilts the lander too far.
+    # Few hazards, but at the slope limit any stone tilts the lander too far.
     steep = site(0.2, fitted_slope=0.99)
-    assert steep.hazards()[0] < MOST_HAZARDS
+    assert steep.hazards()[0] < MAX_EXPECTED_HAZARDS
     assert not steep.in_domain.any()
-    # Holes that no point has met under the pads, or much ground that is known to lie deep.
-    gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, thinnest=1.0)
-    assert gaping.sinking()[0] > MOST_SINKING
+    # Undetected holes under the pads, or much terrain that is known to be deep.
+    gaping = site_among(curve_of(0.02), curve_of(2.0), 0.02, min_density=1.0)
+    assert gaping.expected_hole_violations()[0] > MAX_EXPECTED_HOLES
     assert not gaping.in_domain.any()
-    sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, thinnest=1000.0)
-    assert sunk.sinking()[0] < MOST_SINKING
+    sunk = site_among(curve_of(0.02), curve_of(3.0), 0.02, min_density=1000.0)
+    assert sunk.expected_hole_violations()[0] < MAX_EXPECTED_HOLES
     assert not sunk.in_domain.any()
     for degrees, inside in ((3.0, False), (5.0, True), (20.0, True), (25.0, False)):
         other = replace(site(0.02), lander=replace(Lander(), slope_limit=np.deg2rad(degrees)))
         assert other.in_domain.all() == inside
-    # Outside, p is no more than the chance that nothing stands there.
+    # Outside the domain, p is at most the probability of no undetected rock.
     unknown = site(20.0)
-    nothing = np.exp(-unknown.piercing() - unknown.tilting())
+    nothing = np.exp(-unknown.expected_roughness_violations() - unknown.expected_tilt_violations())
     assert (site_safety(unknown)[0] <= nothing).all()
 
 
 def test_what_noise_adds_to_the_highest_point_is_taken_off():
-    quiet, noisy = site(0.02, noise=1e-4, top=0.4), site(0.02, noise=0.02, top=0.4)
+    quiet, noisy = (
+        site(0.02, noise=1e-4, footprint_relief=0.4),
+        site(0.02, noise=0.02, footprint_relief=0.4),
+    )
     limit = Lander().roughness_limit
-    assert quiet.raised()[0] == pytest.approx(0.4 - 3e-4 / limit)
-    assert noisy.raised()[0] == pytest.approx(0.4 - 0.06 / limit)
-    assert quiet.raised()[1] == pytest.approx(0.1, abs=1e-5)
-    assert noisy.raised()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
+    assert quiet.denoised_relief()[0] == pytest.approx(0.4 - 3e-4 / limit)
+    assert noisy.denoised_relief()[0] == pytest.approx(0.4 - 0.06 / limit)
+    assert quiet.denoised_relief()[1] == pytest.approx(0.1, abs=1e-5)
+    assert noisy.denoised_relief()[1] == pytest.approx(np.sqrt(0.1**2 - (0.02 / limit) ** 2))
 
 
 def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
@@ -395,12 +405,12 @@ def test_the_noise_of_a_quadtree_is_that_of_its_noisiest_scan():
         RockExpectation(),
     )  # fmt: skip
     assert mapper.noise == max(sigma)
-    # Density is counted over the whole zone; where there are most points it is that of the scans.
+    # The density is averaged over the complete zone; its maximum is that of the scans.
     points = mapper.map.points
     count = (np.abs(points[:, :2]) < 4.0).all(axis=1).sum() / 64.0
     inside = (np.abs(mapper.selection.position[:, :2]) < 2.0).all(axis=1)
     assert np.nanmedian(evidence.density[inside]) == pytest.approx(count, rel=0.1)
-    assert np.nanmedian(evidence.thinnest[inside]) == pytest.approx(count, rel=0.35)
+    assert np.nanmedian(evidence.min_density[inside]) == pytest.approx(count, rel=0.35)
 
 
 def test_noise_that_the_points_do_not_have_excuses_nothing():

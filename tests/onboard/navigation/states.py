@@ -1,4 +1,4 @@
-"""States of a filter whose errors are all correlated."""
+"""Error states with correlations between all errors, for tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIZE = 15 + 6 + 1
 
 
 def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
-    """Return a state whose errors are all correlated."""
+    """Return an error state with correlations between all errors."""
     inertial = StrapdownState(rng.normal(size=3), rng.normal(size=3), UPRIGHT, 1.6)
     state = ErrorState(inertial, StartSigmas(), blocks=BLOCKS, capacity=tail)
     state.tail = tail
@@ -23,7 +23,7 @@ def made(rng: np.random.Generator, tail: int = 0) -> ErrorState:
 
 
 def alike(states, step, rng: np.random.Generator) -> None:
-    """Do one step, drawn at random, to each of several states."""
+    """Apply one random step to each of several states."""
     number = int(rng.integers(2**32))
     for state in states:
         step(state, np.random.default_rng(number))

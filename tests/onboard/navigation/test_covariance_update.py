@@ -1,4 +1,4 @@
-"""A symmetric covariance less a product: plain, by blocks, by rows, on any number of threads."""
+"""Test subtractions from a covariance by blocks and rows, with several threads."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_covariance_update_is_the_same_on_any_number_of_threads(measured):
     assert np.array_equal(some, some_other)
     assert np.array_equal(p, p.T)
     assert np.allclose(p, expected, atol=1e-9)
-    # Rows alone are kept up, and columns of the states among themselves.
+    # Only the rows are updated, and the columns within the block of the states.
     rest = np.setdiff1d(np.arange(1000), states)
     expected[rest] = whole[rest]
     assert np.allclose(some, expected, atol=1e-9)

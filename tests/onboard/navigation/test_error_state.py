@@ -1,4 +1,4 @@
-"""The error state against filters written out with plain matrices."""
+"""Test the error state against filters with full matrices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lunarsim.errors import InputError
-from lunarsim.onboard.navigation.doubt import inflate
+from lunarsim.onboard.navigation.covariance_inflation import inflate
 from lunarsim.onboard.navigation.error_state import POSE, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from tests.onboard.navigation.states import BLOCKS, SIZE, UPRIGHT, made
@@ -21,7 +21,7 @@ def still() -> StrapdownState:
 
 
 @given(st.integers(0, 10_000), st.integers(0, 9), st.integers(1, 4))
-def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
+def test_measurement_equals_joseph_form(seed, tail, m):
     rng = np.random.default_rng(seed)
     state = made(rng, tail)
     p = state.covariance.copy()
@@ -47,7 +47,7 @@ def test_a_measurement_is_that_of_josephs_form(seed, tail, m):
 
 
 @given(st.integers(0, 10_000))
-def test_information_is_a_measurement_of_the_same(seed):
+def test_information_equals_measurement(seed):
     rng = np.random.default_rng(seed)
     one, other = made(rng), None
     other = ErrorState(
@@ -57,13 +57,15 @@ def test_information_is_a_measurement_of_the_same(seed):
     other.covariance[:] = one.covariance
     jacobian, innovation = rng.normal(size=(9, 6)), 1e-3 * rng.normal(size=9)
     one.measure(jacobian, POSE, innovation, np.full(9, 0.25))
-    other.inform(POSE, jacobian.T @ jacobian / 0.25, jacobian.T @ innovation / 0.25)
+    other.update_with_information(
+        POSE, jacobian.T @ jacobian / 0.25, jacobian.T @ innovation / 0.25
+    )
     assert other.covariance == pytest.approx(one.covariance, rel=1e-7, abs=1e-9)
     assert other.inertial.position == pytest.approx(one.inertial.position, abs=1e-12)
 
 
 @given(st.integers(0, 10_000))
-def test_a_clone_errs_as_what_it_was_made_of(seed):
+def test_clone_has_error_of_source(seed):
     rng = np.random.default_rng(seed)
     state = made(rng)
     p = state.covariance.copy()
@@ -74,7 +76,7 @@ def test_a_clone_errs_as_what_it_was_made_of(seed):
     assert state.covariance == pytest.approx(copy @ p @ copy.T)
 
 
-def test_an_error_that_follows_others_errs_as_their_sum():
+def test_weighted_sum_has_error_of_sources():
     state = made(np.random.default_rng(3), tail=4)
     before = state.covariance.copy()
     at = state.size - 1
@@ -88,7 +90,7 @@ def test_an_error_that_follows_others_errs_as_their_sum():
     assert state.covariance == pytest.approx(expected)
 
 
-def test_time_carries_what_stands_behind_the_lander():
+def test_propagation_updates_cross_covariance():
     rng = np.random.default_rng(1)
     state = made(rng, 4)
     p = state.covariance.copy()
@@ -103,7 +105,7 @@ def test_time_carries_what_stands_behind_the_lander():
     assert state.covariance == pytest.approx(expected, rel=1e-10, abs=1e-12)
 
 
-def test_gates_and_what_is_not_finite_change_nothing():
+def test_gated_and_non_finite_innovations_change_nothing():
     state = made(np.random.default_rng(2))
     p, x = state.covariance.copy(), state.inertial.position.copy()
     for innovation, noise, gate in (
@@ -115,7 +117,7 @@ def test_gates_and_what_is_not_finite_change_nothing():
     assert np.array_equal(state.inertial.position, x)
 
 
-def test_what_others_do_not_tell_grows_and_all_else_stays():
+def test_inflation_scales_conditional_variance_only():
     state = made(np.random.default_rng(3))
     p, at = state.covariance.copy(), [3, 4, 5]
     others = np.setdiff1d(np.arange(SIZE), at)
@@ -131,7 +133,7 @@ def test_what_others_do_not_tell_grows_and_all_else_stays():
     assert np.linalg.eigvalsh(state.covariance).min() > 0.0
 
 
-def test_errors_that_no_other_tells_of_grow_whole():
+def test_uncorrelated_errors_are_inflated_entirely():
     state = ErrorState(still(), blocks={"two": [[4.0, 3.9], [3.9, 4.0]]})
     own, before = np.arange(15, 17), state.covariance.copy()
     state.inflate(own, 9.0, np.full(2, 1e3))
@@ -143,8 +145,8 @@ def test_errors_that_no_other_tells_of_grow_whole():
 
 
 @pytest.mark.parametrize("doubted", [0, 1])
-def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
-    """Two heights of 5 m, the same to 2 cm: to doubt one of them teaches nothing of either."""
+def test_inflated_errors_gain_no_information(doubted):
+    """Two heights of 5 m, equal to 2 cm: inflating one gives no information on either."""
     both = 25.0 + np.diag([2e-4, 2e-4])
     state = ErrorState(still(), blocks={"heights": both})
     for _ in range(3):
@@ -152,11 +154,11 @@ def test_what_is_doubted_is_not_told_by_what_is_not(doubted):
         difference = state.covariance[15, 15] + state.covariance[16, 16]
         difference -= 2.0 * state.covariance[15, 16]
         state.measure([[1.0, -1.0]], [15, 16], [0.0], [1e-4])
-        assert difference > 5e-3, "either may have moved"
+        assert difference > 5e-3, "either may have changed"
         assert np.sqrt(np.diag(state.covariance)[15:]).min() > 4.9
 
 
-def test_a_covariance_that_rounding_has_eaten_is_told_and_not_used():
+def test_indefinite_covariance_is_reported_and_not_used():
     state = made(np.random.default_rng(5))
     state.covariance[2, 2] = -10.0
     x = state.inertial.position.copy()
@@ -187,14 +189,14 @@ def test_samples_of_another_shape_are_refused(angle, velocity, field):
 @pytest.mark.parametrize(
     "given", [[[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]], [[np.nan]], [[1.0, 0.0]]]
 )
-def test_covariances_that_are_none_are_refused(given):
+def test_invalid_covariances_are_rejected(given):
     inertial = StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, 1.6)
     with pytest.raises(InputError, match=r"navigation\.bias"):
         ErrorState(inertial, blocks={"bias": given})
 
 
-def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
-    """Two poses that nearly coincide, compared again and again to a tenth of a millimetre."""
+def test_precise_comparisons_keep_covariance_valid():
+    """Two nearly identical poses, compared repeatedly to 0.1 mm."""
     rng = np.random.default_rng(3)
     state = ErrorState(still(), StartSigmas(30.0, 10.0, 0.2), blocks={"key": np.zeros((6, 6))})
     state.clone("key", POSE)
@@ -203,7 +205,7 @@ def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
     own = rng.normal(size=(50, 6)) * [1.0, 1.0, 1.0, 100.0, 100.0, 100.0]
     jacobian = np.hstack((own, -own + 1e-3 * rng.normal(size=(50, 6))))
     for _ in range(5):
-        found = state.inform(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
+        found = state.update_with_information(part, 1e8 * jacobian.T @ jacobian, np.zeros(12))
         assert found.taken
     sigma = np.sqrt(state.covariance.diagonal())
     assert np.linalg.eigvalsh(state.covariance / np.outer(sigma, sigma)).min() > -1e-12
@@ -212,21 +214,21 @@ def test_precise_comparisons_with_a_pose_kept_leave_a_covariance():
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf])
-def test_information_that_is_no_number_tells_nothing(broken):
+def test_non_finite_information_is_ignored(broken):
     state = ErrorState(still())
     before = state.covariance.copy()
     information, vector = np.eye(6), np.zeros(6)
     vector[2] = broken
-    assert np.isnan(state.inform(POSE, information, vector).nis)
+    assert np.isnan(state.update_with_information(POSE, information, vector).nis)
     information[1, 1] = broken
-    assert np.isnan(state.inform(POSE, information, np.zeros(6)).nis)
+    assert np.isnan(state.update_with_information(POSE, information, np.zeros(6)).nis)
     assert np.array_equal(state.covariance, before)
 
 
-def test_information_on_a_covariance_that_is_none_is_refused():
+def test_information_on_invalid_covariance_is_rejected():
     state = ErrorState(still())
     state.p[0, 0] = -1.0
-    found = state.inform(POSE, np.eye(6), np.zeros(6))
+    found = state.update_with_information(POSE, np.eye(6), np.zeros(6))
     assert (found.nis, found.taken) == (np.inf, False)
     state.inflate(POSE, 4.0, np.full(6, 10.0))
     assert np.isfinite(state.covariance).all()
@@ -235,48 +237,50 @@ def test_information_on_a_covariance_that_is_none_is_refused():
     assert np.isfinite(state.covariance[np.ix_(POSE, POSE)]).all()
 
 
-def test_information_is_judged_as_the_measurement_of_the_same():
+def test_information_is_gated_like_measurement():
     rng = np.random.default_rng(8)
     one, other = made(np.random.default_rng(5)), made(np.random.default_rng(5))
     jacobian, innovation = rng.normal(size=(6, 6)), 0.3 * rng.normal(size=6)
     expected = one.measure(jacobian, POSE, innovation, np.full(6, 0.2))
-    found = other.inform(POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2)
+    found = other.update_with_information(
+        POSE, jacobian.T @ jacobian / 0.2, jacobian.T @ innovation / 0.2
+    )
     assert (found.nis, found.degrees) == (pytest.approx(expected.nis, rel=1e-6), 6)
     assert found.white @ found.white == pytest.approx(found.nis)
 
 
-def test_directions_of_which_nothing_is_told_do_not_count():
+def test_directions_without_information_do_not_count():
     state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
     # 1e-4 of what is known of the height, and a vector in it of a hundred deviations.
     information, vector = np.diag([4.0, 4.0, 1e-4, 0.0, 0.0, 0.0]), np.zeros(6)
     vector[2] = 1.0
-    found = state.inform(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert (found.nis, found.degrees, found.taken) == (0.0, 2, True)
-    # Nor do they move anything: told a thousand times over, it would be as many steps aside.
+    # They move nothing either: repeated a thousand times, the steps would add up.
     assert not state.inertial.position.any()
     assert state.covariance[2, 2] == 1.0
 
 
 @pytest.mark.parametrize(("deviations", "taken"), [(3.2, True), (3.4, False)])
-def test_a_correction_that_chance_does_not_allow_is_refused(deviations, taken):
-    """One degree of freedom, a chance of one in a thousand: 3.29 deviations."""
+def test_improbable_correction_is_rejected(deviations, taken):
+    """One degree of freedom and a probability of 0.001: 3.29 standard deviations."""
     state = ErrorState(still(), StartSigmas(1.0, 0.1, 0.01))
     before = state.covariance.copy()
     # 1 m before and 0.5 m measured: the innovation has 1.25 m^2.
     innovation = deviations * np.sqrt(1.25)
     information, vector = np.diag([4.0, 0, 0, 0, 0, 0]), np.array([4.0 * innovation, 0, 0, 0, 0, 0])
-    found = state.inform(POSE, information, vector, chance=1e-3)
+    found = state.update_with_information(POSE, information, vector, min_probability=1e-3)
     assert found.nis == pytest.approx(deviations**2, rel=1e-6)
     assert found.taken == taken
     assert np.array_equal(state.covariance, before) != taken
     assert bool(state.inertial.position.any()) == taken
 
 
-def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
+def test_raised_variances_reach_given_sigma():
     state = made(np.random.default_rng(6))
     before = state.covariance.copy()
     sigma = np.sqrt(before.diagonal())
-    state.let_go(np.array([3, 16]), [2.0 * sigma[3], 0.5 * sigma[16]])
+    state.raise_variances(np.array([3, 16]), [2.0 * sigma[3], 0.5 * sigma[16]])
     change = state.covariance - before
     assert change[3, 3] == pytest.approx(3.0 * before[3, 3])
     change[3, 3] = 0.0
@@ -284,7 +288,7 @@ def test_what_is_let_go_is_no_surer_than_it_is_told_to_be():
 
 
 @pytest.mark.parametrize("error", [np.full(15, np.nan), np.zeros(12)])
-def test_a_correction_that_is_none_changes_nothing(error):
+def test_invalid_correction_changes_nothing(error):
     state = ErrorState(still(), StartSigmas())
     state.listeners.append(lambda told: pytest.fail("told of it"))
     before = state.covariance.copy()
@@ -293,17 +297,17 @@ def test_a_correction_that_is_none_changes_nothing(error):
     assert np.array_equal(state.covariance, before)
 
 
-@pytest.mark.parametrize("way", ["measure", "inform", "at rest"])
-def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
-    """What is measured looks well; what errs with it is not finite."""
+@pytest.mark.parametrize("way", ["measure", "update_with_information", "at rest"])
+def test_invalid_covariance_elsewhere_rejects_updates(way):
+    """The measured errors are valid, but errors correlated with them are not finite."""
     state = ErrorState(still(), StartSigmas(), blocks={"spoilt": np.eye(1)}, capacity=2)
     state.tail = 2
     state.covariance[16:, 16:] = np.eye(2)
     state.rest(np.array([way == "at rest"] * 2))
     state.covariance[15, 0] = state.covariance[0, 15] = np.nan
     before = state.covariance.copy()
-    if way == "inform":
-        found = state.inform(np.arange(3), np.eye(3), np.ones(3))
+    if way == "update_with_information":
+        found = state.update_with_information(np.arange(3), np.eye(3), np.ones(3))
     else:
         found = state.measure(np.eye(3), np.arange(3), np.ones(3), np.ones(3))
     assert not found.taken
@@ -313,8 +317,8 @@ def test_a_covariance_spoilt_elsewhere_refuses_what_would_spread_it(way):
 
 
 @pytest.mark.parametrize("size", [0.02, 0.3, 5.0])
-def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_under(size):
-    """The error that stays, ``e_v + v x e_tilt``, is that of an invariant filter."""
+def test_velocity_correction_transforms_error_with_tilt(size):
+    """The conserved error, ``e_v + v x e_tilt``, is that of an invariant filter."""
     rng = np.random.default_rng(7)
     turned = rng.normal(size=4)
     turned /= np.linalg.norm(turned)
@@ -326,23 +330,23 @@ def test_what_the_velocity_errs_by_turns_with_the_tilt_that_it_was_corrected_und
     x, y, z = change
     error = np.zeros(SIZE)
     error[3:6] = change
-    carried = np.eye(SIZE)
+    admit_and_propagate = np.eye(SIZE)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    carried[3:6, 9:12] = -cross @ Rotation.from_quat(turned).as_matrix()
-    expected = carried @ p @ carried.T
+    admit_and_propagate[3:6, 9:12] = -cross @ Rotation.from_quat(turned).as_matrix()
+    expected = admit_and_propagate @ p @ admit_and_propagate.T
     state.correct(error)
     assert state.covariance == pytest.approx(expected, abs=1e-10)
 
 
-def test_what_is_doubted_grows_by_what_two_errors_that_are_the_same_do_not_tell():
-    # The first two are one error, which the third is but for 0.1.
+def test_inflation_works_with_identical_errors():
+    # The first two errors are identical, and the third differs by 0.1.
     p = np.ones((3, 3))
     p[2, 2] = 1.01
     inflate(p, [2], 4.0, 1e3)
     assert p[2, 2] == pytest.approx(1.0 + 4.0 * 0.01, rel=1e-4)
 
 
-def test_what_is_doubted_grows_whole_where_nothing_can_be_told():
+def test_inflation_is_total_with_invalid_covariance():
     p = np.eye(3)
     p[0, 0] = np.nan
     inflate(p, [2], 4.0, 1e3)
@@ -352,7 +356,7 @@ def test_what_is_doubted_grows_whole_where_nothing_can_be_told():
 
 
 @pytest.mark.parametrize(("factor", "most"), [(0.5, 1.0), (np.nan, 1.0), (4.0, np.nan), (4.0, -1)])
-def test_growth_that_is_none_is_refused(factor, most):
+def test_invalid_inflation_is_rejected(factor, most):
     p = np.eye(3)
     with pytest.raises(InputError):
         inflate(p, [1], factor, most)

@@ -1,4 +1,4 @@
-"""Navigation by the fixes of another system."""
+"""Test navigation with the fixes of an external system."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_gyroscopes_give_the_rate_and_other_sensors_nothing():
 
 
 @pytest.mark.parametrize("part", ["position", "velocity", "attitude", "covariance"])
-def test_a_fix_that_is_no_number_tells_nothing(part):
+def test_non_finite_fix_is_ignored(part):
     navigation = FixNavigation(START, 0.01)
     good = NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9))
     navigation.take("fix", good, 1.0)
@@ -84,7 +84,7 @@ def test_without_fixes_it_is_lost_until_one_comes():
         {"time": np.nan},
     ],
 )
-def test_a_fix_that_cannot_be_believed_changes_nothing(wrong):
+def test_invalid_fix_changes_nothing(wrong):
     navigation = FixNavigation(START, 0.01)
     good = NavigationFix(1.0, np.ones(3), np.ones(3), TURN, np.eye(9))
     navigation.take("fix", good, 1.0)

@@ -1,4 +1,4 @@
-"""Compiled kriging and counting of squares against plain references."""
+"""Test compiled kriging and square counting against simple references."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ def test_heights_are_those_of_the_reference(places, count):
     rng = np.random.default_rng(places)
     where, at = rng.uniform(-40.0, 40.0, (places, 2)), rng.uniform(-60.0, 60.0, (20, 2))
     known, given = rng.normal(size=places), (count, 0.3, 0.05)
-    found = kernels.heights(where, known, at, *given)
+    found = kernels.interpolate_heights(where, known, at, *given)
     assert found == pytest.approx(reference.kriged(where, known, at, *given), abs=1e-9)
 
 
-def test_a_place_told_twice_and_points_nowhere():
+def test_duplicate_places_and_non_finite_points():
     where = np.array([[3.0, 1.0], [3.0, 1.0], [-8.0, 2.0]])
     known, at = np.array([1.0, 2.0, 7.0]), np.array([[3.0, 1.0], [np.nan, 0.0], [0.0, np.inf]])
-    found = kernels.heights(where, known, at, 3, 1.0, 0.05)
+    found = kernels.interpolate_heights(where, known, at, 3, 1.0, 0.05)
     assert found[0] == pytest.approx(1.5, abs=0.01)
     assert np.isnan(found[1:]).all()
 

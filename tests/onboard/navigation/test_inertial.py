@@ -1,4 +1,4 @@
-"""Strap-down propagation against SciPy's rotations and finite differences."""
+"""Test strapdown propagation against SciPy's rotations and finite differences."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_transition_equals_finite_differences():
         ahead, _, _ = carry(displaced(state, e), angle, velocity)
         behind, _, _ = carry(displaced(state, -e), angle, velocity)
         slope[:, k] = error_between(ahead, behind) / 2e-5
-    # First order in the step: errors of a sample's turn times its length remain.
+    # First order in the step: the error is the rotation of a sample times its duration.
     assert transition == pytest.approx(slope, abs=3e-3, rel=5e-3)
 
 
@@ -83,7 +83,7 @@ def test_noise_of_many_samples_is_that_of_a_random_walk():
     n = 1000
     _, _, noise = carry(state, np.zeros((n, 3)), np.zeros((n, 3)))
     seconds = n * STEP
-    # White noise once integrated, and the walk of the bias twice.
+    # White noise integrated once, and the random walk of the bias twice.
     walks = 1e-6 * (seconds + seconds**3 / 3.0)
     assert noise[3, 3] == pytest.approx(walks, rel=2e-3)
     assert noise[6, 6] == pytest.approx(1e-6 * seconds)
@@ -113,10 +113,10 @@ def test_velocity_noise_reaches_the_position_as_the_integral_of_a_random_walk():
 def test_a_sample_of_which_one_number_is_missing_is_missing(missing, axis):
     rng = np.random.default_rng(5)
     state, (angle, velocity) = start(rng), samples(rng)
-    gone = angle.copy(), velocity.copy()
-    gone[0][7] = gone[1][7] = np.nan
+    incomplete = angle.copy(), velocity.copy()
+    incomplete[0][7] = incomplete[1][7] = np.nan
     (angle if missing == "angle" else velocity)[7, axis] = np.nan
-    for found, wanted in zip(carry(state, angle, velocity), carry(state, *gone), strict=True):
+    for found, wanted in zip(carry(state, angle, velocity), carry(state, *incomplete), strict=True):
         assert np.isfinite(found).all() and np.array_equal(found, wanted)
 
 
@@ -146,7 +146,7 @@ def test_bad_starts_are_refused():
 
 
 @pytest.mark.parametrize("gravity", [0.0, -1.0, 1e3, np.nan, np.inf])
-def test_no_ground_pulls_upwards_or_like_that(gravity):
+def test_implausible_gravity_is_rejected(gravity):
     with pytest.raises(InputError, match=r"navigation\.gravity"):
         StrapdownState(np.zeros(3), np.zeros(3), UPRIGHT, gravity)
 
@@ -159,13 +159,13 @@ def test_no_ground_pulls_upwards_or_like_that(gravity):
         ([0.0, 0.0, 100.0], [1e6, 0.0, 0.0], "velocity"),
     ],
 )
-def test_no_lander_starts_so_far_off_or_so_fast(position, velocity, field):
+def test_implausible_start_is_rejected(position, velocity, field):
     with pytest.raises(InputError, match=rf"navigation\.{field}"):
         StrapdownState(np.array(position), np.array(velocity), UPRIGHT, 1.622)
 
 
 @pytest.mark.parametrize("error", [np.full(15, np.nan), np.r_[np.zeros(14), np.inf], np.zeros(14)])
-def test_a_correction_that_is_none_is_refused_and_changes_nothing(error):
+def test_invalid_correction_is_rejected_without_change(error):
     state = StrapdownState(np.ones(3), np.ones(3), UPRIGHT, 1.622)
     with pytest.raises(InputError, match=r"navigation\.error"):
         state.correct(error)
@@ -189,8 +189,8 @@ def test_a_sample_that_no_lander_could_give_counts_as_missing(which, value):
         assert np.array_equal(one, other)
 
 
-def test_a_turn_takes_scale_factors_and_misalignments_along():
-    """Turned about one axis and back; what is off is drawn, and the error compared."""
+def test_rotation_adds_scale_factor_and_misalignment_errors():
+    """Rotate about one axis and back with random errors; compare the attitude error."""
     errors = TriadErrors(scale_factor=1e-3, misalignment=5e-4)
     state = StrapdownState(
         np.zeros(3), np.zeros(3), UPRIGHT, 1e-3, gyroscopes=errors, accelerometers=TriadErrors()
@@ -205,7 +205,7 @@ def test_a_turn_takes_scale_factors_and_misalignments_along():
 
 
 def test_scale_factor_and_misalignment_are_biases_under_steady_thrust():
-    """3 m/s^2 times each, beside the bias itself."""
+    """3 m/s^2 times each, in addition to the bias itself."""
     unit = TriadErrors(bias=3e-3, random_walk=1e-4, bias_walk=0.0, scale_factor=1e-3,
                        misalignment=2e-3)  # fmt: skip
     state = StrapdownState(

@@ -1,4 +1,4 @@
-"""The local frame: the same beliefs as in the site frame, told in other coordinates."""
+"""Test that the local frame gives the same estimates as the site frame."""
 
 from __future__ import annotations
 
@@ -16,8 +16,12 @@ from lunarsim.frames import (
 )
 from lunarsim.onboard.navigation.error_state import MAP, ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.local_frame import LocalFrame, blank_block
-from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.local_frame import LocalFrame, empty_map_block
+from lunarsim.onboard.navigation.measured import (
+    take_range,
+    update_with_attitude,
+    update_with_speeds,
+)
 
 ERRORS = StartSigmas(20.0, 0.3, np.deg2rad(0.6))
 START = np.array([-300.0, 40.0, 220.0])
@@ -33,29 +37,29 @@ def strapdown():
 
 
 def told():
-    """A filter in the site frame, without a frame of its own."""
+    """Return a filter in the site frame, without a local frame."""
     return ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])})
 
 
 def own():
-    """The same in a local frame."""
-    state = ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | blank_block())
+    """Return the same filter in a local frame."""
+    state = ErrorState(strapdown(), ERRORS, blocks={"ground": np.diag([4.0])} | empty_map_block())
     return state, LocalFrame(state)
 
 
 def flown(state, seed, steps=40):
-    """Carry a filter over a second of thrust and turning."""
+    """Propagate a filter over 1 s of thrust and rotation."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
         push = 0.01 * (np.array([0.2, -0.1, 2.5]) + 0.3 * rng.standard_normal(3))
         state.propagate(0.01 * 0.05 * rng.standard_normal((1, 3)), push[None])
 
 
-def test_the_start_errs_in_the_site_frame_as_the_mission_says():
+def test_initial_site_covariance_is_that_of_briefing():
     plain, (_, frame) = told(), own()
     expected = plain.covariance[np.ix_(KEEP, KEEP)]
     assert frame.covariance_in_site() == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    # In its own frame the lander errs neither in position nor in azimuth.
+    # In the local frame, the lander has no error of position or azimuth.
     state, _ = own()
     up = quat_to_matrix(ATTITUDE)[2]
     assert not state.covariance[:3, :3].any()
@@ -65,7 +69,7 @@ def test_the_start_errs_in_the_site_frame_as_the_mission_says():
 
 
 def measure(state, off, at):
-    """Take in stars, a range and speeds that lie off what the pose `at` would give."""
+    """Process an attitude, a range and speeds with offsets from those of the pose `at`."""
     attitude = quat_multiply(
         at.attitude, quat_from_rotation_vector(off * np.array([1.0, 2.0, -3.0]))
     )
@@ -73,30 +77,30 @@ def measure(state, off, at):
     down = rotation[2] @ [0.0, 0.0, -1.0]
     speeds = BEAMS @ (rotation.T @ at.velocity)
     return [
-        take_attitude(state, attitude, 1e-6 * np.eye(3)),
+        update_with_attitude(state, attitude, 1e-6 * np.eye(3)),
         take_range(
             state, -at.position[2] / down + 1e4 * off, 0.5, [0.0, 0.0, -1.0], 0.0, block="ground"
         ),
-        take_speeds(state, speeds, np.full(3, 0.05), BEAMS),
+        update_with_speeds(state, speeds, np.full(3, 0.05), BEAMS),
     ]
 
 
 @pytest.mark.parametrize(("off", "close"), [(0.0, 1e-4), (2e-4, 0.02)])
-def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
+def test_both_frames_agree_after_flight(off, close):
     plain, (state, frame) = told(), own()
     at, outcomes = strapdown(), []
     pilot = ErrorState(at, ERRORS)
     for one in (pilot, plain, state):
         flown(one, 5)
     for one in (plain, state):
-        # Twice: what was learnt the first time is expected the second.
+        # Twice: the second time the innovations are smaller.
         outcomes.append(measure(one, off, at) + measure(one, off, at))
     for one in (plain, state):
         flown(one, 6)
     p = frame.covariance_in_site()
     expected = plain.covariance[np.ix_(KEEP, KEEP)]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    # Off what was expected they linearise about places a little apart.
+    # With innovations, the linearisation points differ slightly.
     assert p / scale == pytest.approx(expected / scale, abs=close)
     for one, other in zip(*outcomes, strict=True):
         assert one.taken
@@ -109,7 +113,7 @@ def test_both_frames_believe_the_same_after_flight_and_measurements(off, close):
     )
     between = quat_multiply(quat_conjugate(plain.inertial.attitude), attitude)
     assert np.linalg.norm(quat_to_rotation_vector(between)) < 0.1 * sigma[6:].max()
-    # Stars turn the site, not the lander.
+    # An attitude reading rotates the site, not the lander.
     assert (abs(frame.azimuth) > off) == (off > 0.0)
 
 
@@ -153,13 +157,13 @@ def test_the_shift_is_the_transform_both_ways():
     there = frame.shift.to_local(points)
     assert frame.to_site(there) == pytest.approx(points)
     assert frame.shift.to_site(there) == pytest.approx(points)
-    # By hand: a turn about where the lander was told to begin, and a shift.
+    # By hand: a rotation about the initial position estimate, and a shift.
     turn = quat_from_rotation_vector([0.0, 0.0, 0.02])
     by_hand = quat_rotate(turn, there[0] - START - [3.0, -2.0, 1.0]) + START
     assert points[0] == pytest.approx(by_hand)
 
 
-def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
+def test_anchored_frame_correlates_tilt_and_position():
     state, frame = own()
     before = frame.covariance_in_site()
     away = np.array([300.0, -40.0, -220.0])
@@ -169,9 +173,9 @@ def test_a_frame_that_hangs_on_the_ground_lets_tilt_move_the_lander():
     jacobian = np.hstack((np.eye(3), cross.T @ rotation))
     jacobian[:, 3:] = np.column_stack([np.cross(rotation[:, i], away) for i in range(3)])
     columns = np.r_[0:3, 9:12]
-    frame.hang(jacobian, columns, [])
+    frame.anchor(jacobian, columns, [])
     p = state.covariance
-    # The point errs in nothing any more, the lander by the tilt; what is believed is the same.
+    # The point has no error any more, the lander has that of the tilt; the estimate is the same.
     assert np.abs(jacobian @ p[np.ix_(columns, columns)] @ jacobian.T).max() < 1e-9
     assert 2.0 < np.sqrt(p[0, 0]) < 6.0
     assert frame.covariance_in_site() == pytest.approx(before, rel=1e-9, abs=1e-9)
@@ -191,7 +195,7 @@ def test_an_estimate_in_the_site_frame_is_turned_whole():
 
 
 def test_velocity_in_the_site_frame_errs_by_its_azimuth():
-    """Azimuth alone errs, by a: velocity in the site frame errs by a times up x velocity."""
+    """An azimuth error a causes the velocity error a times up x velocity in the site frame."""
     state, frame = own()
     state.covariance[:] = 0.0
     turned = state.block(MAP).start + 3
@@ -199,18 +203,18 @@ def test_velocity_in_the_site_frame_errs_by_its_azimuth():
     p = frame.covariance_in_site()
     across = np.cross([0.0, 0.0, 1.0], VELOCITY)
     assert p[3:6, 3:6] == pytest.approx(0.04**2 * np.outer(across, across), abs=1e-12)
-    assert not p[0:3, 0:3].any()  # it is where the turn's pivot is
+    assert not p[0:3, 0:3].any()  # it is at the centre of the rotation
 
 
-def test_what_else_is_kept_hangs_on_the_ground_too():
-    blocks = {"key": np.zeros((6, 6))} | blank_block()
+def test_other_positions_are_anchored_too():
+    blocks = {"key": np.zeros((6, 6))} | empty_map_block()
     state = ErrorState(strapdown(), ERRORS, blocks=blocks)
     frame = LocalFrame(state)
     state.clone("key", np.r_[0:3, 9:12])
     columns, key = np.r_[0:3, 9:12], state.block("key")
     jacobian = np.hstack((np.eye(3), 100.0 * np.eye(3)))
-    frame.hang(jacobian, columns, [slice(key.start, key.start + 3)])
-    # The pose kept is that of now: they err as one before and after.
+    frame.anchor(jacobian, columns, [slice(key.start, key.start + 3)])
+    # The reference pose is the current pose: their errors are equal before and after.
     p = state.covariance
     same = np.zeros((3, state.size))
     same[:, :3], same[:, key.start : key.start + 3] = np.eye(3), -np.eye(3)

@@ -1,4 +1,4 @@
-"""Ranges, speeds and attitudes: what they tell, against finite differences and drawn errors."""
+"""Test measurement models against finite differences and random errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ from lunarsim.messages.measurements import AttitudeReading
 from lunarsim.models.instruments import StarInstrument
 from lunarsim.onboard.navigation.error_state import ErrorState
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
-from lunarsim.onboard.navigation.measured import take_attitude, take_range, take_speeds
+from lunarsim.onboard.navigation.measured import (
+    take_range,
+    update_with_attitude,
+    update_with_speeds,
+)
 from lunarsim.onboard.navigation.navigator import Navigator
 from tests.chance import ratio_bounds
 
@@ -27,7 +31,7 @@ BLOCKS = {"ground": [[1.0]], "stars": 1e-6 * np.eye(3), "beams": 4e-4 * np.eye(3
 
 
 class Truth:
-    """A lander, and a filter whose errors are drawn from its own covariance."""
+    """Lander and a filter with errors drawn from its covariance."""
 
     def __init__(self, seed: int) -> None:
         self.rng = rng = np.random.default_rng(seed)
@@ -56,7 +60,7 @@ class Truth:
 
     def biased(self, sigma):
         beams = self.state.block("beams")
-        return take_speeds(
+        return update_with_speeds(
             self.state, self.speeds(sigma) + self.off, np.full(3, sigma), BEAMS,
             biases=np.arange(beams.start, beams.stop), known=self.state.value("beams"),
         )  # fmt: skip
@@ -66,7 +70,7 @@ class Truth:
         return quat_multiply(self.attitude, quat_from_rotation_vector(turn))
 
     def error(self):
-        """Of position, velocity, attitude and blocks (16,), and its covariance."""
+        """Return the error of position, velocity, attitude and blocks (16,), and its covariance."""
         s = self.state
         turn = quat_to_rotation_vector(
             quat_multiply(quat_conjugate(s.inertial.attitude), self.attitude)
@@ -83,16 +87,18 @@ class Truth:
 TAKE = {
     "range": lambda t, s: take_range(t.state, t.range(BEAMS[0], s), s, BEAMS[0], 0.0,
                                      block="ground"),
-    "speeds": lambda t, s: take_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
+    "speeds": lambda t, s: update_with_speeds(t.state, t.speeds(s), np.full(3, s), BEAMS),
     "biased speeds": lambda t, s: t.biased(s),
-    "attitude": lambda t, s: take_attitude(t.state, t.stars(s), s**2 * np.eye(3), block="stars"),
+    "attitude": lambda t, s: update_with_attitude(
+        t.state, t.stars(s), s**2 * np.eye(3), block="stars"
+    ),
 }  # fmt: skip
 SIGMA = {"range": 0.5, "speeds": 0.05, "biased speeds": 0.01, "attitude": 1e-3}
 
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("kind", list(TAKE))
-def test_errors_after_a_measurement_are_as_it_says(kind):
+def test_errors_match_covariance_after_update(kind):
     before, nees, nis, degrees = 0.0, 0.0, 0.0, 0
     flights = 400
     for seed in range(flights):
@@ -110,17 +116,17 @@ def test_errors_after_a_measurement_are_as_it_says(kind):
         assert low < total / count < high
 
 
-def test_what_readings_share_is_not_averaged_away():
+def test_common_errors_are_not_averaged():
     t = Truth(3)
     for _ in range(2000):
         TAKE["attitude"](t, 1e-4)
     sigma = np.sqrt(np.diag(t.state.covariance)[9:12])
-    # The tracker's mount is known to 1 mrad, the attitude before to 4.
+    # Prior uncertainty: 1 mrad of the tracker's mount, 4 mrad of the attitude.
     assert sigma == pytest.approx(1e-3 * 4.0 / np.hypot(1.0, 4.0), rel=0.01)
 
 
-def test_a_mount_that_has_been_found_is_expected():
-    """An attitude known to 0.1 mrad tells how a tracker known to 10 is mounted: 5 mrad off."""
+def test_estimated_mount_is_used():
+    """An attitude known to 0.1 mrad shows a mount error of 5 mrad (10 mrad prior)."""
     sure = StartSigmas(2.0, 0.2, 1e-4)
     state = ErrorState(
         StrapdownState(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1.6), sure,
@@ -128,14 +134,14 @@ def test_a_mount_that_has_been_found_is_expected():
     )  # fmt: skip
     mounted = np.array([5e-3, -3e-3, 4e-3])
     for _ in range(10):
-        found = take_attitude(
+        found = update_with_attitude(
             state, quat_from_rotation_vector(mounted), 1e-10 * np.eye(3), block="stars"
         )
     assert state.value("stars") == pytest.approx(mounted, rel=1e-3)
     assert found.nis < 1e-6
 
 
-def test_beams_tell_the_velocity_and_not_the_place():
+def test_speeds_do_not_inform_on_position():
     t = Truth(4)
     p = np.diag(t.state.covariance).copy()
     for _ in range(50):
@@ -155,21 +161,21 @@ BAD = [
     lambda s: take_range(s, 100.0, 1.0, BEAMS[0], 1e4, gate=16.0),
     lambda s: take_range(s, -100.0, 1.0, BEAMS[0], 0.0),
     lambda s: take_range(s, 1e6, 1.0, BEAMS[0], 0.0, gate=16.0),
-    lambda s: take_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
-    lambda s: take_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
-    lambda s: take_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
-    lambda s: take_attitude(s, np.full(4, np.nan), np.eye(3)),
-    lambda s: take_attitude(s, np.zeros(4), np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], -np.eye(3)),
-    lambda s: take_attitude(s, [0.0, 0.0, 0.0, 1.0], np.zeros((3, 3))),
+    lambda s: update_with_speeds(s, np.full(3, np.nan), np.full(3, 0.1), BEAMS),
+    lambda s: update_with_speeds(s, np.zeros(3), np.zeros(3), BEAMS),
+    lambda s: update_with_speeds(s, np.full(3, 1e6), np.full(3, 0.1), BEAMS, 23.0),
+    lambda s: update_with_attitude(s, np.full(4, np.nan), np.eye(3)),
+    lambda s: update_with_attitude(s, np.zeros(4), np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.5], np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], np.full((3, 3), np.nan)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], -np.eye(3)),
+    lambda s: update_with_attitude(s, [0.0, 0.0, 0.0, 1.0], np.zeros((3, 3))),
     lambda s: s.measure([[1.0]], [2], [0.1], [-20.0]),
 ]
 
 
 @pytest.mark.parametrize("call", BAD)
-def test_what_is_no_reading_changes_nothing(call):
+def test_invalid_reading_changes_nothing(call):
     state = Truth(5).state
     p, x = state.covariance.copy(), state.inertial.position.copy()
     assert not call(state).taken
@@ -177,10 +183,10 @@ def test_what_is_no_reading_changes_nothing(call):
     assert np.array_equal(state.inertial.position, x)
 
 
-def test_an_attitude_whose_covariance_is_not_symmetric_speaks_against_nothing():
-    """Taken for an innovation beyond all bounds it would soon be a lander that is lost."""
+def test_asymmetric_attitude_covariance_is_ignored():
+    """If it counted as a rejected innovation, navigation would soon be lost."""
     lopsided = np.array([[1.0, 1e6, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    found = take_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
+    found = update_with_attitude(Truth(5).state, [0.0, 0.0, 0.0, 1.0], lopsided)
     assert np.isnan(found.nis)
     assert not found.taken
 
@@ -189,21 +195,21 @@ def test_a_beam_without_a_return_leaves_the_others():
     t = Truth(6)
     speed = t.speeds()
     speed[1] = np.nan
-    assert take_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
+    assert update_with_speeds(t.state, speed, np.full(3, 0.1), BEAMS).degrees == 2
 
 
 def test_whitened_speeds_keep_the_places_of_their_beams():
     truth = Truth(11)
     speed = truth.speeds(0.03)
     speed[1] = np.nan
-    found = take_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
+    found = update_with_speeds(truth.state, speed, np.full(3, 0.03), BEAMS)
     assert found.degrees == 2
     assert np.isfinite(found.white).tolist() == [True, False, True]
     assert np.nansum(found.white**2) == pytest.approx(found.nis)
 
 
-def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
-    """One beam at a time, at many attitudes, while no time passes: tilts cannot be seen."""
+def test_successive_velocity_updates_do_not_inform_on_tilt():
+    """One beam at a time, at many attitudes and no time step: tilt is not observable."""
     rng = np.random.default_rng(8)
     attitude = quat_from_rotation_vector([0.1, -0.2, 0.05])
     state = ErrorState(
@@ -216,19 +222,21 @@ def test_a_velocity_that_is_learnt_bit_by_bit_tells_nothing_of_the_tilt():
         seen = np.full(3, np.nan)
         # Three readings of a beam, then the next one.
         seen[k // 3 % 3] = BEAMS[k // 3 % 3] @ own + 0.03 * rng.normal()
-        take_speeds(state, seen, np.full(3, 0.03), BEAMS)
-    # The velocity is as well known as the tilt lets it be: 45 m/s times 4 mrad.
+        update_with_speeds(state, seen, np.full(3, 0.03), BEAMS)
+    # The tilt limits the velocity accuracy: 45 m/s times 4 mrad.
     assert 0.05 < np.sqrt(np.diag(state.covariance)[3:6].max()) < 0.2
     assert state.covariance[9:12, 9:12] == pytest.approx(before, rel=1e-3, abs=1e-8)
 
 
-def test_ground_that_may_rise_makes_a_range_vaguer():
+def test_terrain_variance_adds_to_range_noise():
     t, rough = Truth(5), Truth(5)
     far = t.range(BEAMS[0], 0.0) + 3.0
     plain = take_range(t.state, far, 0.5, BEAMS[0], 0.0, block="ground")
-    found = take_range(rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", rise=10.0**2)
+    found = take_range(
+        rough.state, far, 0.5, BEAMS[0], 0.0, block="ground", terrain_variance=10.0**2
+    )
     assert found.nis < plain.nis
-    # Both innovations are the same; what they were expected to vary by differs by the rise.
+    # Both innovations are equal; their variances differ by the terrain variance.
     assert 1.0 / found.nis - 1.0 / plain.nis > 0.0
     ratio = (1.0 / found.nis) / (1.0 / plain.nis)
     variance = 10.0**2 / (ratio - 1.0)
@@ -237,8 +245,8 @@ def test_ground_that_may_rise_makes_a_range_vaguer():
 
 
 @pytest.mark.parametrize("degrees", [0.5, 2.0, 5.0])
-def test_a_start_far_off_in_tilt_and_azimuth_is_put_right_by_stars(degrees):
-    """Two turns that follow each other are not their sum: half their cross product is left."""
+def test_star_tracker_corrects_large_initial_attitude_error(degrees):
+    """Two successive rotations differ from their sum by half the cross product."""
     sigma = np.deg2rad(degrees)
     inertial = StrapdownState(np.array([0.0, 0, 300]), np.array([3.0, 0, -2]), [0, 0, 0, 1.0], 1.62)
     navigator = Navigator(

@@ -1,4 +1,4 @@
-"""Rocks laid on ground that was measured from the lander."""
+"""Test the correction of rock heights by measured terrain."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from lunarsim.frames import quat_from_rotation_vector
 from lunarsim.models.gimbal import gimbal_mount
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import GROUND, LevelGround
-from lunarsim.onboard.navigation.measured_heights import COMMON, OWN
+from lunarsim.onboard.navigation.measured_heights import COMMON_SIGMA_M, INDIVIDUAL_SIGMA_M
 from lunarsim.onboard.navigation.rock_filter import RockFilter
-from lunarsim.onboard.navigation.wandering_ground import crossings, kriging
+from lunarsim.onboard.navigation.wandering_ground import intersect_lines, kriging_weights
 from lunarsim.sensors.camera import Camera
 from tests.reference import laid
 
@@ -22,7 +22,7 @@ STARTS = StartSigmas(3.0, 0.05, 2e-4)
 
 
 class Plane:
-    """Ground as it was measured; not known west of a limit."""
+    """Measured terrain; unknown west of a limit."""
 
     def __init__(self, gradient=(0.0, 0.0), height=0.0, west=-np.inf):
         self.gradient, self.height, self.west = np.array(gradient), height, west
@@ -33,7 +33,7 @@ class Plane:
 
 
 def rocks_seen(xyz, ground=None, seed=0, attitude=(0.02, -0.05, 0.3), sigma=3.0):
-    """Return a filter, and its camera, that has begun to track rocks which it takes to be there."""
+    """Return a filter with tracked rocks at estimated positions, and its camera."""
     level = quat_from_rotation_vector(np.array(attitude))
     inertial = StrapdownState(EYE, np.zeros(3), level, 1.622)
     rocks = RockFilter.of(inertial, STARTS, ground=LevelGround(0.0, sigma))
@@ -51,7 +51,7 @@ def places(count, seed=0, height=0.0):
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.15, -0.1)])
 @pytest.mark.parametrize("off", [0.0, 1.5])
-def test_laying_rocks_equals_a_plain_update(gradient, off):
+def test_height_correction_equals_plain_update(gradient, off):
     ground = Plane(gradient, off)
     rocks, _ = rocks_seen(places(9))
     before = rocks.covariance.copy()
@@ -61,7 +61,9 @@ def test_laying_rocks_equals_a_plain_update(gradient, off):
     outcome = rocks.lay_on_measured()
     assert outcome.taken and outcome.degrees == 9
     columns = rocks.places()
-    error, after = laid.laid(before, xyz, *at, gradient, off, columns, OWN, COMMON)
+    error, after = laid.laid(
+        before, xyz, *at, gradient, off, columns, INDIVIDUAL_SIGMA_M, COMMON_SIGMA_M
+    )
     np.testing.assert_allclose(rocks.covariance, after, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(rocks.xyz - xyz, error[columns], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(lander.position - at[0], error[:3], rtol=1e-4, atol=1e-4)
@@ -69,7 +71,7 @@ def test_laying_rocks_equals_a_plain_update(gradient, off):
 
 @pytest.mark.parametrize("wrong", [-3.0, 2.0])
 def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_ground(wrong):
-    """Seen at 40 deg from the horizon they lay metres beside."""
+    """At 40 deg above the horizon, the horizontal errors are metres."""
     true = places(12, seed=3)
     away = true - EYE
     taken = EYE + away * ((wrong - EYE[2]) / away[:, 2])[:, None]
@@ -83,7 +85,7 @@ def test_rocks_begun_at_a_wrong_height_stand_where_lines_of_sight_meet_measured_
     assert np.sqrt(rocks.relative_covariance()[:, 2, 2]).max() < 0.25
 
 
-def test_rocks_that_are_known_as_well_are_told_nothing():
+def test_well_known_rocks_are_not_corrected():
     rocks, _ = rocks_seen(places(6))
     rocks.measured = Plane()
     assert rocks.lay_on_measured().taken
@@ -95,14 +97,14 @@ def test_rocks_that_are_known_as_well_are_told_nothing():
 
 
 class Crest(Plane):
-    """Ground that falls away from a line from south to north."""
+    """Terrain that falls away from a south-north line."""
 
     def heights(self, xy):
         return -0.4 * np.abs(xy[:, 0])
 
 
-def test_less_is_told_where_ground_bends():
-    """Beside its place a rock stands at another height: two steps of 4 m down, 1.6 m."""
+def test_curvature_reduces_information():
+    """A horizontal error causes a height error: two steps of 4 m down, 1.6 m."""
     xyz = np.array([[0.0, -3.0, 0.0], [0.0, 4.0, 0.0], [20.0, 1.0, -8.0]])
     rocks, _ = rocks_seen(xyz)
     rocks.measured = Crest()
@@ -115,12 +117,12 @@ def test_less_is_told_where_ground_bends():
                       columns[k : k + 1], len(before))
         for k, g in enumerate((0.0, 0.0, -0.4))
     ])  # fmt: skip
-    noise = np.diag(OWN**2 + np.array([1.6, 1.6, 0.0]) ** 2) + COMMON**2
+    noise = np.diag(INDIVIDUAL_SIGMA_M**2 + np.array([1.6, 1.6, 0.0]) ** 2) + COMMON_SIGMA_M**2
     gain = before @ h.T @ np.linalg.inv(h @ before @ h.T + noise)
     np.testing.assert_allclose(rocks.covariance, before - gain @ h @ before, rtol=1e-4, atol=1e-4)
 
 
-def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
+def test_inconsistent_terrain_is_rejected():
     rocks, _ = rocks_seen(places(6))
     rocks.measured = Plane(height=60.0)
     before = rocks.xyz.copy()
@@ -129,14 +131,14 @@ def test_ground_that_cannot_be_the_one_under_the_rocks_is_refused():
 
 
 @pytest.mark.parametrize("ground", [None, Plane(west=1e3)])
-def test_without_measured_ground_nothing_is_told(ground):
+def test_no_correction_without_measured_terrain(ground):
     rocks, _ = rocks_seen(places(6))
     rocks.measured = ground
     assert not rocks.lay_on_measured().taken
 
 
 @pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.3, -0.1)])
-def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
+def test_new_rock_on_measured_terrain_has_its_error(gradient):
     """Height, lander and tilt apart: the first by what ground errs by, others as neighbours do.
 
     Ground and rock are seen from one pose, and turn and move with it as one, however it slopes.
@@ -152,10 +154,10 @@ def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
         for k in range(7)
     ])  # fmt: skip
     errs = jacobian @ rocks.covariance @ jacobian.T
-    assert errs[0, 0] == pytest.approx(OWN**2 + COMMON**2, rel=1e-3)
-    assert errs[1, 1] == pytest.approx(2.0 * OWN**2 + COMMON**2, rel=0.1)
-    # What all share is not averaged out.
-    assert errs.mean() > 0.9 * COMMON**2
+    assert errs[0, 0] == pytest.approx(INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2, rel=1e-3)
+    assert errs[1, 1] == pytest.approx(2.0 * INDIVIDUAL_SIGMA_M**2 + COMMON_SIGMA_M**2, rel=0.1)
+    # The common error is not averaged out.
+    assert errs.mean() > 0.9 * COMMON_SIGMA_M**2
     west = xyz[:, 0] < 0.0
     assert 0 < west.sum() < 7
     beyond, _ = rocks_seen(xyz, Plane(west=0.0))
@@ -163,13 +165,13 @@ def test_a_rock_begun_on_measured_ground_errs_as_that_does(gradient):
     assert sigma[west].min() > 1.0 > sigma[~west].max()
 
 
-def test_what_rocks_are_told_of_height_is_consistent():
-    """Normalised squares of rocks' places from the lander, over flights whose errors are drawn."""
+def test_height_corrections_are_consistent():
+    """Return normalised squared errors of rock positions over flights with random errors."""
     squares = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         rocks, _ = rocks_seen(places(8, seed))
-        # Errors of all, drawn from the filter's own covariance: the truth is elsewhere.
+        # Errors drawn from the filter's covariance.
         size = rocks.state.size
         drawn = rng.multivariate_normal(np.zeros(size), rocks.covariance, method="cholesky",
                                         check_valid="ignore")  # fmt: skip
@@ -177,7 +179,9 @@ def test_what_rocks_are_told_of_height_is_consistent():
         jacobian = laid.jacobian(
             rocks.xyz, lander.position, lander.attitude, (0.0, 0.0), 0.0, columns, size
         )
-        scatter = OWN * rng.standard_normal(8) + COMMON * rng.standard_normal()
+        scatter = (
+            INDIVIDUAL_SIGMA_M * rng.standard_normal(8) + COMMON_SIGMA_M * rng.standard_normal()
+        )
         rocks.measured = Scattered(rocks.xy.copy(), rocks.xyz[:, 2] + jacobian @ drawn + scatter)
         true = rocks.xyz + drawn[columns] - (lander.position + drawn[:3])
         rocks.lay_on_measured()
@@ -188,7 +192,7 @@ def test_what_rocks_are_told_of_height_is_consistent():
 
 
 class Scattered:
-    """Heights known at rocks, level otherwise."""
+    """Known heights at the rocks, flat elsewhere."""
 
     def __init__(self, xy, height):
         self.xy, self.height = xy, height
@@ -200,7 +204,7 @@ class Scattered:
 
 @pytest.mark.parametrize("spacing", [0.0, 4.0])
 def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacing):
-    """Five by distance, of those that are as far the first; on posts some are as far."""
+    """The five nearest, the first ones at equal distance; posts have equal distances."""
     rng = np.random.default_rng(3)
     xyz = places(30)
     if spacing:
@@ -211,7 +215,7 @@ def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacin
     away = np.hypot(*(xyz[:, :2] - new[0, :2]).T)
     near = np.argsort(away, kind="stable")[:5]
     at = np.vstack((rocks.inertial.position[:2], xyz[near, :2]))
-    weights = kriging(at[None], new[:, :2], rocks.expected_growth)[0][0]
+    weights = kriging_weights(at[None], new[:, :2], rocks.expected_growth)[0][0]
     heights = rocks.places()[:, 2]
     ground = rocks.state.block(GROUND).start
     expected = weights[0] * told[ground] + weights[1:] @ told[heights[near]]
@@ -221,7 +225,7 @@ def test_a_new_rocks_height_errs_as_the_five_nearest_and_the_ground_below(spacin
 
 
 class Unknown:
-    """Ground that somebody looked for and did not find."""
+    """Measured terrain that is unknown everywhere."""
 
     def heights(self, xy):
         return np.full(len(xy), np.nan)
@@ -229,7 +233,7 @@ class Unknown:
 
 @pytest.mark.parametrize("rocks_told", [0, 1, 3, 400])
 def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
-    """One kernel that searches along each line does as the passes over all lines do."""
+    """The kernel for single lines equals the iteration over all lines."""
     rng = np.random.default_rng(rocks_told)
     xyz = places(rocks_told, seed=rocks_told)
     xyz[:, 2] = 0.4 * xyz[:, 0] + 3.0 * np.sin(xyz[:, 1])
@@ -244,10 +248,10 @@ def test_lines_of_sight_meet_ground_that_rocks_tell_pass_by_pass(rocks_told):
 
 
 def test_a_line_of_sight_that_goes_nowhere_meets_nothing():
-    """From the first pass on, and whatever was in memory before."""
+    """In the first iteration already, and with any memory contents."""
     known = np.zeros((9, 2)) + np.arange(9.0)[:, None], np.ones(9)
     per_drop = np.array([[np.nan, 0.0], [0.1, 0.2], [np.inf, 1.0]])
-    met = crossings(*known, EYE, per_drop, np.zeros(3), 1.0, (8, 0.01, 0.2, 3.0))
+    met = intersect_lines(*known, EYE, per_drop, np.zeros(3), 1.0, (8, 0.01, 0.2, 3.0))
     assert np.isnan(met[[0, 2], 2]).all()
     assert met[1] == pytest.approx([EYE[0] + 24.9, EYE[1] + 49.8, 1.0])
 
@@ -276,7 +280,7 @@ class Steps(Plane):
 
 
 def sight_lines(ground, depression, count=300):
-    """Return rocks on a ground, a camera a kilometre off that looks down on it, and points."""
+    """Return rocks on terrain, a camera 1 km away that looks down on it, and points."""
     down = np.radians(depression)
     eye = np.array([-1000.0 * np.cos(down), 0.0, 1000.0 * np.sin(down)])
     level = np.array([0.0, 0.0, 0.0, 1.0])
@@ -291,10 +295,10 @@ def sight_lines(ground, depression, count=300):
 
 @pytest.mark.parametrize("slope", [-0.6, -0.4, 0.4, 0.6])
 def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(slope):
-    """Passes that take the height found for the next leave decimetres after eight."""
+    """Fixed-point iteration would leave decimetres after eight iterations."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), 40.0)
     found = rocks.ground_points(camera, rocks.sight(camera, true).pixel)
-    # Heights are found to a centimetre along lines that graze the ground by 9 deg.
+    # Heights are correct to 1 cm along lines at 9 deg to the terrain.
     assert np.abs(found - true).max() < 0.05
 
 
@@ -302,7 +306,7 @@ def test_lines_of_sight_meet_ground_that_is_steeper_than_they_are_long_to_find(s
 def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_off(slope):
     ground = Steps((slope, 0.0))
     rocks, camera, eye, true = sight_lines(ground, 40.0, 2000)
-    # Lines through points above the slope go between the steps too.
+    # Lines through points above the slope also pass between the steps.
     above = true + [0.0, 0.0, 1.0] * np.random.default_rng(1).uniform(0.0, 3.0, (2000, 1))
     found = rocks.ground_points(camera, rocks.sight(camera, above).pixel)
     np.testing.assert_array_equal(found[:, 2], ground.heights(found[:, :2]))
@@ -317,7 +321,7 @@ def test_lines_that_no_pass_brings_onto_steps_end_on_the_ground_at_most_a_step_o
     ("slope", "depression"), [(0.0, 40.0), (0.27, 40.0), (-0.27, 40.0), (0.17, 25.0), (-0.17, 25.0)]
 )
 def test_lines_of_sight_meet_slopes_where_they_are(slope, depression):
-    """And none that does so within a region is left out, however steep and low it is seen."""
+    """No intersection within a region is missed, even in steep or low views."""
     rocks, camera, _, true = sight_lines(Plane((slope, 0.0)), depression)
     pixel = rocks.sight(camera, true).pixel
     found = rocks.ground_points(camera, pixel, (-43.0, 43.0, -43.0, 43.0))

@@ -1,4 +1,4 @@
-"""Navigation by LiDAR on a map: lock, loss, consistency, and maps that are wrong."""
+"""Test LiDAR navigation on a map: lock, loss, consistency and wrong maps."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lunarsim.frames import (
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.error_state import KEY, MAP, Outcome
+from lunarsim.onboard.navigation.error_state import MAP, REFERENCE_POSE, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.navigator import Navigator
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
@@ -33,19 +33,19 @@ def world():
 
 
 @pytest.mark.statistical
-def test_it_locks_and_then_errs_as_it_says(world):
+def test_filter_is_consistent_after_lock(world):
     nees, errors = Consistency(), []
     for seed in range(14):
         descent = Descent(world, seed).fly(6.0)
         assert names(descent) in (["lock"], [])
-        # A lock holds the lander to the map: what its velocity errs by adds up no more.
+        # A lock bounds the position error: velocity errors no longer accumulate.
         assert descent.filter.adrift == (not descent.filter.locked)
         if descent.filter.locked:
             nees = nees.plus(descent.nees(), 6)
             errors.append(descent.error())
-    # Whoever starts three sigma off sweeps the grass beside the field.
+    # A lander that starts three sigma off sweeps flat terrain beside the field.
     assert len(errors) >= 12
-    # A post's uses count less than they could, never more: the filter may only be too modest.
+    # Repeated uses of a post count less than they could: the filter may be conservative only.
     assert 1.0 / 6.0 < nees.ratio < ratio_bounds(nees.degrees)[1]
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert (rms[:3] < 0.3).all()
@@ -53,25 +53,25 @@ def test_it_locks_and_then_errs_as_it_says(world):
 
 
 @pytest.mark.statistical
-def test_before_the_lock_it_knows_that_it_does_not_know(world):
+def test_filter_is_consistent_before_lock(world):
     nees = Consistency()
     for seed in range(12):
-        # Level grass, far from the field: nothing to find.
+        # Flat terrain far from the field: no match is possible.
         descent = Descent(world, seed).fly(2.0, aim=np.array([0.0, 105.0, 0.0]))
         assert names(descent) == []
         nees = nees.plus(descent.nees(), 6)
     assert nees.ratio < ratio_bounds(nees.degrees)[1]
 
 
-def test_the_level_of_a_map_is_told_once(world):
-    """Every search finds the same one, with the same error."""
+def test_map_level_is_used_once(world):
+    """Every search gives the same result with the same error."""
     descent = Descent(world, 3).fly(5.0, aim=np.array([0.0, 105.0, 0.0]))
     assert names(descent) == []
     known = np.sqrt(descent.estimate().covariance[2, 2])
-    assert RegistrationSettings().level_sigma < known < 1.0
+    assert RegistrationSettings().height_sigma < known < 1.0
 
 
-def test_rocks_that_are_tracked_hold_the_lander(world):
+def test_tracked_rocks_bound_the_position_error(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     assert f.adrift
     f.rocks.add_known(np.array([[5.0, 2.0]]), np.array([0.3]), np.array([0.5]), np.array([0.01]))
@@ -86,12 +86,12 @@ def test_rocks_hang_on_the_ground_of_the_first_scan_with_the_lander(world):
     f.rocks.add_known(np.array([[3.0, 4.0], [-20.0, 9.0]]), np.full(2, 0.2), np.ones(2), np.ones(2))
     before, sigma = f.rocks.relative_covariance(), f.covariance.diagonal()[:3].copy()
     f.take("flash", descent.scan(np.zeros(3)), 0.0)
-    assert (np.abs(f.covariance.diagonal()[:3] - sigma) > 0.1).any(), "it hangs elsewhere now"
+    assert (np.abs(f.covariance.diagonal()[:3] - sigma) > 0.1).any(), "its anchor has changed"
     np.testing.assert_allclose(f.rocks.relative_covariance(), before, atol=1e-9)
 
 
 def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
-    # One that errs about body x alone, which points north.
+    # An error about body x only, which points north.
     north = quat_from_rotation_vector([0.0, 0.0, np.pi / 2])
     f = Navigator(StrapdownState(START, VELOCITY, north, 9.81), StartSigmas())
     f.state.widen([9], [[0.04]])
@@ -100,7 +100,7 @@ def test_an_estimate_tells_tilts_about_the_axes_of_the_frame():
     assert turned[1, 1] == pytest.approx(0.04, rel=0.05)
 
 
-def test_shadows_that_fall_elsewhere_lose_the_navigator(world):
+def test_wrong_shadow_direction_loses_navigation(world):
     f = Navigator(Descent(world, 8).inertial, StartSigmas(), rocks=True)
     for k in range(60):
         assert f.lost == f.rocks.pictures.lost
@@ -147,8 +147,8 @@ def test_odometry_slows_the_drift(world):
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("relief", [0.0, 0.005])
-def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relief):
-    """The noise of slopes is all that level ground has, and once passed for slopes.
+def test_flat_terrain_gives_no_motion_information(relief):
+    """On flat terrain all slopes are noise, which once counted as information.
 
     Velocities were off by 19 deviations then.
     """
@@ -164,12 +164,12 @@ def test_smooth_ground_tells_scans_nothing_of_how_the_lander_moves_over_it(relie
         off, own = VELOCITY - found.velocity, found.covariance[3:6, 3:6]
         assert (np.abs(off) < 4.5 * np.sqrt(own.diagonal())).all()
         nees = nees.plus(normalised_square(off, own), 3)
-    # On ground that is quite level errors are up to twice what is said.
+    # On very flat terrain, errors are up to twice the estimated ones.
     assert nees.ratio < ratio_bounds(nees.degrees, 2.0**2 if relief == 0.0 else 1.0)[1]
 
 
-def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
-    """Ranges all too long by the same hardly show in a comparison of two scans.
+def test_odometry_does_not_change_unobservable_errors(world):
+    """A range bias is hardly visible in a comparison of two scans.
 
     Each of some hundred comparisons once moved the bias by a dozen deviations of what it told.
     """
@@ -188,8 +188,8 @@ def test_scans_of_each_other_do_not_move_what_they_cannot_tell(world):
 
 
 @pytest.mark.parametrize("step", [(0.04, 0.0), (-0.03, 0.05)])
-def test_a_scan_kept_holds_wherever_lander_and_scan_are_found_to_be(step):
-    """What moves both by many small steps leaves the next scan as it would have been.
+def test_reference_scan_follows_corrections(step):
+    """Many small corrections of both leave the next scan as it would have been.
 
     Carried on by its slopes alone the scan kept would not fit curved ground any more; what is left
     then moved the lander, which made it larger (12 deviations in one of 50 descents).
@@ -205,7 +205,7 @@ def test_a_scan_kept_holds_wherever_lander_and_scan_are_found_to_be(step):
     descent.fly(0.6, aim=np.zeros(3))
     for _ in range(25):
         error = np.zeros(f.state.size)
-        error[:2] = error[f.state.block(KEY).start :][:2] = step
+        error[:2] = error[f.state.block(REFERENCE_POSE).start :][:2] = step
         f.state.correct(error)
     taken = f.watches["flash scans"].degrees
     descent.fly(0.1, aim=np.append(25.0 * np.array(step), 0.0))
@@ -216,7 +216,7 @@ def test_lost_and_found_again_are_events(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
     hidden = descent.filter.matcher.prior
-    # The ground is another one for a while.
+    # The terrain is another one for a while.
     wrong = np.random.default_rng(0).normal(0.0, 3.0, hidden.elevation.shape)
     descent.filter.matcher.prior = PriorMap(hidden.grid, hidden.elevation + wrong, hidden.sigma)
     descent.fly(3.0)
@@ -228,10 +228,10 @@ def test_lost_and_found_again_are_events(world):
     assert np.linalg.norm(descent.error()[:3]) < 1.0
 
 
-def test_scans_of_too_few_posts_take_no_lock_away(world):
+def test_small_scans_do_not_end_lock(world):
     descent = Descent(world, 1).fly(3.0)
     assert descent.filter.locked
-    # A metre across: nothing to compare, nothing against it.
+    # One metre wide: too small for evidence for or against the lock.
     descent.lidar = FlashLidar(24, 24, 0.003, 5e-5).build(descent.rng, 0.01)
     descent.fly(5.0, aim=np.zeros(3))
     assert names(descent) == ["lock"]
@@ -240,17 +240,17 @@ def test_scans_of_too_few_posts_take_no_lock_away(world):
 
 
 def told_of_height(descent, scans):
-    """Return what each scan of one place from one place tells of the height on the map, 1/m^2."""
+    """Return the height information of repeated scans from one position, 1/m^2."""
     state, place, told = descent.filter.state, descent.filter.frame.columns[2], []
-    inform = state.inform
+    update_with_information = state.update_with_information
 
     def noted(part, information, *args, **options):
         if place in part:
             at = list(part).index(place)
             told.append(information[at, at])
-        return inform(part, information, *args, **options)
+        return update_with_information(part, information, *args, **options)
 
-    state.inform = noted
+    state.update_with_information = noted
     for _ in range(scans):
         descent.filter.take("flash", descent.scan(np.zeros(3)), descent.time)
     assert len(told) == scans
@@ -258,14 +258,14 @@ def told_of_height(descent, scans):
 
 
 def test_a_post_counts_once_however_often_it_is_seen(world):
-    """Its k-th use counts 1 / (k (k + 1)) of a full one."""
+    """The k-th use has the weight 1 / (k (k + 1))."""
     told = told_of_height(Descent(world, 1).fly(3.0), 4)
     use = np.arange(1.0, 5.0)
     expected = 1.0 / (0.1**2 * use * (use + 1.0) + 0.03**2)
     assert told / told[0] == pytest.approx(expected / expected[0], rel=0.25)
 
 
-def test_what_sets_scans_apart_from_posts_makes_them_tell_less(world):
+def test_model_noise_reduces_information(world):
     told = []
     for sigma in (0.03, 1.0):
         descent = Descent(world, 1).fly(3.0)
@@ -286,7 +286,7 @@ def test_patches_out_of_date_do_not_mislead(world, share, least):
         descent = Descent(world, seed, mapped(world, rng, stale_share=share)).fly(7.0)
         if descent.filter.locked:
             errors.append(np.abs(descent.error()[:3]).max())
-    # It would rather find nothing than a wrong place.
+    # No match is better than a wrong one.
     assert len(errors) >= least
     assert np.median(errors) < 0.4
     assert max(errors) < 1.0
@@ -303,7 +303,7 @@ def test_a_map_wrong_by_100_m_gives_no_lock(world):
         first = descent.error()
         descent.fly(4.0)
         assert names(descent) == []
-        # What it believes has moved by no more than it drifts.
+        # The estimate has moved by no more than its drift.
         assert np.linalg.norm((descent.error() - first)[:3]) < 6.0
 
 
@@ -314,7 +314,7 @@ def test_a_map_that_does_not_cover_the_ground_gives_no_lock(world):
     assert np.isfinite(descent.filter.covariance).all()
 
 
-def test_scans_that_tell_nothing_change_nothing(world):
+def test_empty_scans_change_nothing(world):
     descent = Descent(world, 2).fly(1.0)
     before = descent.filter.covariance.copy(), descent.inertial.position.copy()
     n = 128 * 128
@@ -350,7 +350,7 @@ def test_without_a_map_scans_tell_nothing_of_position_and_azimuth(world):
         descent.fly(0.5)
         taken = descent.filter.watches["flash scans"].degrees
         p = descent.estimate().covariance
-        # Azimuth and place of the site: no less uncertain than the mission's word.
+        # Azimuth and position of the site: as uncertain as the briefing.
         assert p[8, 8] >= (1.0 - 2e-3) * told[8, 8]
         assert (np.diag(p)[:2] >= (1.0 - 2e-3) * np.diag(told)[:2]).all()
         assert p[6, 6] < told[6, 6]
@@ -379,8 +379,8 @@ def test_from_a_start_that_is_far_off_scans_tell_nothing_of_place_and_yaw(world,
     assert now[6:8].max() < 1.02 * told[6:8].max()
 
 
-def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
-    """Points of the first scans, turned as the navigator says, lie on the ground as it is."""
+def test_map_rotates_when_tilt_is_corrected(world):
+    """Points of the first scans, rotated by the map rotation, lie on the true terrain."""
     off = {}
     descent = Descent(world, 2, errors=StartSigmas(5.0, 0.05, np.deg2rad(0.5)))
     seen = []
@@ -409,7 +409,7 @@ def test_ground_seen_with_a_wrong_tilt_turns_when_the_tilt_is_learnt(world):
 
 
 @pytest.mark.statistical
-def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
+def test_scanner_errors_are_estimated(world):
     nees, values = Consistency(), Consistency()
     for seed in range(6):
         descent = Descent(world, seed, lidar=STATED).fly(6.0)
@@ -433,7 +433,7 @@ def test_what_a_scanner_errs_by_is_found_with_the_pose(world):
     [{"range_bias": 0.3}, {"boresight_off": np.deg2rad(0.5)}, {"late": 0.02}],
     ids=lambda fault: next(iter(fault)),
 )
-def test_what_nobody_told_of_a_scanner_is_no_silent_error(world, fault):
+def test_unspecified_scanner_error_is_detected(world, fault):
     for seed in (0, 1):
         descent = Descent(world, seed, lidar=replace(LIDAR, **fault)).fly(5.0)
         sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]

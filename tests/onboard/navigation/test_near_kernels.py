@@ -1,4 +1,4 @@
-"""The search for the nearest places on squares against sorting all of them."""
+"""Test the nearest-neighbour search against sorting all places."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def crowded(rng, n):
 
 
 def posts(rng, n):
-    """Lie as far from each other, so that many are as far from a point; some twice."""
+    """Return places on a grid, with many equal distances and some duplicates."""
     return np.rint(rng.uniform(-6.0, 6.0, (n, 2)))
 
 
@@ -33,7 +33,7 @@ def test_places_of_which_one_is_nowhere_lie_on_one_square():
     east, north = np.random.default_rng(0).normal(size=(2, 90))
     for nowhere in (np.nan, np.inf, -np.inf):
         east[7] = nowhere
-        order, first, _ = kernels.on_squares(east, north)
+        order, first, _ = kernels.sort_by_square(east, north)
         assert order.tolist() == list(range(90))
         assert first.tolist() == [0, 90]
 
@@ -44,7 +44,7 @@ def test_the_nearest_are_those_that_sorting_finds(lie, n):
     rng = np.random.default_rng(n)
     places = lie(rng, max(n, 4))[:n]
     east, north = places.T.copy()
-    squares = kernels.on_squares(east, north)
+    squares = kernels.sort_by_square(east, north)
     assert np.sort(squares[0]).tolist() == list(range(n))
     span = np.ptp(places, axis=0).max() + 1.0
     for x, y in np.concatenate((places[:5], np.rint(rng.uniform(-span, span, (60, 2))))):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim.onboard.navigation.error_state import Outcome
-from lunarsim.onboard.navigation.picture_watch import PictureWatch, Remedy
+from lunarsim.onboard.navigation.picture_watch import ImageInnovationMonitor, Remedy
 
 GOOD = Outcome(200.0, 200, True, np.zeros(200))
 REFUSED = Outcome(900.0, 200, False)
@@ -11,19 +11,19 @@ REFUSED = Outcome(900.0, 200, False)
 
 def watch(outcomes, kind="places", step=0.2):
     events = []
-    pictures = PictureWatch(events)
-    remedies = [pictures.note(kind, step * k, outcome) for k, outcome in enumerate(outcomes)]
+    pictures = ImageInnovationMonitor(events)
+    remedies = [pictures.record(kind, step * k, outcome) for k, outcome in enumerate(outcomes)]
     return pictures, [r for r in remedies if r is not Remedy.NONE], [e.name for e in events]
 
 
-def test_good_pictures_ask_for_nothing():
+def test_good_images_need_no_correction():
     rng = np.random.default_rng(1)
     nis = rng.chisquare(200, 500)
     pictures, remedies, events = watch([Outcome(v, 200, True, np.zeros(200)) for v in nis])
     assert remedies == [] and events == [] and not pictures.lost
 
 
-def test_what_is_refused_is_doubted_then_begun_anew_then_lost_and_believed_again():
+def test_rejections_inflate_reset_lose_and_recover():
     pictures, remedies, events = watch([REFUSED] * 22)
     assert remedies == [Remedy.DOUBT, Remedy.RENEW, Remedy.RENEW]
     assert events == ["doubted", "renewed", "lost"]
@@ -48,6 +48,6 @@ def test_shadows_that_fall_elsewhere_are_lost_for_good():
     assert pictures.lost
 
 
-def test_a_rock_or_two_tell_nothing():
+def test_few_rocks_give_no_evidence():
     _, remedies, events = watch([Outcome(np.nan, 0, False)] * 50)
     assert remedies == [] and events == []

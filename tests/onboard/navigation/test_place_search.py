@@ -1,4 +1,4 @@
-"""The search for a place: against plain references on small rasters, and on maps that are wrong."""
+"""Test the place search against simple references, and on wrong maps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy import ndimage
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.messages.prior_map import PriorMap
-from lunarsim.onboard.navigation.features import above_plane
+from lunarsim.onboard.navigation.features import subtract_plane
 from lunarsim.onboard.navigation.map_features import FeatureSettings, MapFeatures, Tile
 from lunarsim.onboard.navigation.map_information import can_lock
 from lunarsim.onboard.navigation.place_search import PlaceSearch, SearchSettings
@@ -22,7 +22,7 @@ POSTING = 1.0
 
 
 def bumps(rng, shape, height=0.3, share=0.04):
-    """Level ground with single bumps on it."""
+    """Return flat terrain with single bumps."""
     return height * (rng.random(shape) < share)
 
 
@@ -33,7 +33,7 @@ def small_map(rng, ground, sigma=0.1, voids=0):
 
 
 def points_of(ground, rows, cols, shift=(0.0, 0.0, 0.0), per=4):
-    """Points on posts of the ground, evenly over each, as a lander sees them that errs by shift."""
+    """Return evenly spread points on posts, seen with a position error `shift`."""
     u = (np.arange(per) + 0.5) / per - 0.5
     x = (np.arange(*cols)[:, None] + u).ravel()
     y = (np.arange(*rows)[:, None] + u).ravel()
@@ -47,10 +47,10 @@ def test_planes_are_those_of_least_squares():
     height = rng.standard_normal((22, 26)) + 0.3 * np.arange(26)
     known = rng.random(height.shape) < 0.9
     known[:, 14:16] = False
-    above, kept = above_plane(height, known, 3)
+    above, kept = subtract_plane(height, known, 3)
     expected = plain.above_plane(height, known, 3)
     assert 150 < kept.sum() < known.sum()
-    # All that is kept has a plane there, and what is not kept is at an edge or has few posts.
+    # All kept posts have a plane; the others are at an edge or have few known posts.
     assert not np.isnan(expected[kept]).any()
     assert above[kept] == pytest.approx(expected[kept], abs=1e-9)
     assert not above[~kept].any()
@@ -63,16 +63,18 @@ def test_features_are_what_stands_out():
     xx, yy = np.meshgrid(np.arange(40.0), np.arange(30.0))
     known = np.ones(xx.shape, bool)
     known[10, 20] = known[22, 5] = False
-    above, kept = above_plane(0.3 * xx - 0.2 * yy + 5.0, known, 3)
+    above, kept = subtract_plane(0.3 * xx - 0.2 * yy + 5.0, known, 3)
     assert above == pytest.approx(0.0, abs=1e-9)
-    # A void takes itself away and nothing else.
+    # A void removes only itself.
     assert kept[3:-3, 3:-3].sum() == 34 * 24 - 2
 
 
 def test_likelihoods_are_those_of_the_reference():
     rng = np.random.default_rng(1)
     ground = bumps(rng, (40, 44))
-    features = MapFeatures(small_map(rng, ground, voids=60), FeatureSettings(alike=1.3))
+    features = MapFeatures(
+        small_map(rng, ground, voids=60), FeatureSettings(correlation_length=1.3)
+    )
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
     rare = plain.rarity(shown[np.isfinite(shown)], 0.1)(shown)
     tile = ground[10:18, 20:27] + 0.02 * rng.standard_normal((8, 7))
@@ -101,7 +103,7 @@ def test_the_evidence_is_that_of_the_reference():
     match = search.search(2.0, mean, covariance)
     found, origin = search.evidence
     assert search.spacing == 0.5 * POSTING
-    # The reference: what was scanned above its planes, cut into tiles, at whole-post shifts.
+    # Reference: scanned heights above their planes, in tiles, at whole-post shifts.
     own, added = np.full((40, 40), np.nan), np.zeros((40, 40))
     scanned = ground[10:30, 10:30]
     own[10:30, 10:30] = plain.above_plane(scanned, np.ones((20, 20), bool), features.reach)
@@ -109,27 +111,29 @@ def test_the_evidence_is_that_of_the_reference():
     shown = np.where(features.kept > 0.0, features.shown, np.nan).astype(float)
     rare = plain.rarity(shown[np.isfinite(shown)], prior.sigma)(shown)
     every = list(zip(*np.nonzero(features.kept), strict=True))
-    n, wide, compared = np.arange(-3, 4), 8, 0
+    n, wide, tile_count = np.arange(-3, 4), 8, 0
     expected = np.zeros((7, 7))
     for r0 in range(8, 32, wide):
         for c0 in range(8, 32, wide):
             cut = (slice(r0, r0 + wide), slice(c0, c0 + wide))
             if np.isfinite(own[cut]).sum() < 0.25 * wide * wide:
                 continue
-            compared += 1
+            tile_count += 1
             of = (shown, rare, own[cut], features.variance + added[cut])
             rest = (0.05, features.together)
             here = [plain.tile_ratio(*of, r0 + a, c0 + b, *rest) for a in n for b in n]
             there = [plain.tile_ratio(*of, r - 4, c - 4, *rest) for r, c in every]
             factors = plain.log_factors(
-                *zip(*here, strict=True), *zip(*there, strict=True), features.settings.changed
+                *zip(*here, strict=True),
+                *zip(*there, strict=True),
+                features.settings.changed_probability,
             )
             expected += np.reshape(factors, (7, 7))
-    assert compared >= 4
+    assert tile_count >= 4
     mine = found[2 * n[0] - origin[0] :: 2, 2 * n[0] - origin[1] :: 2][:7, :7]
     assert mine == pytest.approx(expected, abs=0.02)
     assert 3.0 < np.ptp(expected) < 12.0
-    # The place by all half-post shifts that were looked at.
+    # The place from all searched half-post shifts.
     rows, cols = (part.ravel() for part in np.indices(found.shape))
     shifts = 0.5 * POSTING * np.column_stack((cols + origin[1], rows + origin[0]))
     p = plain.posterior(found.ravel(), shifts, mean, covariance)
@@ -205,12 +209,12 @@ def test_a_post_is_compared_once():
 def test_changed_ground_speaks_against_a_place_by_no_more_than_allowed():
     features = MapFeatures(swept(sigma=0.1)[0])
     factors = features.factor(np.array([-1e4, 0.0, 30.0]), np.array([1.0, 0.0, 1.0]), 5.0, 1e6)
-    changed = features.settings.changed
-    # The worst fit, what the map does not know, and the most that one tile may tell.
+    changed = features.settings.changed_probability
+    # Worst fit, unknown map, and maximum evidence of one tile.
     assert factors[0] == pytest.approx(np.log(changed))
     assert factors[1] == pytest.approx(0.0, abs=1e-12)
     assert factors[2] == pytest.approx(np.log(0.8 * 1e6 + 0.2), abs=1e-6)
-    # On average over all places a tile tells nothing.
+    # On average over all places a tile gives no evidence.
     assert np.exp(
         features.factor(np.log([1.0, 2.0, 3.0]), np.ones(3), np.log(2.0), 1e6)
     ).mean() == (pytest.approx(1.0))
@@ -226,7 +230,7 @@ def test_drift_blurs_what_is_known():
         spread.append(later.covariance[0, 0])
     assert np.all(np.diff(spread) > 0.0)
     assert later.certainty < 0.95 < match.certainty
-    # What is blurred is no more likely on the whole.
+    # Blurring does not increase the total probability.
     after = search.evidence[0]
     assert np.exp(after).sum() == pytest.approx(np.exp(before).sum(), rel=0.05)
 
@@ -245,7 +249,7 @@ def test_places_drift_by_a_speed_that_stays_wrong_for_seconds():
 def test_a_height_is_told_by_posts_that_agree():
     prior, points = swept(sigma=0.1)
     _, match = found_on(prior, points)
-    # Many posts; a place known to half a post leaves the height of its slopes open.
+    # Many posts; a position known to half a post leaves a height error on slopes.
     assert match.covariance[2, 2] == pytest.approx((0.4 * 0.5) ** 2, rel=0.1)
     changed = points.copy()
     changed[changed[:, 0] > 8.0, 2] += 1.5 * np.sin(3.0 * changed[changed[:, 0] > 8.0, 1])
@@ -253,7 +257,7 @@ def test_a_height_is_told_by_posts_that_agree():
     assert other.share < 0.9 * match.share
 
 
-def test_the_right_place_outside_what_is_looked_at_is_not_forgotten():
+def test_probability_outside_search_is_kept():
     prior, points = swept(sigma=0.1)
     # 9 m off at a stated 1.5 m: six deviations.
     _, match = found_on(prior, points, sigma=1.5)
@@ -265,13 +269,13 @@ def test_places_that_are_not_looked_at_keep_their_share_of_what_was_known():
     prior = small_map(rng, np.zeros((70, 70)), sigma=0.1)
     search = PlaceSearch(MapFeatures(prior))
     search.add(points_of(np.zeros((70, 70)), (20, 50), (20, 50)))
-    # A search looks at 1,000 places to either side: here at some half of what was known.
+    # A search covers 1,000 places to either side, here about half of the prior.
     covariance = np.diag([3.0**2, 1600.0**2])
     search.search(0.0, np.zeros(2), covariance)
     match = search.search(2.0, np.zeros(2), covariance)
     found, origin = search.evidence
     unit = search.spacing
-    # All places that there are, those off the search without evidence for or against them.
+    # All places, with those outside the search without evidence.
     rows = np.arange(-int(9600.0 / unit), int(9600.0 / unit) + 1)
     cols = np.arange(-int(30.0 / unit), int(30.0 / unit) + 1)
     log = np.zeros((len(rows), len(cols)))
@@ -310,7 +314,7 @@ def test_places_lie_as_far_apart_as_when_the_search_began(first, spacing):
     assert search.spacing == 0.5 * search.prior.grid.posting
 
 
-def test_a_prior_that_leans_weighs_places_as_it_leans():
+def test_correlated_prior_weights_places():
     rng = np.random.default_rng(2)
     ground = bumps(rng, (40, 40), height=0.2)
     search = PlaceSearch(MapFeatures(small_map(rng, ground, sigma=0.12)))
@@ -329,10 +333,11 @@ def test_a_prior_that_leans_weighs_places_as_it_leans():
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [(SearchSettings, {"tile": np.nan}), (SearchSettings, {"deaf_s": -1.0}),
-     (SearchSettings, {"held_s": 0.0}), (FeatureSettings, {"changed": 2.0}),
+    [(SearchSettings, {"tile": np.nan}), (SearchSettings, {"idle_s": -1.0}),
+     (SearchSettings, {"drift_correlation_s": 0.0}),
+     (FeatureSettings, {"changed_probability": 2.0}),
      (FeatureSettings, {"outlier": 0.0}), (FeatureSettings, {"model_sigma": -1.0}),
-     (FeatureSettings, {"alike": np.nan}), (FeatureSettings, {"width": np.inf})],
+     (FeatureSettings, {"correlation_length": np.nan}), (FeatureSettings, {"width": np.inf})],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(kind, given):
     with pytest.raises(InputError, match=next(iter(given))):
@@ -346,7 +351,7 @@ def test_settings_that_cannot_be_are_refused(kind, given):
      ({"covariance": np.full((2, 2), np.nan)}, "covariance"), ({"speed_sigma": -1.0}, "speed"),
      ({"speed_sigma": np.nan}, "speed"), ({"time": 1.0}, "time"), ({"time": np.nan}, "time")],
 )  # fmt: skip
-def test_what_cannot_be_known_of_a_place_is_refused(given, match):
+def test_invalid_prior_is_rejected(given, match):
     search, _ = found_on(*swept(sigma=0.1))
     before = search.evidence[0].copy()
     known = {"time": 3.0, "mean": np.zeros(2), "covariance": np.eye(2), "speed_sigma": 0.1} | given
@@ -365,7 +370,7 @@ def test_level_ground_is_not_found_but_its_height_is():
     assert match.certainty < 0.5
     assert match.up == pytest.approx(12.0, abs=0.1)
     assert match.up_variance < 0.05
-    # On a slope the height is known no better than the place.
+    # On a slope the height is no more certain than the position.
     ramp = 0.1 * np.arange(90.0) + np.zeros((90, 90))
     search = PlaceSearch(MapFeatures(small_map(rng, ramp, sigma=0.1)))
     search.add(points_of(ramp, (25, 60), (25, 60)))
@@ -420,11 +425,11 @@ def test_noise_and_slopes_cannot_lock(seed):
         assert str(forecast).startswith("cannot lock")
 
 
-def test_what_is_alike_along_one_way_cannot_lock():
+def test_ridges_cannot_lock():
     ridge = flat(relief=lambda c: np.sin(c[..., 0] / 3.0))
     forecast = can_lock(ridge, (0.0, 0.0), 60.0, 20.0)
     assert not forecast.can_lock
-    # The rival lies along the ridges.
+    # The most probable wrong place lies along the ridges.
     assert abs(forecast.rival[0]) < 2.5
 
 
@@ -435,7 +440,7 @@ def test_rich_ground_can_lock_and_more_noise_takes_it_away():
         told.append(can_lock(prior, (0.0, 0.0), 40.0, 10.0))
     assert [f.can_lock for f in told] == [True, True, False]
     assert told[0].expected > told[1].expected > told[2].expected
-    # More places to tell apart need more; errors that are alike tell less.
+    # More possible places need more evidence; correlated errors give less.
     prior, _ = swept(sigma=0.06)
     assert can_lock(prior, (0.0, 0.0), 40.0, 20.0).needed > told[1].needed
     alike = PriorMap(prior.grid, prior.elevation, 0.06, 2.0)

@@ -1,4 +1,4 @@
-"""Scans against a map: geometry by finite differences, covariance by many runs."""
+"""Test the registration of scans: Jacobians and covariance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lunarsim.onboard.navigation.map_features import MapFeatures
 from lunarsim.onboard.navigation.registration import fit, register
 from lunarsim.onboard.navigation.registration_settings import RegistrationSettings
 from lunarsim.onboard.navigation.seen_scan import SeenScan
-from lunarsim.onboard.navigation.surface import surface_of
+from lunarsim.onboard.navigation.surface import average_scan
 from lunarsim.sensors.lidar import FlashLidar
 from lunarsim.vehicle import State
 from lunarsim.world import World
@@ -82,10 +82,10 @@ def test_surface_of_a_plane_is_the_plane():
     rng = np.random.default_rng(1)
     xy = rng.uniform(-5.0, 5.0, (20_000, 2))
     points = np.column_stack((xy, 0.2 * xy[:, 0] - 0.1 * xy[:, 1] + 3.0))
-    surface = surface_of(points, Grid(0.0, 0.0, 0.5, 1, 1))
+    surface = average_scan(points, Grid(0.0, 0.0, 0.5, 1, 1))
     x, y, z = surface.position.T
     assert len(surface) > 200
-    # The neighbours' means lie a little off the axes.
+    # The means of the neighbours lie slightly beside the axes.
     assert z == pytest.approx(0.2 * x - 0.1 * y + 3.0, abs=2e-3)
     assert surface.normal == pytest.approx(np.tile([-0.2, 0.1, 1.0], (len(x), 1)), abs=0.02)
 
@@ -129,7 +129,7 @@ def test_jacobians_match_finite_differences():
     moved = np.array(moved).T
     assert seen.point_jacobian(p) == pytest.approx(moved, abs=1e-3)
     assert seen.jacobian(p[None], n[None])[0] == pytest.approx(n @ moved, abs=1e-3)
-    # By hand: a rotation as of old, and 1 m of range along the ray.
+    # By hand: a rotation, and 1 m of range along the ray.
     body = quat_rotate(quat_conjugate(ATTITUDE), p - POSITION)
     assert np.linalg.norm(moved[:, 6]) == pytest.approx(1.0)
     assert moved[:, 3] == pytest.approx(
@@ -138,8 +138,8 @@ def test_jacobians_match_finite_differences():
 
 
 def fitted(scan, prior, before, error, variance):
-    """Fit a scan from a pose that is off by an error (6,): estimate, covariance, outcome."""
-    # Truth = estimate + error; nothing is wrong with the scanner.
+    """Fit a scan from a pose with an error (6,): return estimate, covariance, outcome."""
+    # Truth = estimate + error; the scanner has no error.
     attitude = quat_multiply(ATTITUDE, quat_from_rotation_vector(-error[3:]))
     seen = SeenScan(scan, POSITION - error[:3], attitude, np.zeros(3), np.zeros(3))
     whole = np.zeros((11, 11))
@@ -210,7 +210,7 @@ def test_a_fit_begun_far_off_is_right_or_tells_the_level_alone(world, stale):
         assert normalised_square(gap, covariance) < 40.0, seed
         sharp += covariance[0, 0] < 0.25
     assert accepted >= 30
-    # Where the ground tells, the fit does.
+    # The fit is informative where the terrain is.
     assert sharp >= 5
 
 
@@ -221,14 +221,14 @@ def test_errors_that_are_alike_do_not_make_a_fit_too_sure(world):
         rng = np.random.default_rng([seed, 8])
         grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
         prior = survey(world.terrain, grid, rng, sigma=0.1, correlation=1.5)
-        # The map does not say that its errors are alike.
+        # The map does not specify the correlation of its errors.
         prior = PriorMap(grid, prior.elevation, 0.1)
         before = np.diag(np.square([0.1, 0.1, 0.3, 1e-3, 1e-3, 1e-3]))
         error = np.sqrt(np.diag(before)) * rng.standard_normal(6)
         scan = scanned(world, rng, [*rng.uniform(-30.0, 30.0, 2), 0.0])
         found, covariance, result = fitted(scan, prior, before, error, prior.sigma**2 + 0.03**2)
         nees = nees.plus(normalised_square(found - error, covariance), 6)
-    # Each post on its own would make it 3.
+    # With independent posts it would be 3.
     assert nees.ratio < ratio_bounds(nees.degrees, 1.25)[1]
 
 
@@ -246,7 +246,7 @@ def test_errors_that_a_map_tells_to_be_alike_count_as_fewer(world):
 
 
 def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
-    """The farther off the place may be, the more heights differ by slopes that it may lie on."""
+    """With a larger position uncertainty, slopes add more height variance."""
     rng = np.random.default_rng(9)
     grid = Grid.centred((0.0, 0.0), 120.0, 0.5)
     prior = survey(world.terrain, grid, rng, sigma=0.6)
@@ -256,13 +256,13 @@ def test_where_the_place_is_open_slopes_make_the_level_uncertain(world):
         before = np.diag(np.square([far, far, 0.3, 1e-3, 1e-3, 1e-3]))
         told.append(fitted(scan, prior, before, np.zeros(6), 0.6**2)[2].information)
     for one in told:
-        assert one[0, 0] < 0.05 * one[2, 2], "the level alone"
+        assert one[0, 0] < 0.05 * one[2, 2], "only the height"
     assert told[1][2, 2] < 0.9 * told[0][2, 2]
 
 
-def test_a_fit_of_nothing_says_nothing():
+def test_fit_without_data_gives_no_information():
     result = fit(np.zeros((0, 6)), np.zeros(0), np.zeros(0), np.eye(6))
-    assert result.used == result.offered == 0
+    assert result.used == result.compared == 0
     assert result.share == 0.0
     assert not result.information.any()
 
@@ -297,11 +297,12 @@ def test_impossible_maps_are_refused():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("model_sigma", 0.0), ("least_squares", -3), ("least_share", 1.2), ("least_share", np.nan),
-     ("greatest_misfit", np.inf), ("chance", 0.0), ("map_chance", -1.0), ("certainty", 1.1),
-     ("level_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("gather_s", np.nan),
+    [("model_sigma", 0.0), ("min_squares", -3), ("min_agreement", 1.2), ("min_agreement", np.nan),
+     ("max_misfit", np.inf), ("rejection_probability", 0.0), ("map_rejection_probability", -1.0),
+     ("certainty", 1.1),
+     ("height_sigma", np.nan), ("search_s", -0.5), ("lost_s", 0.0), ("max_accumulation_s", np.nan),
      ("odometry_postings", (0.4, 0.05)), ("odometry_postings", (0.0, 0.4)),
-     ("odometry_sigma", -0.03), ("key_share", 0.0)],
+     ("odometry_sigma", -0.03), ("min_overlap", 0.0)],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=rf"navigation\.{name}"):

@@ -1,4 +1,4 @@
-"""The augmented filter against finite differences, filterpy and its own covariance."""
+"""Test the augmented filter against finite differences and filterpy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fly(flight, seconds, images=True, ranges=True):
 
 
 def shifted(rocks, error):
-    """Return a filter without rocks whose lander is off by an error state (15,)."""
+    """Return a filter without rocks, with an error of the lander (15,)."""
     s = rocks.inertial
     inertial = StrapdownState(
         s.position + error[:3], s.velocity + error[3:6],
@@ -42,8 +42,8 @@ def shifted(rocks, error):
     return RockFilter.of(inertial)
 
 
-def test_rocks_begun_anew_are_as_those_begun_then():
-    """What was seen before is forgotten: the same as if nothing had been."""
+def test_reset_rocks_equal_new_rocks():
+    """Earlier observations are discarded, as if there had been none."""
     filters = []
     for early in (True, False):
         flight = Flight(np.random.default_rng(7))
@@ -69,8 +69,8 @@ def test_rocks_begun_anew_are_as_those_begun_then():
     np.testing.assert_allclose(anew.covariance, then.covariance, rtol=1e-9, atol=1e-12)
 
 
-def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
-    """The same as a measurement of places that could have been anywhere."""
+def test_reset_rocks_keep_height_errors_only():
+    """A reset equals a measurement with an uninformative prior."""
     flight = Flight(np.random.default_rng(9), ground=LevelGround(0.0, 2.0, 0.1))
     flight.draw_heights(2.0, 0.1)
     for _ in range(3):
@@ -80,11 +80,11 @@ def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
     f, camera = flight.filter, flight.camera()
     pixel, covariance, radius, variance = flight.look(camera)
     index, level = np.arange(f.count), f.places()[:, :2].ravel()
-    p, places, heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
+    p, places, interpolate_heights = f.covariance.copy(), f.xyz.copy(), f.xyz[:, 2].copy()
     assert p[f.places()[:, 2], f.places()[:, 2]].min() > 0.01
     f.begin_anew(index, camera, pixel, covariance, radius, variance)
     anew, anew_xyz = f.covariance.copy(), f.xyz.copy()
-    assert np.array_equal(anew_xyz[:, 2], heights)
+    assert np.array_equal(anew_xyz[:, 2], interpolate_heights)
     f.covariance[:] = p
     f.covariance[level], f.covariance[:, level] = 0.0, 0.0
     f.covariance[level, level] = 1e7
@@ -96,7 +96,7 @@ def test_rocks_begun_anew_err_as_those_of_which_only_heights_were_known():
     assert (np.abs(f.covariance - anew) / scale).max() < 1e-3
 
 
-def test_rocks_begun_anew_where_no_ground_is_seen_are_refused_and_stay():
+def test_reset_without_terrain_is_rejected():
     flight = Flight(np.random.default_rng(7))
     flight.advance()
     flight.image()
@@ -129,7 +129,7 @@ def test_jacobians_equal_finite_differences():
 
 
 def test_updates_equal_a_dense_filter():
-    """filterpy's EKF with 16 + 4 n states and one update a scalar gives the same."""
+    """An EKF of filterpy with 16 + 4 n states and scalar updates gives the same."""
     flight = Flight(np.random.default_rng(2), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
@@ -194,7 +194,7 @@ def test_births_carry_the_full_cross_covariance():
     flight.filter = f
     assert f.inertial is base
     sample = np.cov(np.vstack((draws, found.T)))
-    # Heights of rocks on ground that is known do not err.
+    # Rock heights on known terrain have no error.
     level = np.r_[0:17, 18:20]
     sample, p = sample[np.ix_(level, level)], f.covariance[np.ix_(level, level)]
     scale = np.sqrt(np.diag(p))
@@ -203,8 +203,8 @@ def test_births_carry_the_full_cross_covariance():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rocks_that_rest_are_considered(seed):
-    """Images and ranges against Joseph's form, in which the gains of resting rocks are 0."""
+def test_frozen_rocks_follow_schmidt_filter(seed):
+    """Images and ranges against Joseph's form with zero gains of frozen rocks."""
     rng = np.random.default_rng(seed)
     flight = Flight(rng, rocks=9)
     flight.advance()
@@ -212,12 +212,12 @@ def test_rocks_that_rest_are_considered(seed):
     f = flight.filter
     for _ in range(3):
         flight.advance()
-        rests = rng.permutation(9) < rng.integers(5, 9)
-        f.rest(rests)
+        is_frozen = rng.permutation(9) < rng.integers(5, 9)
+        f.rest(is_frozen)
         camera = flight.camera()
         sight = f.sight(camera)
         pixel, covariance, radius, variance = flight.look(camera)
-        index = np.flatnonzero(~rests)
+        index = np.flatnonzero(~is_frozen)
         h = np.zeros((2 * len(index), 42))
         for k, j in enumerate(index):
             h[2 * k : 2 * k + 2, [0, 1, 2, 9, 10, 11]] = sight.by_pose[j]
@@ -232,12 +232,12 @@ def test_rocks_that_rest_are_considered(seed):
         )
         assert f.covariance == pytest.approx(expected, rel=1e-7, abs=1e-11)
         assert (f.xyz - before).ravel() == pytest.approx(moved[15:], abs=1e-9)
-        assert np.array_equal(f.xyz[rests], before[rests])
+        assert np.array_equal(f.xyz[is_frozen], before[is_frozen])
         before, p = f.xyz.copy(), f.covariance.copy()
         flight.range()
-        assert np.array_equal(f.xyz[rests], before[rests])
+        assert np.array_equal(f.xyz[is_frozen], before[is_frozen])
         assert np.array_equal(f.covariance, f.covariance.T)
-        resting = 15 + 3 * np.flatnonzero(rests)[:, None] + np.arange(3)
+        resting = 15 + 3 * np.flatnonzero(is_frozen)[:, None] + np.arange(3)
         own = np.ix_(resting.ravel(), resting.ravel())
         assert np.array_equal(f.covariance[own], p[own])
 
@@ -254,7 +254,7 @@ def test_nees_and_nis_are_consistent_over_fifty_flights(resting):
         for value, degrees in fly(flight, seconds):
             nis = nis.plus(value, degrees)
         error, p = flight.error(), flight.filter.covariance
-        # Heights of rocks on ground that is known do not err.
+        # Rock heights on known terrain have no error.
         level = np.concatenate((np.arange(15), (15 + 3 * np.arange(8)[:, None] + [0, 1]).ravel()))
         nees = nees.plus(normalised_square(error[level], p[np.ix_(level, level)]), 31)
         lander = lander.plus(normalised_square(error[:15], p[:15, :15]), 15)
@@ -291,19 +291,19 @@ def test_removing_a_rock_leaves_the_others_as_they_were():
     flight.image()
     f = flight.filter
     p, xyz = f.covariance.copy(), f.xyz.copy()
-    keep = f.remove(np.array([1, 3]))  # the last takes the first hole
+    keep = f.remove(np.array([1, 3]))  # the last rock takes the first free index
     rows = np.concatenate((np.arange(15), (15 + 3 * keep[:, None] + [0, 1, 2]).ravel()))
     assert keep.tolist() == [0, 4, 2]
     assert np.array_equal(f.covariance, p[np.ix_(rows, rows)])
     assert np.array_equal(f.xyz, xyz[keep])
 
 
-def test_missing_inertial_samples_widen_the_filter_and_images_bring_it_back():
+def test_missing_samples_increase_covariance_and_images_reduce_it():
     flight = Flight(np.random.default_rng(7))
     fly(flight, 4.0)
     f = flight.filter
     before = np.trace(f.covariance[3:6, 3:6])
-    # Two seconds without a sample, the lander going on as it did.
+    # Two seconds without samples at a constant rate and force.
     start = f.inertial.position.copy(), f.inertial.velocity.copy()
     f.propagate(np.full((200, 3), np.nan), np.full((200, 3), np.nan))
     assert np.trace(f.covariance[3:6, 3:6]) > 10.0 * before
@@ -339,7 +339,7 @@ def test_closed_forms_of_two_rows():
 
 @pytest.fixture
 def sloped():
-    """A filter over ground that rises and falls, with four rocks seen once."""
+    """Return a filter over uneven terrain with four rocks observed once."""
     flight = Flight(np.random.default_rng(11), rocks=4, ground=LevelGround(0.0, 3.0, 0.1))
     flight.advance()
     flight.image()
@@ -349,7 +349,7 @@ def sloped():
 def test_heights_of_new_rocks_differ_as_the_ground_does(sloped):
     """Variances of height differences: 0.1^2 x 10 m a metre between them, and 5 cm each."""
     f = sloped.filter
-    z = np.append(15, f.state.head + 3 * np.arange(4) + 2)  # the ground under the lander first
+    z = np.append(15, f.state.head + 3 * np.arange(4) + 2)  # the terrain below the lander first
     places = np.vstack((f.inertial.position[:2], f.xy))
     away = np.linalg.norm(places[:, None] - places[None], axis=-1)
     p = f.covariance[np.ix_(z, z)]

@@ -1,4 +1,4 @@
-"""What images that tell nothing, views that turn and doubts do to lander and rocks."""
+"""Test empty images, rotating views and inflations of lander and rocks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.models.instruments import LidarInstrument
-from lunarsim.onboard.navigation.aids import Aids, blocks_of
-from lunarsim.onboard.navigation.error_state import KEY, POSE, ErrorState, Outcome
+from lunarsim.onboard.navigation.aiding_measurements import AidingMeasurements, aiding_blocks
+from lunarsim.onboard.navigation.error_state import POSE, REFERENCE_POSE, ErrorState, Outcome
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -18,7 +18,7 @@ from tests.rock_scene import GRAVITY, Flight
 
 
 @pytest.mark.parametrize("bad", ["pixel", "covariance", "singular"])
-def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
+def test_rock_with_non_finite_pixel_is_ignored(bad):
     one, other = (Flight(np.random.default_rng(12), rocks=5) for _ in range(2))
     for flight in (one, other):
         flight.advance()
@@ -46,7 +46,7 @@ def test_a_rock_whose_place_is_no_number_tells_nothing(bad):
 
 
 @pytest.mark.parametrize(("radius", "variance"), [(np.nan, 0.04), (0.5, np.nan), (0.5, 0.0)])
-def test_a_radius_that_is_no_number_tells_nothing(radius, variance):
+def test_non_finite_radius_is_ignored(radius, variance):
     flight = Flight(np.random.default_rng(13), rocks=3)
     flight.image()
     f = flight.filter
@@ -70,7 +70,7 @@ def test_an_image_of_nothing_changes_nothing():
     assert np.array_equal(f.covariance, p)
 
 
-def test_an_image_that_is_off_as_a_whole_is_refused():
+def test_shifted_image_is_rejected():
     flight = Flight(np.random.default_rng(15), rocks=9)
     flight.advance()
     flight.image()
@@ -96,7 +96,7 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
     f.turn(sun, 0.3, 0.1, 0.2)
     p = f.covariance.copy()
     before = f.inertial.position.copy()
-    # A small turn is kept until it has grown.
+    # Small rotations accumulate until the threshold.
     for move in ([0.5, 0.0, -1.0], [39.5, -25.0, -39.0]):
         assert np.array_equal(p, f.covariance)
         f.inertial.correct(np.concatenate((move, np.zeros(12))))
@@ -118,7 +118,7 @@ def test_centres_wander_along_the_sun_as_the_view_turns():
 
 
 def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span():
-    """As if from a range at which the pixels of one are those of the other."""
+    """A change of cameras acts like a range change with the same pixel footprint."""
     flight = Flight(np.random.default_rng(16), rocks=2)
     flight.image()
     f, sun = flight.filter, np.array([0.6, 0.0, 0.8])
@@ -138,41 +138,41 @@ def test_a_camera_of_other_pixels_shows_rocks_off_by_what_the_coarser_ones_span(
 def test_rocks_stand_behind_the_blocks_of_a_state_that_others_share():
     start = Flight(np.random.default_rng(17)).filter.inertial
     level, events = LevelGround(0.0, 3.0, 0.1), []
-    state = ErrorState(start, blocks={**blocks_of({}, level), "scan": np.eye(6)})
-    f = RockFilter(state, Aids(state, {}, level, events))
+    state = ErrorState(start, blocks={**aiding_blocks({}, level), "scan": np.eye(6)})
+    f = RockFilter(state, AidingMeasurements(state, {}, level, events))
     shared = state.covariance.copy()
     f.add_known(np.array([[1.0, 2.0], [5.0, -3.0]]), np.array([0.5, 0.4]), np.ones(2), np.ones(2))
     assert np.array_equal(state.covariance[:22, :22], shared)
     assert np.diag(state.covariance)[22:25] == pytest.approx([0.25, 0.25, 9.0], rel=2.0)
-    assert state.covariance[15, 24] == pytest.approx(9.0)  # the rock's height follows the ground
+    assert state.covariance[15, 24] == pytest.approx(9.0)  # follows the terrain
     state.measure([[1.0]], [15], [2.0], [1.0])
     assert f.ground == pytest.approx(1.8)
     assert f.xyz[0, 2] == pytest.approx(1.8)
     with pytest.raises(InputError, match=r"navigation\.rocks"):
-        RockFilter(state, Aids(state, {}, level, events))
+        RockFilter(state, AidingMeasurements(state, {}, level, events))
 
 
-def test_a_doubt_of_rocks_widens_the_pose_at_the_scan_that_is_kept():
-    """Else the next scan would draw the lander back to where rocks say that it is not."""
+def test_rock_alarm_inflates_reference_pose():
+    """Otherwise the next scan would pull the lander back to the contradicted pose."""
     f = Navigator(
         StrapdownState([0.0, 0.0, 100.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0, 1.0], GRAVITY),
         StartSigmas(), instruments={"flash": LidarInstrument(np.pi)}, rocks=True,
     ).rocks  # fmt: skip
     for _ in range(3):
         f.propagate(np.zeros((100, 3)), np.tile([0.0, 0.0, 0.01 * GRAVITY], (100, 1)))
-    f.state.clone(KEY, POSE)
-    key = f.state.block(KEY)
+    f.state.clone(REFERENCE_POSE, POSE)
+    key = f.state.block(REFERENCE_POSE)
     before, between = f.covariance.copy(), np.s_[key, POSE]
     for k in range(6):
         f.judge("places", 0.2 * k, Outcome(900.0, 10, False))
     growth = np.diag(f.covariance)[key] / np.diag(before)[key]
     assert growth == pytest.approx(np.diag(f.covariance)[POSE] / np.diag(before)[POSE])
     assert (growth[:3] > 3.0).all()
-    # Lander and scan stay where they are to each other.
+    # The relative position of lander and scan does not change.
     assert f.covariance[between] == pytest.approx(f.covariance[key, key])
 
 
-def test_a_doubt_widens_lander_and_rocks_alike():
+def test_alarm_inflates_lander_and_rocks():
     flight = Flight(np.random.default_rng(18), rocks=3)
     flight.advance()
     flight.image()
@@ -184,5 +184,5 @@ def test_a_doubt_widens_lander_and_rocks_alike():
     after = np.diag(f.covariance)
     assert after[3:6] == pytest.approx(4.5 * before[3:6], rel=1e-4)
     assert after[15:17] == pytest.approx(4.5 * before[15:17])
-    assert np.array_equal(after[6:9], before[6:9])  # biases of the inertial unit stay
+    assert np.array_equal(after[6:9], before[6:9])  # the biases of the inertial unit do not change
     assert not f.lost

@@ -1,4 +1,4 @@
-"""Inertial samples that a lander cannot make, one by one and through whole flights."""
+"""Test the rejection of inertial outliers, singly and in complete flights."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lunarsim.messages.measurements import InertialSamples
 from lunarsim.models.inertial_unit import ACCELEROMETERS, GYROSCOPES
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.navigation.inertial import StrapdownState
-from lunarsim.onboard.navigation.sample_guard import SampleGuard, SampleLimits
+from lunarsim.onboard.navigation.sample_guard import ImuOutlierDetector, SampleLimits
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
 
@@ -38,7 +38,7 @@ def test_limits_are_those_of_thrusters_and_engine():
 
 
 def manoeuvres(rng, n=4000):
-    """Increments of thrusters and an engine that switch at random between their extremes."""
+    """Return increments with thrusters and engine at random extremes."""
     torque = np.repeat(rng.choice([-1.0, 1.0], (n // 10, 3)), 10, axis=0)
     torque *= np.array([600.0, 600.0, 300.0]) / np.array([1100.0, 1100.0, 1300.0])
     rate = np.cumsum(torque, axis=0) * STEP
@@ -53,31 +53,31 @@ def manoeuvres(rng, n=4000):
 
 
 @pytest.mark.parametrize("length", [1, 3, 10])
-def test_the_hardest_manoeuvres_are_believed(length):
+def test_extreme_manoeuvres_are_accepted(length):
     rng = np.random.default_rng(3)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng)
-    found = [guard.judge(angle[k : k + length], velocity[k : k + length])
+    found = [guard.screen(angle[k : k + length], velocity[k : k + length])
              for k in range(0, len(angle), length)]  # fmt: skip
-    assert sum(f.refused for f in found) == 0
-    assert not any(f.gone.any() or f.jump.any() for f in found)
+    assert sum(f.rejected for f in found) == 0
+    assert not any(f.is_missing.any() or f.jump.any() for f in found)
 
 
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("at", [0, 4, 9, 37])
 def test_a_spike_is_refused_and_nothing_else(at, axis):
     rng = np.random.default_rng(4)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = manoeuvres(rng, 100)
     both = np.hstack((angle, velocity))
     both[at, axis] += 2.5 * (LIMITS.step + LIMITS.noise)[axis] * STEP * (1 + 9 * (at == 0))
-    found = [guard.judge(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
-    gone = np.concatenate([f.gone for f in found])
-    assert np.flatnonzero(gone).tolist() == [at]
+    found = [guard.screen(both[k : k + 10, :3], both[k : k + 10, 3:]) for k in range(0, 100, 10)]
+    is_missing = np.concatenate([f.is_missing for f in found])
+    assert np.flatnonzero(is_missing).tolist() == [at]
     assert not any(f.jump.any() for f in found)
 
 
-def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
+def test_persistent_jump_is_accepted_and_bias_inflated():
     rng = np.random.default_rng(5)
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
@@ -87,13 +87,13 @@ def test_samples_that_stay_elsewhere_are_believed_and_the_bias_let_go():
     _, after = state.propagate(angle[20:], velocity[20:])
     assert before[7, 7] < 1e-6
     assert np.sqrt(after[7, 7]) == pytest.approx(3.0, abs=0.1)
-    told = dict(state.tell())
+    told = dict(state.pop_events())
     assert told["samples-refused"] == {"count": 2}
     assert told["samples-jumped"]["force"] == pytest.approx(3.0, abs=0.1)
-    assert state.tell() == []
+    assert state.pop_events() == []
 
 
-def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
+def test_rate_jump_inflates_bias_and_attitude():
     upright = np.array([0.0, 0.0, 0.0, 1.0])
     state = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
     angle, velocity = manoeuvres(np.random.default_rng(8), 40)
@@ -103,9 +103,9 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
     _, after = state.propagate(angle[20:], velocity[20:])
     honest = StrapdownState(np.zeros(3), np.zeros(3), upright, 1.622, limits=LIMITS)
     _, before = honest.propagate(*(a[:20] for a in manoeuvres(np.random.default_rng(8), 40)))
-    let_go = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
-    assert let_go == pytest.approx([3.0, 0.5], abs=0.1)
-    # Velocity and attitude were summed with the wrong one for a while.
+    raise_variances = np.sqrt(np.diag(after)[[7, 14]] - np.diag(before)[[7, 14]])
+    assert raise_variances == pytest.approx([3.0, 0.5], abs=0.1)
+    # Velocity and attitude were integrated with the wrong samples for a while.
     assert after[4, 4] > 2.0 * before[4, 4]
     assert after[11, 11] > 2.0 * before[11, 11]
     # 20 samples and the 3 that it took to be believed, with all of the jump.
@@ -114,11 +114,11 @@ def test_a_rate_that_jumps_lets_its_own_bias_go_and_what_was_summed_meanwhile():
 
 
 def test_spikes_that_agree_but_do_not_follow_each_other_are_refused():
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = np.zeros((60, 3)), np.zeros((60, 3))
     angle[5::4, 0] = 3.0 * LIMITS.step[0] * STEP * 4.0
-    found = guard.judge(angle, velocity)
-    assert found.gone.tolist() == (angle[:, 0] > 0.0).tolist()
+    found = guard.screen(angle, velocity)
+    assert found.is_missing.tolist() == (angle[:, 0] > 0.0).tolist()
     assert not found.jump.any()
 
 
@@ -127,7 +127,7 @@ def test_impossible_steps_are_refused(step):
     with pytest.raises(InputError, match="step"):
         SampleLimits.of(LANDER, step, GYROSCOPES, ACCELEROMETERS)
     with pytest.raises(InputError, match="step"):
-        SampleGuard(LIMITS, step)
+        ImuOutlierDetector(LIMITS, step)
 
 
 @pytest.mark.parametrize("slew", [-1.0, np.nan, np.inf])
@@ -136,23 +136,23 @@ def test_impossible_slews_are_refused(slew):
         SampleLimits.of(LANDER, STEP, GYROSCOPES, ACCELEROMETERS, slew=slew)
 
 
-@pytest.mark.parametrize("name", ["step", "noise", "most"])
+@pytest.mark.parametrize("name", ["step", "noise", "maximum"])
 @pytest.mark.parametrize("wrong", [np.nan, -1.0])
 def test_impossible_limits_are_refused(name, wrong):
     with pytest.raises(InputError, match=f"limits.{name}"):
-        SampleGuard(replace(LIMITS, **{name: np.full(6, wrong)}), STEP)
+        ImuOutlierDetector(replace(LIMITS, **{name: np.full(6, wrong)}), STEP)
 
 
 def test_missing_samples_let_the_lander_have_moved_meanwhile():
     rng = np.random.default_rng(6)
-    guard = SampleGuard(LIMITS, STEP)
+    guard = ImuOutlierDetector(LIMITS, STEP)
     angle, velocity = (np.zeros((60, 3)) for _ in range(2))
     angle[:, 0] = np.cumsum(np.full(60, 600.0 / 1100.0 * STEP)) * STEP
     angle += 1e-6 * rng.standard_normal((60, 3))
     angle[10:50] = np.nan
-    found = guard.judge(angle, velocity)
-    assert found.refused == 0
-    assert found.gone.sum() == 40
+    found = guard.screen(angle, velocity)
+    assert found.rejected == 0
+    assert found.is_missing.sum() == 40
 
 
 @pytest.mark.parametrize("limits", [LIMITS, SampleLimits.unknown()])
@@ -160,21 +160,21 @@ def test_missing_samples_let_the_lander_have_moved_meanwhile():
 def test_a_sample_with_one_number_missing_counts_as_missing(limits, missing):
     given = np.zeros((20, 3)), np.full((20, 3), 0.01)
     given[missing][4, 1] = np.nan
-    judged = SampleGuard(limits, STEP).judge(*given)
-    assert list(np.flatnonzero(judged.gone)) == [4] and judged.refused == 0
+    judged = ImuOutlierDetector(limits, STEP).screen(*given)
+    assert list(np.flatnonzero(judged.is_missing)) == [4] and judged.rejected == 0
 
 
 def test_without_a_vehicle_only_what_no_lander_can_do_is_refused():
-    guard = SampleGuard(SampleLimits.unknown(), STEP)
+    guard = ImuOutlierDetector(SampleLimits.unknown(), STEP)
     angle, velocity = np.zeros((4, 3)), np.zeros((4, 3))
     angle[1, 2], velocity[2, 0] = 10.0 * STEP, 600.0 * STEP
-    found = guard.judge(angle, velocity)
-    assert found.gone.tolist() == [False, False, True, False]
-    assert found.refused == 1
+    found = guard.screen(angle, velocity)
+    assert found.is_missing.tolist() == [False, False, True, False]
+    assert found.rejected == 1
 
 
 def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[str]]:
-    """Return the greatest error in deviations up to 2 s after a spike, and what was told."""
+    """Return the maximum error in sigmas up to 2 s after a spike, and the events."""
     scenario = Scenario.load(SCENARIO).changed(
         sensors={"flash": None}, tasking={"flash": None}, mappers={"dem": None},
         terrain={"size_m": 400.0},
@@ -202,7 +202,7 @@ def flown(which: str, axis: int, size: float, when: float) -> tuple[float, list[
 
 
 def error(simulation: Simulation) -> np.ndarray:
-    """Of velocity and attitude in the site frame (6,), in deviations."""
+    """Return errors of velocity and attitude in the site frame (6,), in sigmas."""
     found = simulation.computer.navigation.estimate_in_site(simulation.time, 1.0)
     state = simulation.state
     turn = quat_to_rotation_vector(quat_multiply(found.attitude, quat_conjugate(state.attitude)))
@@ -217,7 +217,7 @@ def error(simulation: Simulation) -> np.ndarray:
      ("angle", 1, 1e3), ("velocity", 2, 1e2)],
 )  # fmt: skip
 def test_the_worst_spike_under_the_limit_is_no_silent_error(which, axis, size, when):
-    """On either side of the limit: what is refused is told, what is believed does no harm."""
+    """At both sides of the limit: rejections are reported, accepted samples are harmless."""
     worst, told = flown(which, axis, size, when)
     assert worst < 5.0
     assert "lost" not in told

@@ -1,4 +1,4 @@
-"""Scans whose pixels cannot be the ground's, against neighbours looked at one by one."""
+"""Test spike removal and noise estimation of scans."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from lunarsim.errors import InputError
 from lunarsim.messages.measurements import LidarScan
-from lunarsim.onboard.navigation.scan_health import is_noisy, noise_of, without_spikes
-from lunarsim.onboard.navigation.scan_odometry import plausible
+from lunarsim.onboard.navigation.scan_health import is_noisy, range_noise, remove_spikes
+from lunarsim.onboard.navigation.scan_odometry import remove_implausible_ranges
 
 
 def scan_of(image, sigma=0.01):
@@ -25,7 +25,7 @@ def slope(rows=40, cols=50):
 
 
 def spikes_by_hand(r, sigma):
-    """Pixels that lie farther off three of their neighbours, to one side, than ground may."""
+    """Return pixels too far from three of their neighbours in one direction."""
     out = np.zeros(r.shape, bool)
     for i in range(r.shape[0]):
         for j in range(r.shape[1]):
@@ -50,7 +50,7 @@ def test_spikes_are_those_found_pixel_by_pixel(sigma):
     scan = scan_of(r, sigma)
     expected = spikes_by_hand(r, sigma)
     assert expected.sum() > 50
-    found = without_spikes(scan).range.reshape(r.shape)
+    found = remove_spikes(scan).range.reshape(r.shape)
     assert np.array_equal(np.isnan(found), np.isnan(r) | expected)
     assert np.array_equal(found[~np.isnan(found)], r[~np.isnan(found)])
 
@@ -60,9 +60,9 @@ def test_ground_has_no_spikes():
     r[10:14, 20:23] -= 2.0  # a rock of a few pixels
     r[:, 40:] += 5.0  # the edge of a cliff
     scan = scan_of(r)
-    assert without_spikes(scan) is scan
+    assert remove_spikes(scan) is scan
     small = scan_of(np.full((2, 9), 50.0))
-    assert without_spikes(small) is small
+    assert remove_spikes(small) is small
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.3, 1.0])
@@ -70,23 +70,23 @@ def test_noise_is_what_ranges_scatter_by(sigma):
     rng = np.random.default_rng(2)
     r = slope(128, 128) + sigma * rng.standard_normal((128, 128))
     r[rng.random(r.shape) < 0.2] = np.nan
-    assert noise_of(scan_of(r)) == pytest.approx(sigma, rel=0.05)
+    assert range_noise(scan_of(r)) == pytest.approx(sigma, rel=0.05)
 
 
 def test_a_scan_is_noisy_where_it_scatters_beyond_what_is_stated():
     rng = np.random.default_rng(3)
     r = slope() + 0.5 * rng.standard_normal((40, 50))
     assert is_noisy(scan_of(r, 0.02))
-    assert not is_noisy(scan_of(r, 0.1)), "three deviations and rough ground"
+    assert not is_noisy(scan_of(r, 0.1)), "three sigmas and rough terrain"
     assert is_noisy(scan_of(slope(), 0.2)), "so much noise is too much, stated or not"
     assert not is_noisy(scan_of(slope(), 0.02))
     assert not is_noisy(scan_of(np.full((40, 50), np.nan)))
-    assert np.isnan(noise_of(scan_of(np.full((9, 9), 10.0)))), "too few to tell"
+    assert np.isnan(range_noise(scan_of(np.full((9, 9), 10.0)))), "too few pixels"
 
 
 def test_rows_and_columns_that_are_not_those_of_the_pixels_are_refused():
     with pytest.raises(InputError, match=r"scan\.shape"):
-        without_spikes(replace(scan_of(slope()), shape=(40, 49)))
+        remove_spikes(replace(scan_of(slope()), shape=(40, 49)))
 
 
 @pytest.mark.parametrize(
@@ -102,15 +102,15 @@ def test_rows_and_columns_that_are_not_those_of_the_pixels_are_refused():
 def test_arrays_that_are_none_of_a_scan_are_refused_by_name(field, value, match):
     scan = replace(scan_of(slope()), **{field: value})
     with pytest.raises(InputError, match=rf"scan\.{match}"):
-        plausible(scan)
+        remove_implausible_ranges(scan)
     with pytest.raises(InputError, match=rf"scan\.{match}"):
         scan.check(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("sigma", [np.nan, -0.01, np.inf])
-def test_a_range_without_a_deviation_tells_nothing(sigma):
+def test_range_without_sigma_is_ignored(sigma):
     scan = scan_of(slope())
     broken = scan.sigma.copy()
     broken[::3] = sigma
-    found = plausible(replace(scan, sigma=broken))
+    found = remove_implausible_ranges(replace(scan, sigma=broken))
     assert np.isnan(found.range[::3]).all() and np.isfinite(found.range[1::3]).all()

@@ -1,4 +1,4 @@
-"""How a scan's points move with what it errs by, against the scan itself with small errors."""
+"""Test the Jacobian of scan points against scans with small errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def seen() -> SeenScan:
-    """Return a scan of ten rays from a lander that moves and turns, the mount askew."""
+    """Return a scan of ten rays from a moving, rotating lander with a tilted mount."""
     rng = np.random.default_rng(4)
     rays = np.column_stack((rng.uniform(-0.3, 0.3, (10, 2)), np.ones(10)))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def test_points_lie_where_the_rays_end():
         for r, d in zip(scan.scan.range, scan.scan.direction, strict=True)
     ]
     assert scan.points() == pytest.approx(np.array(wanted), abs=1e-12)
-    with pytest.raises(InputError, match="one a ray"):
+    with pytest.raises(InputError, match="must have shape"):
         LidarScan(0.0, np.ones(3), np.ones((2, 3)), DOWN, np.ones(3), (1, 3)).points(
             np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
         )

@@ -1,4 +1,4 @@
-"""The unscented filter against a linear Kalman filter written out, and what it makes of mass."""
+"""Test the unscented filter against a linear Kalman filter, and its mass estimate."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def made(attitude=TILT, *, errors=STARTS, settings=None, off=10.0, gyroscopes=ST
 
 
 class Linear:
-    """Position, velocity and bias of a lander that does not turn: a Kalman filter written out."""
+    """Explicit Kalman filter of position, velocity and bias without rotation."""
 
     def __init__(self) -> None:
         self.x = np.array([5.0, -8.0, 300.0, 12.0, 3.0, -9.0, 0.0, 0.0, 0.0])
@@ -76,7 +76,7 @@ class Linear:
     def speeds(self, z, sigma) -> None:
         h = np.zeros((3, 9))
         h[:, 3:6] = np.array(BEAMS) @ self.r.T
-        # What beams are off by, 0.02 m/s and a walk of 0.005 m/s a second, lasts for 100 readings.
+        # The beam bias (0.02 m/s, random walk 0.005 m/s in 1 s) persists for 100 readings.
         self.correct(h, z, (sigma**2 + 100.0 * (0.02**2 + 10.0 * 0.005**2)) * np.eye(3))
 
     def range(self, z, sigma, ground) -> None:
@@ -138,7 +138,7 @@ UP = np.array([0.0, 0.0, 0.0, 1.0])
 
 @pytest.mark.parametrize("lag", [0.0, 0.1, 0.7])
 def test_mass_falls_by_what_the_engine_burns(lag):
-    """With commands that change every second, and an engine that follows them late."""
+    """With commands that change every second, and a thrust lag."""
     own = made(UP, mass=1500.0, lag=lag)
     true = flown(own, lambda t: 2400.0 + 900.0 * (int(t) % 2), 1500.0, 20.0, lag)
     assert 1500.0 - true > 15.0
@@ -149,7 +149,7 @@ def test_mass_falls_by_what_the_engine_burns(lag):
 
 
 def test_mass_is_found_where_it_was_not_known():
-    """30 starts 40 kg off at random; the engine a hundredth off, another one each flight."""
+    """30 starts with random mass errors of 40 kg and thrust errors of 1 %."""
     settings = UnscentedNavigation(mass_sigma=40.0)
     squares = []
     for seed in range(30):
@@ -187,7 +187,7 @@ def test_attitude_is_what_the_tracker_gives_and_what_turns_do_since():
     assert own.watches["stars attitude"].refused == 1
 
 
-def test_what_cannot_be_explained_is_lost():
+def test_unexplained_measurements_lose_navigation():
     own = made()
     for k in range(1, 41):
         reading = DopplerReading(
@@ -234,7 +234,7 @@ def test_an_attitude_that_errs_by_more_than_a_turn_tells_nothing(spread):
         ("stars", AttitudeReading(0.1, TILT[:3], np.eye(3)), "attitude"),
     ],
 )
-def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measurement, field):
+def test_readings_with_wrong_shape_are_rejected_without_change(sensor, measurement, field):
     own = made()
     x, p = own.kalman.x.copy(), own.kalman.P.copy()
     with pytest.raises(InputError, match=field):
@@ -244,7 +244,7 @@ def test_readings_of_another_shape_are_refused_and_change_nothing(sensor, measur
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -1.0])
-def test_figures_that_no_lander_has_are_refused(value):
+def test_implausible_parameters_are_rejected(value):
     with pytest.raises(InputError, match="mass"):
         made(mass=value)
     with pytest.raises(InputError, match="exhaust"):
@@ -259,7 +259,7 @@ def test_figures_that_no_lander_has_are_refused(value):
         own.commanded(100.0, value if value else -1.0)
 
 
-def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
+def test_measurements_move_site_not_lander_in_local_frame():
     own = made(off=0.5)
     before = own.estimate(0.0, 1.0).position
     own.take("down", AltimeterReading(0.0, 260.0, 0.5), 0.0)
@@ -269,7 +269,7 @@ def test_what_is_measured_moves_the_site_and_not_the_lander_in_its_own_frame():
     np.testing.assert_allclose(own.site_to_local.to_local(found), before, atol=1e-9)
 
 
-def test_a_covariance_that_is_not_positive_is_mended_and_goes_on():
+def test_indefinite_covariance_is_repaired():
     own = made()
     root = np.random.default_rng(3).normal(size=(10, 10))
     own.kalman.P = root @ root.T
@@ -280,5 +280,5 @@ def test_a_covariance_that_is_not_positive_is_mended_and_goes_on():
     found = np.linalg.eigvalsh(own.kalman.P)
     assert found.min() > 0.0
     assert np.isfinite(own.estimate(0.1, 1.0).position).all()
-    # What was known otherwise still is.
+    # Other estimates are not affected.
     assert found.max() == pytest.approx(values.max(), rel=0.5)

@@ -1,26 +1,26 @@
-"""Kriging against a field with a level of its own, and against drawn heights."""
+"""Test kriging against a random field with unknown mean, and random heights."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from lunarsim.onboard.navigation.wandering_ground import heights, kriging
+from lunarsim.onboard.navigation.wandering_ground import interpolate_heights, kriging_weights
 
-OWN = 0.05  # m, of each place by itself
+INDIVIDUAL_SIGMA_M = 0.05  # individual part of each height
 
 
 def covariance(points, growth, level=1e4):
-    """Return the covariance (n, n) of heights about an unknown level: distances from afar."""
+    """Return the covariance (n, n) of heights about an unknown mean."""
     away = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    return level - 0.5 * growth * away + OWN**2 * np.eye(len(points))
+    return level - 0.5 * growth * away + INDIVIDUAL_SIGMA_M**2 * np.eye(len(points))
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.01, 0.2])
 def test_weights_and_variance_equal_those_of_a_field_of_unknown_level(growth):
     rng = np.random.default_rng(1)
     places, at = rng.uniform(-50.0, 50.0, (7, 4, 2)), rng.uniform(-50.0, 50.0, (7, 2))
-    weights, variance = kriging(places, at, growth)
+    weights, variance = kriging_weights(places, at, growth)
     assert weights.sum(1) == pytest.approx(1.0)
     for k in range(7):
         c = covariance(np.vstack((places[k], at[k])), growth)
@@ -33,8 +33,8 @@ def test_heights_of_level_ground_are_level_and_near_ones_count():
     rng = np.random.default_rng(2)
     places = rng.uniform(-20.0, 20.0, (30, 2))
     at = rng.uniform(-20.0, 20.0, (9, 2))
-    assert heights(places, np.full(30, 3.7), at, 0.1) == pytest.approx(3.7)
+    assert interpolate_heights(places, np.full(30, 3.7), at, 0.1) == pytest.approx(3.7)
     known = rng.normal(size=30)
-    # Beside a place its own height counts, apart from what places have of their own.
-    assert heights(places, known, places + 0.01, 10.0) == pytest.approx(known, abs=0.05)
-    assert heights(places[:1], known[:1], at, 0.1) == pytest.approx(known[0])
+    # Near a place, its height counts, apart from the individual part.
+    assert interpolate_heights(places, known, places + 0.01, 10.0) == pytest.approx(known, abs=0.05)
+    assert interpolate_heights(places[:1], known[:1], at, 0.1) == pytest.approx(known[0])

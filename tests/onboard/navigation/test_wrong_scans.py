@@ -1,4 +1,4 @@
-"""Scans that contradict the map, or what the scanner states, while the lander is locked to it."""
+"""Test scans that contradict the map or the scanner's specification during a lock."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def ground():
 
 
 def flown(ground, seed, change, seconds, lidar=LIDAR):
-    """Fly with scans that are changed from 4 s on; return the descent and its worst errors.
+    """Fly with modified scans from 4 s on; return the descent and its maximum errors.
 
     Of position and attitude, in deviations, at the end of each second while not called lost.
     """
@@ -43,21 +43,21 @@ def flown(ground, seed, change, seconds, lidar=LIDAR):
 
 
 def descent_off(descent):
-    """Greatest error of position or attitude, in deviations."""
+    """Return the maximum error of position or attitude, in sigmas."""
     sigma = np.sqrt(np.diag(descent.estimate().covariance))[KEEP]
     return float((np.abs(descent.error()) / sigma).max())
 
 
 def velocity_off(descent):
-    """Greatest error of velocity, in deviations."""
+    """Return the maximum error of velocity, in sigmas."""
     found = descent.estimate()
     sigma = np.sqrt(np.diag(found.covariance)[3:6])
     return float((np.abs(VELOCITY - found.velocity) / sigma).max())
 
 
 @pytest.mark.parametrize(("seed", "off"), [(11, 0.4), (11, 1.0), (12, 4.0)])
-def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed, off):
-    """And where they are longer than by six of what it states, to one that is not as stated."""
+def test_range_bias_is_attributed_to_scanner(ground, seed, off):
+    """With a bias above six specified sigmas, the scanner is out of specification."""
     descent, worst = flown(ground, seed, lambda s: replace(s, range=s.range + off), 8)
     assert names(descent)[:2] == ["lock", "doubted"]
     assert descent.filter.lost is (off > 0.6)
@@ -67,8 +67,8 @@ def test_ranges_that_are_all_too_long_are_laid_to_the_scanner(ground, seed, off)
     assert abs(bias) == pytest.approx(off, abs=0.3)
 
 
-def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
-    """It is 1.1 deg: scans that fit elsewhere let the boresight go, which cannot be off by that."""
+def test_undetected_rotation_is_not_attributed_to_boresight(ground):
+    """The tilt is 1.1 deg: the boresight is released but cannot explain it."""
     descent = Descent(ground[0], 11, ground[1]).fly(FROM)
     honest = descent.filter.propagate
 
@@ -83,15 +83,15 @@ def test_a_turn_that_no_gyroscope_told_of_is_not_laid_to_the_boresight(ground):
     assert descent.filter.events[-1].details["measurement"] == "scanner"
 
 
-def test_what_the_scanner_cannot_have_erred_by_is_lost(ground):
-    """The base of its gimbal turns: neither range, boresight nor latency."""
+def test_impossible_scanner_error_loses_navigation(ground):
+    """The base of the gimbal rotates: no range, boresight or latency error."""
     turn = quat_to_matrix(quat_from_rotation_vector([np.deg2rad(1.0), 0.0, 0.0]))
     descent, worst = flown(ground, 11, lambda s: replace(s, mount=turn @ s.mount), 10)
     assert names(descent)[-1] == "lost"
     assert descent.filter.lost and worst < 4.0
 
 
-def test_flecks_are_taken_out_before_they_draw_a_fit_along(ground):
+def test_spikes_are_removed_before_registration(ground):
     rng = np.random.default_rng(0)
 
     def flecks(scan):
@@ -103,7 +103,7 @@ def test_flecks_are_taken_out_before_they_draw_a_fit_along(ground):
     assert worst < 4.0 and velocity_off(descent) < 4.0
 
 
-def test_noise_that_drowns_the_ground_tells_nothing(ground):
+def test_excessive_noise_is_ignored(ground):
     rng = np.random.default_rng(0)
 
     def noise(scan):
@@ -119,8 +119,8 @@ def test_noise_that_drowns_the_ground_tells_nothing(ground):
     assert names(descent)[-1] == "scans-accepted"
 
 
-def test_noise_that_the_scanner_owns_up_to_tells_nothing_either(ground):
-    """0.3 m from the start on: slopes of noise tied the velocity to 12 deviations off."""
+def test_excessive_specified_noise_is_ignored(ground):
+    """Noise of 0.3 m from the start: noise slopes once biased the velocity by 12 sigmas."""
     noisy = replace(LIDAR, noise_ratio=1.2e-3)
     descent, worst = flown(ground, 11, lambda scan: scan, 6, noisy)
     assert names(descent) == ["scans-refused"]

@@ -12,7 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap
-from lunarsim.onboard.hazards.shadows.aspect import aspect
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -112,11 +112,15 @@ def test_looks_are_as_sharp_as_shadows_along_the_plane_are_long(scene):
     place = np.dstack((xy, plane.heights(xy.reshape(-1, 2)).reshape(xy.shape[:2])))
     focal = float(np.sqrt(view.fx * view.fy))
     model = scene.model.under(float(np.arcsin(plane.direction(scene.sun)[2])))
-    sharp = model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    sharp = model.visible_pixels(
+        1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane)
+    )
     looked = found > 0.0
     assert looked.sum() > 50
     np.testing.assert_allclose(found[looked], sharp[looked], rtol=1e-5)
-    level = scene.model.visible_pixels(1.0, *aspect(place, view.position, focal, scene.sun, plane))
+    level = scene.model.visible_pixels(
+        1.0, *viewing_geometry(place, view.position, focal, scene.sun, plane)
+    )
     assert np.median(abs(level[looked] / sharp[looked] - 1.0)) > 0.03
 
 
@@ -157,14 +161,14 @@ def test_shadows_on_a_slope_show_what_is_clear():
     model = ShadowModel(np.radians(sun[1]))
     plane = GroundPlane(0.0, gradient)
     grid = Grid.centred((0.0, 0.0), 60.0, 0.25)
-    middles = np.column_stack((rocks.x, rocks.y))
+    cell_centres = np.column_stack((rocks.x, rocks.y))
     missed = {}
     for name, along in (("slope", plane), ("level", LEVEL)):
         seen = detect_rocks(counts, camera, state, towards, ground=along, model=model)
         drawn = ProbabilityMap(grid, model, HazardPrior(0.05, 1.0))
         drawn.see(camera.view(state), towards, seen, plane.heights, plane=along)
         places = drawn.evidence.grid
-        row, col = places.cell(middles[grid.contains(middles)])
+        row, col = places.cell(cell_centres[grid.contains(cell_centres)])
         lit, dark = (layer[0, row, col] for layer in (drawn.evidence.lit, drawn.evidence.dark))
         looked = (lit > 0.0) | (dark > 0.0)
         assert looked.sum() > 20
@@ -202,7 +206,7 @@ def test_ground_shows_as_many_pixels_as_level_ground_of_its_aspect(gradient):
     place = np.column_stack((middle, plane.heights(middle)))
     focal = float(np.sqrt(view.fx * view.fy))
     east = np.array([1.0, 0.0, 0.0])
-    azimuth, depression, pixel = aspect(place, view.position, focal, east, plane)
+    azimuth, depression, pixel = viewing_geometry(place, view.position, focal, east, plane)
     xy = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corners = np.column_stack((xy, plane.heights(xy)))
     u, v = view.pinhole.project((corners - view.position) @ view.axes).T

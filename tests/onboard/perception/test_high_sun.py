@@ -10,7 +10,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.onboard.perception import _health_kernels as kernels
 from lunarsim.onboard.perception.detector import detect_rocks
 from lunarsim.onboard.perception.direction import turn_from_sun
-from lunarsim.onboard.perception.health import Fault, PictureHealth, SunProof
+from lunarsim.onboard.perception.health import Fault, PictureHealth, SunConfirmation
 from lunarsim.onboard.perception.high_sun import more_certain
 from lunarsim.onboard.perception.lit_faces import lit_faces
 from lunarsim.onboard.perception.shadow_model import ShadowModel
@@ -47,7 +47,7 @@ def looked_at(scene, off):
     """Return the angle found under a Sun taken to be `off` (deg) beside, and the verdict."""
     state, camera, counts, elevation = scene
     sun = direction_from_angles(AZIMUTH + np.radians(off), np.radians(elevation))
-    model, health = ShapeMixture(np.radians(elevation)), PictureHealth(sun=SunProof())
+    model, health = ShapeMixture(np.radians(elevation)), PictureHealth(sun=SunConfirmation())
     first = health.before_detection(counts, camera, state)
     seen = detect_rocks(counts, camera, state, sun, model=model)
     points = np.column_stack((seen.ground, np.zeros(len(seen))))
@@ -97,7 +97,7 @@ def test_an_angle_known_less_well_proves_the_sun_only_far_from_what_it_may_be_wr
     limit = np.degrees(health.settings.wrong_turn) / health.settings.wrong_by
 
     def proven(angle, sigma, side=6.0, high=True):
-        scene = PictureHealth(sun=SunProof())
+        scene = PictureHealth(sun=SunConfirmation())
         told = SunAngle(np.radians(angle), np.radians(sigma), side, 50, high_sun=high)
         scene.after_detection(_seen(), told, 0.01)
         return scene.sun.seen

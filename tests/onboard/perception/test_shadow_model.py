@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.perception.shadow_model import ShadowModel, bare_share
+from lunarsim.onboard.perception.shadow_model import ShadowModel, faceted_shadowless_fraction
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.rocks.field import RockModel
 
 
 def test_rocks_that_show_nothing_dark_are_the_faceted_ones_under_a_high_sun():
     """A face is dark where it turns away from the Sun; of a convex rock all may be lit."""
-    shares = [bare_share(np.radians(e)) for e in (10.0, 30.0, 50.0, 60.0, 70.0)]
+    shares = [faceted_shadowless_fraction(np.radians(e)) for e in (10.0, 30.0, 50.0, 60.0, 70.0)]
     assert shares[:2] == [0.0, 0.0]
     assert (np.diff(shares[1:]) > 0.0).all()
     high = np.radians(60.0)
-    assert ShadowModel(high, RockModel("cube")).bare == 0.0
-    assert ShadowModel(high, RockModel("irregular")).bare == shares[3]
+    assert ShadowModel(high, RockModel("cube")).shadowless_fraction == 0.0
+    assert ShadowModel(high, RockModel("irregular")).shadowless_fraction == shares[3]
     mixture = ShapeMixture(high, "cube")
-    assert 0.0 < mixture.bare < shares[3]
+    assert 0.0 < mixture.shadowless_fraction < shares[3]
 
 
 def test_rocks_are_as_long_as_their_axes_make_them():
@@ -43,15 +43,17 @@ def test_rocks_are_so_long_as_often_as_is_said(shape):
     seen = 1.0 + 0.1 * rng.standard_normal(len(drawn.a))
     model = ShadowModel(np.radians(20.0), rocks)
     for limit in (0.8, 1.0, 1.1, 1.2, 1.35):
-        told = model.as_long_as(limit, np.ones(1), np.full(1, 0.1))
+        told = model.probability_longer_than(limit, np.ones(1), np.full(1, 0.1))
         assert told == pytest.approx(np.mean(drawn.a * seen >= limit), abs=0.02), limit
     # Axes of one ratio are of one length.
     one = RockModel("ellipsoid", axis_ratio=(0.64, 0.64))
     assert ShadowModel(np.radians(20.0), one).longer_axis == (pytest.approx(1.25), 0.0)
     # Of a population, by the shares of its shapes.
     mixture = ShapeMixture(np.radians(20.0), "cube")
-    by_shape = [m.as_long_as(1.1, np.ones(1), np.full(1, 0.1))[0] for m in mixture.models]
-    told = mixture.as_long_as(1.1, np.ones(1), np.full(1, 0.1))
+    by_shape = [
+        m.probability_longer_than(1.1, np.ones(1), np.full(1, 0.1))[0] for m in mixture.models
+    ]
+    told = mixture.probability_longer_than(1.1, np.ones(1), np.full(1, 0.1))
     assert told == pytest.approx(mixture.shape_shares @ by_shape)
     assert by_shape[0] > 2.0 * by_shape[3]
 

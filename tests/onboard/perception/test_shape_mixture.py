@@ -142,7 +142,7 @@ def test_rounded_rocks_nearly_as_high_as_wide_are_not_taken_for_small_cubes(mode
     mixture = taught(models["tall"], rng, told)
     r, seen = patches(models["tall"], rng, 1000, radius=0.27)
     read = mixture.read(*seen)
-    chance = mixture.as_long_as(0.25, read.radius, read.sigma)
+    chance = mixture.probability_longer_than(0.25, read.radius, read.sigma)
     assert np.mean(chance < 0.0025) < 0.01
     assert np.mean(read.largest < 0.25) < 0.02
 

@@ -140,7 +140,7 @@ def test_the_scoreboard_flies_to_the_best_ranked_site_in_reach():
     assert choose(board([2.0], here=np.inf, here_propellant=np.inf)).site[0] == 10.0
     assert choose(board([np.nan])).site is None
     assert choose(board([2.0], propellant=[np.inf])).site is None
-    assert choose(observation([0.9], [5.0], [20.0])).reason == "the map ranks no sites"
+    assert choose(observation([0.9], [5.0], [20.0])).reason == "the mapper ranks no sites"
 
 
 def test_the_scoreboard_weighs_fuel_if_told_to():

@@ -7,8 +7,8 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.perception.detection_rates import DetectionRates
-from lunarsim.onboard.seeking.ground import nodes_of
-from lunarsim.onboard.seeking.information import ExpectedRocks, entropy, told_by_look
+from lunarsim.onboard.seeking.ground import terrain_nodes
+from lunarsim.onboard.seeking.information import ExpectedRocks, entropy, removed_uncertainty
 from lunarsim.rocks.laws import golombek_cover
 
 
@@ -29,9 +29,9 @@ def test_rocks_that_cannot_be_are_refused(cover, least):
 
 def test_a_look_that_misses_nothing_tells_all_and_one_that_misses_all_nothing():
     rocks = ExpectedRocks.of(0.08, 0.5)
-    assert told_by_look(rocks, 1.0, lambda q: 0.0 * q, 3.0) == pytest.approx(1.0)
-    assert told_by_look(rocks, 1.0, lambda q: 0.0 * q + 1.0, 3.0) == pytest.approx(0.0)
-    told = told_by_look(rocks, 1.0, DetectionRates().false_clear, np.linspace(0.0, 40.0, 81))
+    assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q, 3.0) == pytest.approx(1.0)
+    assert removed_uncertainty(rocks, 1.0, lambda q: 0.0 * q + 1.0, 3.0) == pytest.approx(0.0)
+    told = removed_uncertainty(rocks, 1.0, DetectionRates().false_clear, np.linspace(0.0, 40.0, 81))
     assert (np.diff(told) >= -1e-12).all()
     assert told[0] == pytest.approx(0.0)
     assert 0.8 < told[-1] < 1.0  # the floor of the miss rate stays
@@ -48,7 +48,7 @@ def test_it_is_the_mutual_information_of_hazard_and_look():
     apart = joint.sum(1, keepdims=True) * joint.sum(0, keepdims=True)
     some = joint > 0.0
     information = float((joint[some] * np.log2(joint[some] / apart[some])).sum())
-    told = float(told_by_look(rocks, 1.1, lambda q: 0.0 * q + missed, 1.0))
+    told = float(removed_uncertainty(rocks, 1.1, lambda q: 0.0 * q + missed, 1.0))
     assert told == pytest.approx(information / entropy(hazard.mean()), abs=0.005)
 
 
@@ -62,7 +62,7 @@ def test_squares_know_what_the_map_has_seen():
     observed[:, 4:] = True
     p = np.where(observed, 0.999, 0.0)
     p[:, 6:] = 0.5
-    nodes = nodes_of(a_map(p, observed), 4, 0.2, np.array([10.0, -4.0, 7.0]))
+    nodes = terrain_nodes(a_map(p, observed), 4, 0.2, np.array([10.0, -4.0, 7.0]))
     assert nodes.shape == (16, 5)
     np.testing.assert_allclose(nodes[:4, 0], [7.0, 9.0, 11.0, 13.0])
     np.testing.assert_allclose(np.unique(nodes[:, 1]), [-7.0, -5.0, -3.0, -1.0])
@@ -79,14 +79,14 @@ def test_ground_that_the_mission_excludes_has_no_weight():
     eligible[4, :] = False
     elevation = np.full((8, 8), 2.5, np.float32)
     drawn = a_map(np.zeros((8, 8)), np.zeros((8, 8), bool), eligible=eligible, elevation=elevation)
-    nodes = nodes_of(drawn, 4, 0.2, np.array([10.0, -4.0, 7.0]))
+    nodes = terrain_nodes(drawn, 4, 0.2, np.array([10.0, -4.0, 7.0]))
     np.testing.assert_allclose(nodes[:, 3].reshape(4, 4)[:, 0], [0.0, 0.0, 0.5, 1.0])
     assert (nodes[:, 2] == 2.5).all()
     # A map that is wider than high lies in the middle of its squares.
     wide = HazardMap(Grid.centred(np.zeros(2), 8.0, 1.0, 4.0), np.zeros((4, 8), np.float32),
                      np.zeros((4, 8), bool), eligible=np.ones((4, 8), bool))  # fmt: skip
-    weight = nodes_of(wide, 4, 0.2, np.zeros(3))[:, 3].reshape(4, 4)
+    weight = terrain_nodes(wide, 4, 0.2, np.zeros(3))[:, 3].reshape(4, 4)
     np.testing.assert_allclose(weight[:, 1], [0.0, 1.0, 1.0, 0.0])
     # Squares that no whole number of cells makes up.
-    uneven = nodes_of(drawn, 3, 0.2, np.array([10.0, -4.0, 7.0]))[:, 3].reshape(3, 3)
+    uneven = terrain_nodes(drawn, 3, 0.2, np.array([10.0, -4.0, 7.0]))[:, 3].reshape(3, 3)
     np.testing.assert_allclose(uneven.mean(), eligible.mean())

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lunarsim.onboard.guidance.divert import divert_cost
-from lunarsim.onboard.seeking.eyes import eyes_of, footprint_of
+from lunarsim.onboard.seeking.eyes import build_coverage_models, footprint_radius
 from lunarsim.onboard.seeking.law import InformationSeekingLaw
-from lunarsim.onboard.seeking.planner import Plan, SeekingPlanner, vehicle_figures
+from lunarsim.onboard.seeking.planner import PathPlan, SeekingPlanner, vehicle_params
 from lunarsim.onboard.tasking.contract import Looks
 from tests.onboard.seeking.conftest import at_start
 from tests.reference import seeking as plain
@@ -20,7 +20,7 @@ PRICE, MOST = 0.02, 20.0
 def asked(paper):
     """A law as the flight begins, its problem, and its only eye."""
     law, (here, end) = at_start(paper)
-    (eye,) = eyes_of(paper.briefing, 0.5)
+    (eye,) = build_coverage_models(paper.briefing, 0.5)
     return law, law.problem(here, end, paper.site), eye
 
 
@@ -37,19 +37,27 @@ def worth(one, problem, plans):
 
 
 def plain_eye(eye, looks, stations=()):
-    side = len(eye.sharp)
+    side = len(eye.sharpness)
     return {
         "axes": (np.linspace(-1.0, 1.0, side), np.linspace(0.0, 1.0, side)),
-        "sharp": eye.sharp, "open": eye.open, "astray": eye.astray, "told": eye.told,
-        "sharpest": eye.sharpest, "pixel": eye.pixel, "longest": eye.longest,
+        "sharp": eye.sharpness,
+        "open": eye.visible_fraction,
+        "astray": eye.displacement,
+        "told": eye.reduction,
+        "sharpest": eye.max_sharpness,
+        "pixel": eye.pixel,
+        "longest": eye.max_range,
         "half_field_deg": np.degrees(np.arctan(eye.half_field)),
-        "gimbal_deg": np.degrees(eye.gimbal_limit), "highest": looks.highest,
-        "lowest": looks.lowest, "sun_azimuth": np.arctan2(*eye.sun), "stations": stations,
-    }  # fmt: skip
+        "gimbal_deg": np.degrees(eye.gimbal_limit),
+        "highest": looks.highest,
+        "lowest": looks.lowest,
+        "sun_azimuth": np.arctan2(*eye.sun),
+        "stations": stations,
+    }
 
 
 @pytest.mark.parametrize("change", [
-    {}, {"half_field": 0.05}, {"gimbal_limit": np.radians(20.0)}, {"longest": 150.0},
+    {}, {"half_field": 0.05}, {"gimbal_limit": np.radians(20.0)}, {"max_range": 150.0},
 ])  # fmt: skip
 def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     """Scores of the paper's lander and camera are those of looks taken one by one."""
@@ -67,7 +75,7 @@ def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
         np.tan(limits.glideslope),
     )  # fmt: skip
     np.testing.assert_allclose(
-        vehicle_figures(problem.estimate, lander, problem.gravity, limits), vehicle
+        vehicle_params(problem.estimate, lander, problem.gravity, limits), vehicle
     )
     names = ("weight", "known", "needs")
     nodes = [
@@ -76,7 +84,7 @@ def test_the_kernel_is_given_what_the_lander_and_its_eyes_are(asked, change):
     wanted = plain.score(
         problem.estimate.position, problem.estimate.velocity, problem.end.position,
         problem.end.velocity, plans, (24, 24), vehicle, end_tilt,
-        (problem.site, problem.standing, problem.least_altitude), nodes, [plain_eye(eye, looks)],
+        (problem.site, problem.com_height, problem.min_altitude), nodes, [plain_eye(eye, looks)],
     )  # fmt: skip
     found = one.score(problem, plans)
     good = np.isfinite(wanted[:, 1])
@@ -117,7 +125,7 @@ def test_what_is_flown_stays_unless_another_is_better(asked):
     value = [p.known - PRICE * p.propellant for p in (alone, flown, kept)]
     assert value[0] < value[1] - 1e-3
     assert value[2] >= value[1] - 1e-12
-    assert isinstance(kept, Plan)
+    assert isinstance(kept, PathPlan)
 
 
 def test_looks_that_are_past_count_no_more(asked):
@@ -126,7 +134,7 @@ def test_looks_that_are_past_count_no_more(asked):
     plans = one.drawn(problem, 47.0, 400)
     known = {}
     for passed in (np.inf, 200.0, 100.0):
-        scored = one.score(replace(problem, passed=passed), plans)
+        scored = one.score(replace(problem, lowest_altitude=passed), plans)
         known[passed] = scored[np.isfinite(scored[:, 1]), 0].max()
     nothing = planner(eye, Looks(at=(1e5,))).score(problem, plans)
     assert known[np.inf] >= known[200.0] > known[100.0] + 0.05
@@ -167,8 +175,8 @@ def test_what_was_passed_stays_passed_and_the_way_down_is_chosen_once(paper, ask
     low = replace(here, position=here.position - [0.0, 0.0, 50.0])
     law.command(low, end, 0.1, 47.0)
     law.command(here, end, 0.2, 47.0)  # up again
-    passed = law.problem(here, end, problem.site).passed
-    assert passed == pytest.approx(low.position[2] - problem.site[2] - problem.standing)
+    passed = law.problem(here, end, problem.site).lowest_altitude
+    assert passed == pytest.approx(low.position[2] - problem.site[2] - problem.com_height)
     near = replace(
         here, position=end.position + [6.0, 3.0, 36.0], velocity=np.array([-1.0, 0.5, -7.0]),
         mass=195.0,
@@ -196,5 +204,5 @@ def test_in_the_last_seconds_no_plan_is_made(paper, asked):
 
 def test_the_footprint_is_that_of_the_pads(paper):
     lander = paper.lander
-    assert footprint_of(paper.briefing) == lander.leg_radius + 0.5 * lander.pad_diameter
+    assert footprint_radius(paper.briefing) == lander.leg_radius + 0.5 * lander.pad_diameter
     assert InformationSeekingLaw().least_diameter == 0.5

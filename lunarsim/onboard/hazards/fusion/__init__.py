@@ -1,7 +1,7 @@
-"""One map of what several mappers know: their evidence is joined, not their probabilities."""
+"""Fusion of the evidence of several mappers into one hazard map."""
 
-from lunarsim.onboard.hazards.fusion.fuse import fused_map
+from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence
 from lunarsim.onboard.hazards.fusion.mapper import FusedMapper, FusedMapping
 from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 
-__all__ = ["FusedMapper", "FusedMapping", "FusionTerms", "fused_map"]
+__all__ = ["FusedMapper", "FusedMapping", "FusionTerms", "fuse_evidence"]

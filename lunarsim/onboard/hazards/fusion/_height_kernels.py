@@ -1,4 +1,4 @@
-"""Compiled search of the samples about rocks."""
+"""Compiled search for the highest sample near rocks."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def highest(rises, x0, y0, posting, xy, reach):
-    """Return the highest rise about each place (n,): 0 where no sample lies within its reach.
+def highest_residual(residual_heights, x0, y0, posting, xy, reach):
+    """Return the maximum residual height near points (n,); 0 without a sample.
 
-    `rises` (rows, cols) are of the samples of cells, NaN where there are none.
+    `residual_heights` (rows, cols) holds the residual height of the sample of each cell, NaN
+    without one.
     """
-    rows, cols = rises.shape
+    rows, cols = residual_heights.shape
     out = np.zeros(xy.shape[0])
     for n in range(xy.shape[0]):
         x = xy[n, 0]
@@ -30,7 +31,7 @@ def highest(rises, x0, y0, posting, xy, reach):
                 max(math.ceil((x - r - x0) / posting), 0),
                 min(math.floor((x + r - x0) / posting), cols - 1) + 1,
             ):
-                z = rises[row, col]
+                z = residual_heights[row, col]
                 if z > top and math.hypot(x0 + col * posting - x, y0 + row * posting - y) <= r:
                     top = z
         if top > -np.inf:

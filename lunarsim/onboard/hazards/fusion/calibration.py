@@ -1,12 +1,13 @@
-"""The last stage of a fused map: C of p = C[pi exp(-Lambda) prod_i (1 - r_i q_i)].
+"""Last stage of a fused map: C in p = C[pi exp(-Lambda) prod_i (1 - r_i q_i)].
 
-C is close to the identity and rises with the fused probability. A second map of the same returns
-knows no more than the first, so the two are never multiplied; it is a feature of C instead, whose
-weight worlds tell that no map is judged on:
+C is close to the identity and increases with the fused probability. A second map of the same
+returns contains no independent information, so the two are never multiplied. The second map is
+instead a feature of C, with a weight fitted on worlds that are not used for evaluation:
 
     logit C = logit p + clip(a + (b - 1) logit p + c logit q),  b, c >= 0,
 
-with q the second map's probability, and without the last term where it saw nothing.
+where q is the probability of the second map. The last term is omitted where that map has no
+observation.
 """
 
 from __future__ import annotations
@@ -25,27 +26,27 @@ from lunarsim.whole_files import read_tagged, write_text_whole
 
 Array = NDArray[np.float64]
 
-# Log odds are taken up to this, and changed by no more than that.
-_MOST, _CHANGE = 10.0, 2.0
+# Maximum magnitude of the log odds, and of their change.
+_MAX_LOG_ODDS, _MAX_LOG_ODDS_CHANGE = 10.0, 2.0
 _FORMAT = "lunarsim fused calibration 1"
 _KEYS = ("intercept", "slope", "other")
 
 
 @dataclass(frozen=True)
 class FusedCalibration:
-    """Weights of C.
+    """Weights of the calibration C.
 
     Attributes
     ----------
     intercept, slope
-        a and b; left out, the log odds stay as they are.
+        Weights a and b; the defaults leave the log odds unchanged.
     other
-        c, of the second map's log odds.
+        Weight c of the log odds of the second map.
 
     Raises
     ------
     InputError
-        If a weight is no finite number, or `slope` or `other` negative.
+        If a weight is not a finite number, or if `slope` or `other` is negative.
     """
 
     intercept: float = 0.0
@@ -56,30 +57,32 @@ class FusedCalibration:
         for name in _KEYS:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"calibration.{name}", value, "a number")
+                raise InputError(f"calibration.{name}", value, "must be a number")
             if not np.isfinite(value):
-                raise InputError(f"calibration.{name}", value, "a finite number")
+                raise InputError(f"calibration.{name}", value, "must be finite")
         for name in ("slope", "other"):
             if getattr(self, name) < 0.0:
                 raise InputError(
                     f"calibration.{name}", getattr(self, name),
-                    "at least 0: better evidence never makes a site less safe",
+                    "must be 0 or more; better evidence must not make a site less safe",
                 )  # fmt: skip
 
     def probability(self, p: ArrayLike, other: ArrayLike, seen: ArrayLike) -> NDArray[np.float32]:
-        """Return C (...); where `p` is 0 it stays so.
+        """Return the calibrated probability C (...); where `p` is 0, it remains 0.
 
         Parameters
         ----------
         p, other
-            Probabilities of the fused map and of the second one (...).
+            Probabilities of the fused map and of the second map (...).
         seen
-            Where the second one saw the ground (...).
+            Where the second map has observed the terrain (...).
         """
         own = np.asarray(p, np.float32)
         x, y = _log_odds(own), np.where(seen, _log_odds(other), 0.0)
         change = self.intercept + (self.slope - 1.0) * x + self.other * y
-        changed = expit(x + np.clip(change, -_CHANGE, _CHANGE)).astype(np.float32)
+        changed = expit(x + np.clip(change, -_MAX_LOG_ODDS_CHANGE, _MAX_LOG_ODDS_CHANGE)).astype(
+            np.float32
+        )
         return np.where((own > 0.0) & (change != 0.0), changed, own)
 
     @classmethod
@@ -93,27 +96,31 @@ class FusedCalibration:
         *,
         worth: float = 1.0,
     ) -> FusedCalibration:
-        """Fit to kinds of sites by maximum likelihood, drawn to the identity as by one site.
+        """Fit the weights to groups of sites by maximum likelihood.
+
+        A prior with the weight of one site pulls the weights towards the identity.
 
         Parameters
         ----------
         p, other, seen
-            Of each kind (n,), see `probability`.
+            Probabilities and observation flag of each group (n,), as in `probability`.
         safe, unsafe
-            Numbers of sites of the kind that are, and are not (n,).
+            Numbers of safe and unsafe sites in each group (n,).
         worth
-            What share of a site each counts for: neighbours share their ground.
+            Weight of a site, less than 1 because neighbouring sites share their terrain.
 
         Raises
         ------
         InputError
-            If there are not both safe and unsafe sites.
+            If safe or unsafe sites are missing.
         """
         x, y = _log_odds(p), np.where(seen, _log_odds(other), 0.0)
         good, bad = (worth * np.asarray(n, dtype=np.float64) for n in (safe, unsafe))
         if not (good.sum() > 0.0 and bad.sum() > 0.0):
             raise InputError(
-                "calibration.safe", (good.sum(), bad.sum()), "both safe and unsafe sites"
+                "calibration.safe",
+                (good.sum(), bad.sum()),
+                "must include both safe and unsafe sites",
             )
         identity = np.array([0.0, 1.0, 0.0])
         columns = np.column_stack((np.ones_like(x), x, y))
@@ -131,25 +138,27 @@ class FusedCalibration:
         return cls(*(float(w) for w in found.x))
 
     def save(self, path: Path) -> None:
-        """Write as JSON, whole or not at all."""
+        """Write the weights as JSON with an atomic file replacement."""
         write_text_whole(path, json.dumps({"format": _FORMAT, **asdict(self)}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> FusedCalibration:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises
         ------
         InputError
-            If the file is missing, is another one, or a number in it will not do.
+            If the file is missing, has another format, or contains an invalid number.
         """
         data = read_tagged(path, "calibration", _FORMAT)
         missing = [key for key in _KEYS if key not in data]
         if missing:
-            raise InputError("calibration", str(path), f"a file that gives {', '.join(missing)}")
+            raise InputError("calibration", str(path), f"must contain {', '.join(missing)}")
         return cls(**{key: data[key] for key in _KEYS})
 
 
 def _log_odds(p: ArrayLike) -> Array:
     with np.errstate(divide="ignore"):
-        return np.asarray(np.clip(logit(np.asarray(p, dtype=np.float64)), -_MOST, _MOST))
+        return np.asarray(
+            np.clip(logit(np.asarray(p, dtype=np.float64)), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)
+        )

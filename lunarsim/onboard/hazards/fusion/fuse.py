@@ -1,18 +1,19 @@
-"""Evidence of an eye for the ground and of an eye for rocks, as one probability.
+"""Fusion of terrain evidence and rock evidence into one probability.
 
-p = pi x exp(-Lambda) x prod_i (1 - r_i q_i): the ground is fit to land on, no rock that nobody has
-seen stands there, and none of those that were. A calibrated map of elevations tells the first
-two in one, from features that rise with the expected number of unseen rocks. Of these, only
-so many are left as an eye for rocks misses too (`lunarsim.safety.thinning`), so the same
-regression judges what is left. Rocks that are tracked are multiplied up, each with the
-odds that the elevations leave it (`existence_given_relief`).
+p = pi x exp(-Lambda) x prod_i (1 - r_i q_i). The factors are: the terrain is suitable for landing,
+no undetected rock is hazardous, and no tracked rock is hazardous. A calibrated map of elevations
+provides the first two together, from features that increase with the expected number of undetected
+rocks. The rock sensor reduces this number to the rocks that it also misses
+(`lunarsim.safety.thinning`), and the same regression evaluates the remainder. Tracked rocks are
+multiplied, each with the odds that remain after the elevations (`existence_given_elevations`).
 
-Where the regression knows no frequency its bound says little, and the form itself counts instead if
-it is more (`level_ground`): both fall with worse evidence of either eye, and so does the greater of
-them.
+Outside the calibrated domain the bound of the regression is weak. There the formula itself is used
+if it is larger (`flat_terrain_probability`). Both decrease with worse evidence of either sensor,
+and so does their maximum.
 
-So the map is nowhere less than that of the elevations where the other eye saw nothing; where no
-elevation was measured it is the other eye's, times what the map says of ground that was.
+Where the rock sensor has no observation, the fused probability is at least that of the elevation
+map. Where no elevation was measured, it is the probability of the rock map times a prior estimated
+from the measured terrain.
 """
 
 from __future__ import annotations
@@ -24,19 +25,26 @@ from numpy.typing import NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.heights import USUAL, clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import (
-    level_ground,
-    none_missed_by,
-    none_unseen,
-    within_ceiling,
+from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
+from lunarsim.onboard.hazards.fusion.flat_terrain import (
+    apply_ceiling,
+    flat_terrain_probability,
+    no_missed_rock_probability,
+    no_undetected_rock_probability,
 )
-from lunarsim.onboard.hazards.fusion.registration import registered
-from lunarsim.onboard.hazards.fusion.resampling import on_grid
-from lunarsim.onboard.hazards.fusion.rises import Samples
+from lunarsim.onboard.hazards.fusion.registration import register_tracks
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
+from lunarsim.onboard.hazards.fusion.rock_existence import (
+    COMMON_MISS_PROBABILITY,
+    existence_given_elevations,
+)
+from lunarsim.onboard.hazards.fusion.rock_heights import (
+    PRIOR_SCALE_RATIO,
+    estimate_rock_heights,
+    rock_free_probability,
+)
 from lunarsim.onboard.hazards.fusion.terms import FusionTerms
-from lunarsim.onboard.hazards.fusion.unmeasured import prior_beside
+from lunarsim.onboard.hazards.fusion.unobserved_safety_prior import unobserved_safety_prior
 from lunarsim.onboard.hazards.hazard_map import BoolMap, FloatMap, HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
@@ -46,160 +54,174 @@ from lunarsim.safety.thinning import Thinning
 
 Array = NDArray[np.float64]
 
-# Of single precision, as sums over discs leave it.
+# Rounding of single precision in sums over discs.
 _ROUNDING = np.float32(1e-5)
 
 
-def fused_map(
+def fuse_evidence(
     relief: ReliefEvidence | None, rocks: RockEvidence | None, terms: FusionTerms
 ) -> HazardMap:
-    """Return the map of two eyes, either of which may have seen nothing yet.
+    """Return the map of two sensors, of which either may have no evidence yet.
 
-    It lies on the cells of the elevations' map, if there is one.
+    If there are elevations, the map has their cells.
 
     Parameters
     ----------
     relief, rocks
-        Evidence of an eye for the ground and of an eye for rocks; None: none so far. At least one.
+        Evidence of a mapper of elevations and of a mapper of rocks; None without evidence. At least
+        one is required.
     terms
-        What is known beforehand.
+        Prior knowledge.
 
     Raises
     ------
     InputError
-        If there is no evidence at all.
+        If both are None.
     """
     if relief is None:
         if rocks is None:
-            raise InputError("fused_map", None, "evidence of at least one mapper")
-        return _of_rocks(rocks, rocks.drawn.grid, terms.relief_prior)
+            raise InputError("evidence", None, "must have evidence of at least one mapper")
+        return _rock_map(rocks, rocks.hazard_map.grid, terms.relief_prior)
     if rocks is None:
-        return _of_relief(relief, terms)
-    ground = relief.surface
-    alone = _of_rocks(rocks, ground.grid, 1.0)
-    clear, none_missed = _clear(relief, rocks, terms)
-    thinning = thinning_of(rocks, ground.grid, terms)
-    judged = _thinned(relief, thinning)
-    p, known = _of_elevations(relief, judged)
-    seen, level = ground.observed, np.zeros(ground.grid.shape, np.float32)
-    free_of_tracks, free_of_unseen = p, np.ones(ground.grid.shape)
-    if judged is not None:
-        free_of_unseen = none_unseen(judged, none_missed)
-        untracked = level_ground(judged, terms.relief_prior, free_of_unseen)
-        level = within_ceiling(judged, untracked * clear)
-        free_of_tracks = np.maximum(p, within_ceiling(judged, untracked))
-    prior = prior_beside(free_of_tracks[seen], free_of_unseen[seen], ground.grid.posting, terms)
-    # What the eye for rocks has said nothing of is claimed as the elevations claim it.
-    whole = ~thinning.touched & (clear == 1.0)
-    surely_not = known & (p <= HOPELESS)
+        return _elevation_map(relief, terms)
+    terrain = relief.surface
+    rock_map = _rock_map(rocks, terrain.grid, 1.0)
+    clear, none_missed = _rock_free_probabilities(relief, rocks, terms)
+    thinning = footprint_undetected_ratio(rocks, terrain.grid, terms)
+    site_evidence = _reduce_undetected(relief, thinning)
+    p, known = _elevation_probability(relief, site_evidence)
+    measured, flat = terrain.observed, np.zeros(terrain.grid.shape, np.float32)
+    free_of_tracks, free_of_unseen = p, np.ones(terrain.grid.shape)
+    if site_evidence is not None:
+        free_of_unseen = no_undetected_rock_probability(site_evidence, none_missed)
+        untracked = flat_terrain_probability(site_evidence, terms.relief_prior, free_of_unseen)
+        flat = apply_ceiling(site_evidence, untracked * clear)
+        free_of_tracks = np.maximum(p, apply_ceiling(site_evidence, untracked))
+    prior = unobserved_safety_prior(
+        free_of_tracks[measured], free_of_unseen[measured], terrain.grid.posting, terms
+    )
+    # Where the rock sensor has no observation, the claim of the elevations remains valid.
+    is_unaffected = ~thinning.touched & (clear == 1.0)
+    is_claimed_unsafe = known & (p <= HOPELESS)
     p = (p * clear).astype(np.float32)
-    # Rocks are as high there as where both eyes have seen some.
-    unmeasured = np.float32(prior) * np.minimum(alone.p_safe, clear)
-    elevation = ground.elevation
-    if elevation is not None and alone.elevation is not None:
-        elevation = np.where(np.isfinite(elevation), elevation, alone.elevation)
-    known = seen & known & (level <= p) & ((p >= SURE) | surely_not | whole)
-    p = np.where(seen, np.maximum(p, level), unmeasured.astype(np.float32))
-    observed = seen | alone.observed
-    if isinstance(ground, HazardMap):
-        return replace(ground, p_safe=p, observed=observed, elevation=elevation, in_domain=known)
-    return HazardMap(ground.grid, p, observed, elevation, ground.variance, in_domain=known)
+    # Rocks on unmeasured terrain have the height scale of the rocks seen by both sensors.
+    unmeasured = np.float32(prior) * np.minimum(rock_map.p_safe, clear)
+    elevation = terrain.elevation
+    if elevation is not None and rock_map.elevation is not None:
+        elevation = np.where(np.isfinite(elevation), elevation, rock_map.elevation)
+    known = measured & known & (flat <= p) & ((p >= SURE) | is_claimed_unsafe | is_unaffected)
+    p = np.where(measured, np.maximum(p, flat), unmeasured.astype(np.float32))
+    observed = measured | rock_map.observed
+    if isinstance(terrain, HazardMap):
+        return replace(terrain, p_safe=p, observed=observed, elevation=elevation, in_domain=known)
+    return HazardMap(terrain.grid, p, observed, elevation, terrain.variance, in_domain=known)
 
 
-def _of_relief(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
-    """Return the map of an eye for the ground while the other says nothing."""
-    if relief.judged is None:
-        return relief.drawn
-    p, known = _of_elevations(relief, relief.judged)
-    untracked = level_ground(relief.judged, terms.relief_prior, none_unseen(relief.judged))
-    level = within_ceiling(relief.judged, untracked)
-    return replace(relief.drawn, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
+def _elevation_map(relief: ReliefEvidence, terms: FusionTerms) -> HazardMap:
+    """Return the map of the elevations without rock evidence."""
+    if relief.site_evidence is None:
+        return relief.hazard_map
+    p, known = _elevation_probability(relief, relief.site_evidence)
+    untracked = flat_terrain_probability(
+        relief.site_evidence,
+        terms.relief_prior,
+        no_undetected_rock_probability(relief.site_evidence),
+    )
+    level = apply_ceiling(relief.site_evidence, untracked)
+    return replace(relief.hazard_map, p_safe=np.maximum(p, level), in_domain=known & (level <= p))
 
 
-def _clear(relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms) -> tuple[Array, Array]:
-    """Return the probability that no tracked rock matters, and that none is missed (rows, cols).
+def _rock_free_probabilities(
+    relief: ReliefEvidence, rocks: RockEvidence, terms: FusionTerms
+) -> tuple[Array, Array]:
+    """Return the probabilities of no hazardous tracked rock and of no missed rock.
 
-    Where the samples are told, rocks are where they lie in the elevations (`registered`) and as
-    high as both eyes have them (`heights_of`); else they have the outlines that the eye for rocks
-    gives them, and count by what rises the elevations show.
+    Both (rows, cols). With known samples, rocks are registered to the elevations
+    (`register_tracks`) and get the height that both sensors support (`estimate_rock_heights`).
+    Otherwise they keep the outlines of the rock sensor, and their existence depends on the rises in
+    the elevations.
     """
     tracks, grid, lander = rocks.tracks, relief.surface.grid, terms.lander
-    if relief.rises is None or relief.judged is None:
-        there = replace(tracks, existence=existence_given_relief(tracks, relief, lander))
-        clear = on_grid(rocks.clear(there), rocks.drawn.grid, grid, 1.0, "least")
+    if relief.residual_heights is None or relief.site_evidence is None:
+        updated = replace(tracks, existence=existence_given_elevations(tracks, relief, lander))
+        clear = resample_to_grid(rocks.clear(updated), rocks.hazard_map.grid, grid, 1.0, "minimum")
         return clear, np.zeros(grid.shape)
     ratio = terms.height_ratio
-    samples = Samples(relief.rises, relief.judged.density, grid, ratio)
-    placed = registered(tracks, samples, USUAL * 2.0 * ratio)
-    heights = heights_of(placed, samples, lander, terms.rocks.shape)
-    none_missed = none_missed_by(rocks, placed, heights, grid, lander.roughness_limit)
-    return clear_of(placed, heights, grid, lander), none_missed
+    samples = ElevationSamples(relief.residual_heights, relief.site_evidence.density, grid, ratio)
+    placed = register_tracks(tracks, samples, PRIOR_SCALE_RATIO * 2.0 * ratio)
+    heights = estimate_rock_heights(placed, samples, lander, terms.rocks.shape)
+    none_missed = no_missed_rock_probability(rocks, placed, heights, grid, lander.roughness_limit)
+    return rock_free_probability(placed, heights, grid, lander), none_missed
 
 
-def thinning_of(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
-    """Return what an eye for rocks leaves of those that another has not seen, site by site.
+def footprint_undetected_ratio(rocks: RockEvidence, grid: Grid, terms: FusionTerms) -> Thinning:
+    """Return the ratio of rocks that remain undetected by the rock sensor, per site.
 
-    Two eyes may miss a rock for one reason: no look leaves less than `COMMON`. Off its map it has
-    seen nothing. What is left under a footprint is the mean over where a rock's middle may lie.
+    Both sensors may miss a rock for the same reason, so no observation reduces the ratio below
+    `COMMON_MISS_PROBABILITY`. Off the map of the rock sensor the ratio is 1. The ratio under a
+    footprint is the mean over the possible rock centres.
 
     Parameters
     ----------
     rocks
-        The evidence.
+        Evidence of the rock sensor.
     grid
-        The sites.
+        Sites.
     terms
-        What is known beforehand.
+        Prior knowledge.
     """
     lander = terms.lander
     footprint = lander.leg_radius + 0.5 * lander.pad_diameter
     ratio = np.empty((len(rocks.diameter), *grid.shape), np.float32)
     for n, diameter in enumerate(rocks.diameter):
-        left = np.maximum(rocks.ratio[n], np.float32(COMMON))
-        if (left == 1.0).all():
+        remaining = np.maximum(rocks.ratio[n], np.float32(COMMON_MISS_PROBABILITY))
+        if (remaining == 1.0).all():
             ratio[n] = 1.0
             continue
-        left = on_grid(left, rocks.drawn.grid, grid, 1.0, "greatest")
-        mean = mean_over_discs(left, (footprint + 0.5 * diameter) / grid.posting, 1.0)
+        remaining = resample_to_grid(remaining, rocks.hazard_map.grid, grid, 1.0, "maximum")
+        mean = mean_over_discs(remaining, (footprint + 0.5 * diameter) / grid.posting, 1.0)
         untouched = np.abs(mean - 1.0) < _ROUNDING
-        ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON)))
+        ratio[n] = np.where(untouched, 1.0, np.maximum(mean, np.float32(COMMON_MISS_PROBABILITY)))
     return Thinning(rocks.diameter, ratio, terms.rocks.cover, terms.height_ratio)
 
 
-def _thinned(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
-    """Return what elevations are judged by once unseen rocks are thinned out, its own if none is.
+def _reduce_undetected(relief: ReliefEvidence, thinning: Thinning) -> Evidence | None:
+    """Return the site evidence with undetected rocks reduced by the rock sensor.
 
-    None where they do not tell it.
+    The original if no rocks are reduced; None if the elevations provide no site evidence.
     """
-    if relief.judged is None or not (thinning.touched & relief.surface.observed).any():
-        return relief.judged
-    return replace(relief.judged, thinning=thinning)
+    if relief.site_evidence is None or not (thinning.touched & relief.surface.observed).any():
+        return relief.site_evidence
+    return replace(relief.site_evidence, thinning=thinning)
 
 
-def _of_elevations(relief: ReliefEvidence, judged: Evidence | None) -> tuple[FloatMap, BoolMap]:
-    """Return the elevations' probability (rows, cols), and where it is a frequency.
+def _elevation_probability(
+    relief: ReliefEvidence, site_evidence: Evidence | None
+) -> tuple[FloatMap, BoolMap]:
+    """Return the probability from elevations, and where it is a frequency.
 
-    By their own evidence that is their own map, bit for bit; it is asked for only then.
+    Both (rows, cols). With the original evidence it is the mapper's own map, bit for bit, which is
+    computed only then.
     """
-    if judged is not None and judged is not relief.judged:
-        return calibrated_safety(judged, refit=relief.refit)
-    drawn = relief.drawn
+    if site_evidence is not None and site_evidence is not relief.site_evidence:
+        return calibrated_safety(site_evidence, refit=relief.refit)
+    drawn = relief.hazard_map
     known = np.zeros_like(drawn.observed) if drawn.in_domain is None else drawn.in_domain
     return drawn.p_safe, known
 
 
-def _of_rocks(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
-    """Return the map of an eye for rocks on other cells, the ground as the mission expects it.
+def _rock_map(rocks: RockEvidence, grid: Grid, prior: float) -> HazardMap:
+    """Return the rock map on other cells, multiplied by a prior for the terrain.
 
-    Nowhere is it a frequency: how the ground lies was not measured.
+    It is nowhere a calibrated frequency, because the terrain was not measured.
     """
-    drawn, own = rocks.drawn, rocks.drawn.grid
-    seen = on_grid(drawn.observed, own, grid, False, "least")
-    p = np.float32(prior) * on_grid(drawn.p_safe, own, grid, 0.0, "least")
+    drawn, own = rocks.hazard_map, rocks.hazard_map.grid
+    observed = resample_to_grid(drawn.observed, own, grid, False, "minimum")
+    p = np.float32(prior) * resample_to_grid(drawn.p_safe, own, grid, 0.0, "minimum")
     elevation = drawn.elevation
     if elevation is not None:
-        elevation = on_grid(elevation, own, grid, np.nan, "least")
+        elevation = resample_to_grid(elevation, own, grid, np.nan, "minimum")
     return HazardMap(
-        grid, np.where(seen, p, np.float32(0.0)), seen, elevation,
+        grid, np.where(observed, p, np.float32(0.0)), observed, elevation,
         in_domain=np.zeros(grid.shape, np.bool_),
     )  # fmt: skip

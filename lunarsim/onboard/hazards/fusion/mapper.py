@@ -1,4 +1,4 @@
-"""The fused mapper: evidence of other mappers in, `HazardMap` out."""
+"""Mapper that fuses the evidence of other mappers into a `HazardMap`."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from lunarsim.errors import InputError, suggestion
 from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
-from lunarsim.onboard.hazards.drawing_times import DrawingTimes
 from lunarsim.onboard.hazards.fusion.calibration import FusedCalibration
-from lunarsim.onboard.hazards.fusion.fuse import fused_map
-from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.fuse import fuse_evidence
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
 from lunarsim.onboard.hazards.fusion.terms import FusionTerms
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface, elevation_under
+from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper
 from lunarsim.onboard.hazards.published import ReliefEvidence, RockEvidence
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
@@ -27,42 +27,40 @@ from lunarsim.parts.quantity import check_bounds, quantity
 
 Array = NDArray[np.float64]
 
-_WORDS = {ReliefEvidence: "elevations", RockEvidence: "rocks"}
+_EVIDENCE_NAMES = {ReliefEvidence: "elevations", RockEvidence: "rocks"}
 
 
 @dataclass(frozen=True)
 class FusedMapping:
-    """One map of what other mappers know.
+    """Settings of a mapper that fuses the evidence of other mappers.
 
-    It has no sensor of its own: it maps the evidence that the others publish, on the cells of the
-    one of elevations.
+    It has no sensor. Its cells are those of the mapper of elevations.
 
     Attributes
     ----------
     of
-        Names of the other mappers: one of elevations, one of rocks, or either. Left out: all that
-        there are.
+        Names of the fused mappers: one of elevations, one of rocks, or both. Default: all mappers.
     relief_prior
-        See `FusionTerms`.
+        Terrain prior, as in `FusionTerms`.
     calibration_path
-        Last stage of the probability, see `FusedCalibration.load`; None: it stays as it is.
+        File of a `FusedCalibration`, the last stage of the probability; None: no such stage.
     feature
-        Name of a second mapper of elevations that the calibration looks at; empty: none.
+        Name of a second mapper of elevations, used as a feature of the calibration; empty: none.
     interval
-        See `FusedMapper`, s.
+        Minimum time between two updates of the map, s.
     """
 
-    of: tuple[str, ...] = quantity((), help="names of the mappers it is made of; left out: all")
+    of: tuple[str, ...] = quantity((), help="names of the fused mappers; omitted: all")
     relief_prior: float = quantity(
-        0.9, ge=0, lt=1, help="probability that ground of which no elevation was measured is level"
+        0.9, ge=0, lt=1, help="probability that unmeasured terrain is within the limits"
     )
 
     calibration_path: Path | None = quantity(
-        None, help="last stage of the probability, relative to the scenario file"
+        None, help="calibration file of the fused map, relative to the scenario file"
     )
-    feature: str = quantity("", help="second mapper of elevations, a feature of the calibration")
+    feature: str = quantity("", help="second mapper of elevations for the calibration")
     interval: float = quantity(
-        1.0, "s", ge=0, le=10, help="least time between two drawings of the map"
+        1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
     )
 
     takes: ClassVar[type] = NoneType
@@ -72,65 +70,67 @@ class FusedMapping:
         check_bounds(self, "mappers")
         found = self.calibration()
         if self.feature and found is None:
-            raise InputError(
-                "feature", self.feature, "left out, or calibration_path that gives its weight"
-            )
+            raise InputError("feature", self.feature, "must be omitted without calibration_path")
         if found is not None and found.other > 0.0 and not self.feature:
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"one without a weight of a second map ({found.other:g}), or its name as feature",
+                f"must not weight a second map ({found.other:g}) without feature", "Set feature.",
             )  # fmt: skip
 
     def calibration(self) -> FusedCalibration | None:
-        """Return what the file at `calibration_path` holds, None without one."""
+        """Return the calibration in `calibration_path`; None without a file."""
         if self.calibration_path is None:
             return None
         try:
             return FusedCalibration.load(self.calibration_path)
         except InputError as error:
             raise InputError(
-                "calibration_path", str(self.calibration_path), f"a calibration ({error})"
+                "calibration_path",
+                str(self.calibration_path),
+                f"must be a valid calibration ({error})",
             ) from None
 
     def chosen(self, parts: Mapping[str, Any]) -> dict[str, type]:
-        """Return the mappers that it is made of, by name, and what they publish.
+        """Return the fused mappers by name with the types of their evidence.
 
         Parameters
         ----------
         parts
-            Those of all mappers, itself among them.
+            Settings of all mappers by name, including this one.
 
         Raises
         ------
         InputError
-            If there is no such mapper, one publishes no evidence, as a fused one, one is named
-            twice, two publish the same kind, or there is none at all.
+            If a mapper is unknown, provides no evidence (as a fused one), is named twice, or
+            provides the same evidence as another, or if there is none.
         """
         others = {n: p for n, p in parts.items() if not isinstance(p, FusedMapping)}
         names = self.of or tuple(n for n in others if n != self.feature)
         if not names:
-            raise InputError("of", self.of, "at least one other mapper, under [mappers.NAME]")
+            raise InputError(
+                "of", self.of, "must name at least one other mapper", "Add a table [mappers.NAME]."
+            )
         found: dict[str, type] = {}
         for name in names:
             if name not in parts:
                 raise InputError("of", name, suggestion(name, others))
             published = getattr(parts[name], "publishes", None)
-            if published not in _WORDS:
-                raise InputError("of", name, "a mapper that publishes evidence: this one does not")
+            if published not in _EVIDENCE_NAMES:
+                raise InputError("of", name, "must be a mapper that publishes evidence")
             if name in found:
-                raise InputError("of", names, f"each mapper once: {name!r} comes twice")
+                raise InputError("of", names, f"must name each mapper once, not {name!r} twice")
             if published in found.values():
                 raise InputError(
                     "of", names,
-                    f"one mapper of {_WORDS[published]}: two that map the same returns know no "
-                    "more than either",
+                    f"must name one mapper of {_EVIDENCE_NAMES[published]} only, "
+                    "because two maps of the same returns are not independent",
                 )  # fmt: skip
             found[name] = published
         self._check_feature(parts, found)
         return found
 
     def _check_feature(self, parts: Mapping[str, Any], of: Mapping[str, type]) -> None:
-        """Refuse a feature that is no second mapper of elevations."""
+        """Reject a feature that is not a second mapper of elevations."""
         if not self.feature:
             return
         if self.feature not in parts:
@@ -140,7 +140,7 @@ class FusedMapping:
         if self.feature in of or published is not ReliefEvidence:
             raise InputError(
                 "feature", self.feature,
-                "a mapper of elevations beside those that the map is made of",
+                "must be a mapper of elevations that is not fused",
             )  # fmt: skip
 
     def build(
@@ -156,7 +156,7 @@ class FusedMapping:
         briefing, navigation
             As for all mappers.
         mappers
-            Those that were built before.
+            Mappers built before this one, by name.
         """
         chosen = self.chosen(briefing.software.mappers)
         terms = FusionTerms(briefing.lander, briefing.rocks, self.relief_prior)
@@ -169,26 +169,26 @@ class FusedMapping:
 
 
 class FusedMapper(HazardMapper):
-    """Maps what other mappers know, when one of them has drawn anew.
+    """Fuse the maps of other mappers whenever one of them has an update.
 
     Parameters
     ----------
     mappers
-        The others, by name; they are fed by whoever built them.
+        Fused mappers by name; their owner passes them the measurements.
     terms
-        What is known beforehand.
+        Prior knowledge.
     calibration
-        Last stage of the probability; left out: it stays as it is.
+        Last stage of the probability; None: no such stage.
     feature
-        By its name, a second mapper that the calibration looks at.
+        Second mapper used by the calibration, by its name.
     interval
-        Least time between two drawings of the map, s; where nobody tells the time it is drawn
-        whenever another has drawn anew. What others take back is not waited with.
+        Minimum time between two updates of the map, s. Without a known time, each update of another
+        mapper causes an update. Retracted observations cause an update at once.
 
     Raises
     ------
     InputError
-        If there are none, or the interval is negative or not finite.
+        If `mappers` is empty, or if `interval` is negative or not finite.
     """
 
     def __init__(
@@ -201,91 +201,102 @@ class FusedMapper(HazardMapper):
         interval: float = 0.0,
     ) -> None:
         if not mappers:
-            raise InputError("of", (), "at least one other mapper")
+            raise InputError("of", (), "must name at least one other mapper")
         self._mappers = dict(mappers)
         self._feature = dict(feature or {})
         self.terms = terms
         self.calibration = calibration
-        self._drawn: HazardMap | None = None
-        self._from: tuple[Surface, ...] = ()
-        self._times = DrawingTimes(interval)
+        self._map: HazardMap | None = None
+        self._source_surfaces: tuple[Surface, ...] = ()
+        self._timer = MapUpdateTimer(interval)
 
     @property
     def sources(self) -> frozenset[str]:
-        """Names of the mappers that it is made of."""
+        """Names of the fused mappers and of the feature."""
         return frozenset((*self._mappers, *self._feature))
 
     @property
     def grid(self) -> Any:
-        """The cells of the map."""
+        """Cells of the map."""
         return self.hazard_map().grid
 
     def update(self, measurement: Any, estimate: Estimate) -> None:
-        """Take nothing in: it has no sensor.
+        """Reject any measurement, since this mapper has no sensor.
 
         Raises
         ------
         InputError
             Always.
         """
-        raise InputError("measurement", type(measurement).__name__, "none: it maps no sensor's")
+        raise InputError(
+            "measurement",
+            type(measurement).__name__,
+            "must not be given to a fused mapper, which has no sensor",
+        )
 
     def hazard_map(self) -> HazardMap:
-        """Return the map of what the others know as they have last drawn it, if it is due.
+        """Return the fused map, after an update if one is due.
 
-        Where one of them has taken back what it had seen, or was laid elsewhere, it is due at once.
+        An update is due at once if another mapper has retracted its observations or has moved its
+        grid.
         """
-        asked = (*self._mappers.values(), *self._feature.values())
-        grounds = tuple(mapper.surface() for mapper in asked)
-        if self._drawn is None or self._must_draw(grounds):
-            self._drawn = self._draw(grounds[0].grid)
-            self._from = grounds
+        sources = (*self._mappers.values(), *self._feature.values())
+        surfaces = tuple(mapper.surface() for mapper in sources)
+        if self._map is None or self._is_update_due(surfaces):
+            self._map = self._compute(surfaces[0].grid)
+            self._source_surfaces = surfaces
             if self.blank:
-                # It is drawn again as soon as there is something.
-                self._times.at_once()
+                # An empty map is updated as soon as there is an observation.
+                self._timer.force_update()
             else:
-                self._times.drawn()
-        return self._drawn
+                self._timer.mark_updated()
+        return self._map
 
-    def _must_draw(self, grounds: tuple[Surface, ...]) -> bool:
-        anew = [(n, o) for n, o in zip(grounds, self._from, strict=True) if not _same(n, o)]
-        if self._times.due:
-            return bool(anew)
+    def _is_update_due(self, surfaces: tuple[Surface, ...]) -> bool:
+        changed = [
+            (n, o)
+            for n, o in zip(surfaces, self._source_surfaces, strict=True)
+            if not _is_same_update(n, o)
+        ]
+        if self._timer.is_due:
+            return bool(changed)
         return any(
             new.grid != old.grid or (old.observed.any() and not new.observed.any())
-            for new, old in anew
+            for new, old in changed
         )
 
     def refresh(self, time: float) -> None:
-        """Note the time (s)."""
-        self._times.tell(time)
+        """Set the current time (s)."""
+        self._timer.set_time(time)
 
-    def _draw(self, grid: Grid) -> HazardMap:
-        """Return the map, on the given cells while nothing is known."""
+    def _compute(self, grid: Grid) -> HazardMap:
+        """Return the map; without evidence, an empty one on the given cells."""
         published = [mapper.evidence() for mapper in self._mappers.values()]
         relief = next((e for e in published if isinstance(e, ReliefEvidence)), None)
         rocks = next((e for e in published if isinstance(e, RockEvidence)), None)
         if relief is None and rocks is None:
             return HazardMap.unobserved(grid)
-        drawn = fused_map(relief, rocks, self.terms)
+        fused = fuse_evidence(relief, rocks, self.terms)
         if self.calibration is None:
-            return drawn
+            return fused
         second = next((mapper.hazard_map() for mapper in self._feature.values()), None)
-        return self._calibrated(drawn, second)
+        return self._calibrated(fused, second)
 
-    def _calibrated(self, drawn: HazardMap, second: HazardMap | None) -> HazardMap:
-        """Return the map through C, which looks at a second map's probability."""
+    def _calibrated(self, fused: HazardMap, second: HazardMap | None) -> HazardMap:
+        """Return the map after the calibration C with the second map as a feature."""
         assert self.calibration is not None
-        other, seen = np.zeros_like(drawn.p_safe), np.zeros_like(drawn.observed)
+        other, seen = np.zeros_like(fused.p_safe), np.zeros_like(fused.observed)
         if second is not None:
-            other = on_grid(second.p_safe, second.grid, drawn.grid, np.float32(0.0), "least")
-            seen = on_grid(second.observed, second.grid, drawn.grid, False, "least")
-        return replace(drawn, p_safe=self.calibration.probability(drawn.p_safe, other, seen))
+            other = resample_to_grid(
+                second.p_safe, second.grid, fused.grid, np.float32(0.0), "minimum"
+            )
+            seen = resample_to_grid(second.observed, second.grid, fused.grid, False, "minimum")
+        return replace(fused, p_safe=self.calibration.probability(fused.p_safe, other, seen))
 
     def ground_height(self, xy: Array) -> float | None:
-        """Return the local height of the ground at a point (2,), m; None where none knows it.
+        """Return the terrain height at a point (2,), local frame, m; None if unknown.
 
-        That which was measured there, else what a mapper of rocks takes it to be.
+        A measured elevation is preferred to the assumption of a mapper of rocks.
         """
         for mapper in self._mappers.values():
             height = elevation_under(mapper.surface(), xy)
@@ -296,12 +307,12 @@ class FusedMapper(HazardMapper):
 
     @property
     def blank(self) -> bool:
-        """Whether none of the others has mapped anything yet."""
+        """Whether none of the other mappers has mapped anything yet."""
         return all(mapper.blank for mapper in self._mappers.values())
 
 
-def _same(new: Surface, old: Surface) -> bool:
-    """Return whether two drawings of a mapper are one; the ground under a map may yet be raised."""
+def _is_same_update(new: Surface, old: Surface) -> bool:
+    """Return whether two surfaces belong to one update; heights may still differ."""
     if isinstance(new, HazardMap) and isinstance(old, HazardMap):
         return new.p_safe is old.p_safe
     return new is old

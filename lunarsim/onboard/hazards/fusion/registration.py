@@ -1,12 +1,13 @@
-"""Where the rocks of one eye lie in the elevations of another.
+"""Registration of tracked rocks to elevations of another sensor.
 
-From far a camera's rocks are all off by one and the same: a mrad of its direction is 1.5 m of
-ground from 1500 m. Each of them is known no better than that, though they lie within decimetres of
-their places among each other. So the one shift is sought at which rises are where the rocks are.
-With h the probability that samples show a rock, and f that any place looks like one
-(`lunarsim.onboard.hazards.fusion.rises`), a rock with a rise speaks for a shift by
-``log((h + (1 - h) f) / f)``, one without against it by ``log(1 - h)``. With the shift's own spread
-that gives its mean and its covariance: where the elevations tell nothing, both are what they were.
+At long range all rocks of a camera share one position error: 1 mrad of pointing is 1.5 m on the
+terrain from 1500 m. Relative to each other the rocks are placed to decimetres. The module estimates
+the common shift that moves the rocks to rises in the elevations. Let h be the probability that
+samples show a rock, and f the probability that any place resembles one
+(`lunarsim.onboard.hazards.fusion.elevation_samples`). A rock with a rise contributes ``log((h + (1
+- h) f) / f)`` to the log likelihood of a shift, one without contributes ``log(1 - h)``. With the
+prior of the shift this yields its mean and covariance. If the elevations are not informative, both
+equal the prior.
 """
 
 from __future__ import annotations
@@ -16,92 +17,106 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lunarsim.onboard.hazards.fusion.heights import LEAST_RADIUS
-from lunarsim.onboard.hazards.fusion.rises import Samples
+from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
+from lunarsim.onboard.hazards.fusion.rock_heights import MIN_ROCK_RADIUS_M
 from lunarsim.onboard.hazards.published import RockTracks
 
 Array = NDArray[np.float64]
 
-# Shifts are tried to so many deviations, but not beyond, m.
-_DEVIATIONS, _FARTHEST = 3.0, 4.0
-# A shift is no better known than that, nor is a rock among the others, m.
-_LEAST, _APART = 0.1, 0.15
-# Fewer rocks tell no shift.
-_FEWEST = 3
+# Search range of the shift in prior standard deviations, and its maximum, m.
+_SEARCH_SIGMAS, _MAX_SHIFT_M = 3.0, 4.0
+# Minimum standard deviation of a shift, and of a rock relative to the others, m.
+_MIN_SHIFT_SIGMA_M, _RELATIVE_SIGMA_M = 0.1, 0.15
+# Minimum number of rocks for an estimate.
+_MIN_ROCKS = 3
 
 
 @dataclass(frozen=True)
-class Shift:
-    """By how much rocks are to be moved.
+class RockShift:
+    """Estimated common position error of rocks.
 
     Attributes
     ----------
-    by
-        East and north (2,), m.
+    correction
+        Correction to the east and north (2,), m.
     sigma
-        How well it is known, an axis, m.
-    common
-        How well it was known before, m.
+        Its standard deviation after the estimate, m, per axis.
+    prior_sigma
+        Its standard deviation before the estimate, m, per axis.
     """
 
-    by: Array
+    correction: Array
     sigma: float
-    common: float
+    prior_sigma: float
 
 
-def registered(tracks: RockTracks, samples: Samples, scale: float) -> RockTracks:
-    """Return rocks where the elevations have them; with too few as they were.
+def register_tracks(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockTracks:
+    """Return the rocks moved to the elevations; unchanged if there are too few.
 
     Parameters
     ----------
     tracks
-        The rocks.
+        Tracked rocks.
     samples
-        About them.
+        Elevation samples.
     scale
         Height of the rocks over their radius.
     """
-    shift = shift_of(tracks, samples, scale)
+    shift = estimate_shift(tracks, samples, scale)
     if shift is None:
         return tracks
-    own = np.sqrt(np.maximum(tracks.sigma**2 - shift.common**2, 0.0) + _APART**2)
-    sigma = np.minimum(np.hypot(own, shift.sigma), np.maximum(tracks.sigma, _APART))
-    return replace(tracks, xy=tracks.xy + shift.by, sigma=sigma)
+    own = np.sqrt(np.maximum(tracks.sigma**2 - shift.prior_sigma**2, 0.0) + _RELATIVE_SIGMA_M**2)
+    sigma = np.minimum(np.hypot(own, shift.sigma), np.maximum(tracks.sigma, _RELATIVE_SIGMA_M))
+    return replace(tracks, xy=tracks.xy + shift.correction, sigma=sigma)
 
 
-def shift_of(tracks: RockTracks, samples: Samples, scale: float) -> Shift | None:
-    """Return by how much the rocks are off; None with too few of them on the map.
+def estimate_shift(tracks: RockTracks, samples: ElevationSamples, scale: float) -> RockShift | None:
+    """Estimate the common shift of the rocks; None if there are too few on the map.
 
-    Parameters are those of `registered`.
+    Parameters
+    ----------
+    tracks
+        Tracked rocks.
+    samples
+        Elevation samples.
+    scale
+        Height of the rocks over their radius.
     """
     grid = samples.grid
     inside = np.asarray(grid.contains(tracks.xy)) & (tracks.existence > 0.5)
-    if np.count_nonzero(inside) < _FEWEST:
+    if np.count_nonzero(inside) < _MIN_ROCKS:
         return None
     row, col = (np.asarray(v) for v in grid.cell(tracks.xy[inside]))
-    height = scale * np.maximum(tracks.radius[inside], LEAST_RADIUS)
-    common = float(np.median(tracks.sigma[inside]))
-    rock = samples.showing(height, samples.density[row, col])
-    hit, miss = np.log(rock.hit / rock.chance), np.log1p(-rock.shows)
-    steps = _steps(min(_DEVIATIONS * common, _FARTHEST), grid.posting)
+    height = scale * np.maximum(tracks.radius[inside], MIN_ROCK_RADIUS_M)
+    prior_sigma = float(np.median(tracks.sigma[inside]))
+    rock = samples.detectability(height, samples.density[row, col])
+    hit, miss = (
+        np.log(rock.rise_probability / rock.false_alarm_probability),
+        np.log1p(-rock.detection_probability),
+    )
+    steps = _cell_offsets(min(_SEARCH_SIGMAS * prior_sigma, _MAX_SHIFT_M), grid.posting)
     far = grid.posting * steps
-    log = -0.5 * (far[:, None] ** 2 + far**2) / max(common, _LEAST) ** 2
-    # Beyond the edge lies what lies at it.
-    wide = np.pad(samples.top, len(steps) // 2, mode="edge")
-    for r, c, h, yes, no in zip(row, col, rock.least, hit, miss, strict=True):
+    log = -0.5 * (far[:, None] ** 2 + far**2) / max(prior_sigma, _MIN_SHIFT_SIGMA_M) ** 2
+    # Cells beyond the edge of the map take the value at the edge.
+    wide = np.pad(samples.max_residual, len(steps) // 2, mode="edge")
+    for r, c, h, yes, no in zip(row, col, rock.min_residual, hit, miss, strict=True):
         near = wide[r : r + len(steps), c : c + len(steps)]
         log += np.where(near >= h, yes, no)
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    by, variance = [], []
+    correction, variance = [], []
     for axis in (0, 1):
         along = weight.sum(axis=axis)
-        by.append(float(along @ far))
-        variance.append(float(along @ (far - by[-1]) ** 2))
-    return Shift(np.array(by), max(float(np.sqrt(np.mean(variance))), _LEAST), common)
+        correction.append(float(along @ far))
+        variance.append(float(along @ (far - correction[-1]) ** 2))
+    return RockShift(
+        np.array(correction),
+        max(float(np.sqrt(np.mean(variance))), _MIN_SHIFT_SIGMA_M),
+        prior_sigma,
+    )
 
 
-def _steps(far: float, posting: float) -> NDArray[np.int64]:
-    """Return whole cells up to a distance both ways (n,)."""
+def _cell_offsets(far: float, posting: float) -> NDArray[np.int64]:
+    """Return the integer cell offsets up to a distance in both directions (n,)."""
     most = round(far / posting)
     return np.arange(-most, most + 1)

@@ -1,4 +1,4 @@
-"""What is known before any eye has seen anything."""
+"""Prior knowledge for the fusion."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from lunarsim.rocks.population import RockExpectation
 
 @dataclass(frozen=True)
 class FusionTerms:
-    """What is known before any evidence.
+    """Prior knowledge for the fusion, before any observation.
 
     Attributes
     ----------
     lander, rocks
-        Geometry and limits; what the mission expects.
+        Geometry and limits of the lander; rock population expected by the mission.
     relief_prior
-        Probability that slope and relief of ground that no elevation was measured of are within
-        the lander's limits.
+        Probability that slope and relief of unmeasured terrain are within the limits of the lander.
 
     Raises
     ------
     InputError
-        If the prior is no probability, or is 1: ground that was not measured is never certain.
+        If the prior is not in [0, 1); 1 is excluded because unmeasured terrain is never certain.
     """
 
     lander: Lander
@@ -33,10 +32,12 @@ class FusionTerms:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.relief_prior < 1.0:
-            raise InputError("relief_prior", self.relief_prior, "at least 0, and less than 1")
+            raise InputError(
+                "relief_prior", self.relief_prior, "must be at least 0 and less than 1"
+            )
 
     @property
     def height_ratio(self) -> float:
-        """Height over diameter of the rocks that are expected."""
+        """Height over diameter of the expected rocks."""
         fixed = {"hemisphere": 0.5, "cube": 1.0}
         return fixed.get(self.rocks.shape, self.rocks.height_ratio[0])

@@ -1,11 +1,11 @@
-"""Gaussian digital elevation map: mean and variance of the elevation in every cell.
+"""Gaussian digital elevation map (DEM): mean and variance of each cell's height.
 
 Tomita and Ho, "Real-Time Stochastic Terrain Mapping and Processing for Autonomous Safe Landing".
 """
 
 from lunarsim.onboard.hazards.gaussian_dem.conventional import ConventionalDem, conventional_dem
 from lunarsim.onboard.hazards.gaussian_dem.fit import FieldFit, fit_hyperparameters
-from lunarsim.onboard.hazards.gaussian_dem.full import full_regression
+from lunarsim.onboard.hazards.gaussian_dem.full_regression import full_regression
 from lunarsim.onboard.hazards.gaussian_dem.gaussian import GaussianDem, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.mapper import GaussianDemMapper
 from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem

@@ -9,9 +9,9 @@ from lunarsim._jit import kernel
 
 @kernel()
 def splat(points, base, x0, y0, p, rows, cols):
-    """Spread points (n, 3) over the four nearest cell centres: Eq. 1, accumulated.
+    """Spread points (n, 3) over the four nearest cell centres (Eq. 1).
 
-    Heights are taken above `base`. Returns the weighted heights and the weights (rows, cols).
+    Returns the sums of weighted heights above `base` and of weights (rows, cols).
     """
     height = np.zeros((rows, cols), np.float32)
     weight = np.zeros((rows, cols), np.float32)
@@ -19,7 +19,7 @@ def splat(points, base, x0, y0, p, rows, cols):
         u = (points[n, 0] - x0) / p
         v = (points[n, 1] - y0) / p
         z = points[n, 2] - base
-        # Written so that NaN fails.
+        # This form of the comparison rejects NaN.
         if not (u > -1.0 and v > -1.0 and u < cols and v < rows and np.isfinite(z)):
             continue
         j = int(np.floor(u))
@@ -38,12 +38,12 @@ def splat(points, base, x0, y0, p, rows, cols):
 
 
 @kernel(shared=True, allocates=False)
-def measured_cells(share, height, weight, base, least, noise, prior, mean, variance, observed):
-    """Write mean, variance and observed: samples where they weigh enough, else the prior."""
+def measured_cells(share, height, weight, base, min_weight, noise, prior, mean, variance, observed):
+    """Write mean, variance and observed: the measurement if it suffices, or the prior."""
     rows, cols = height.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
-            if weight[i, j] > least:
+            if weight[i, j] > min_weight:
                 mean[i, j] = base + np.float64(height[i, j]) / np.float64(weight[i, j])
                 variance[i, j] = noise
                 observed[i, j] = True
@@ -55,75 +55,77 @@ def measured_cells(share, height, weight, base, least, noise, prior, mean, varia
 
 @kernel()
 def fill_holes(z):
-    """Fill NaN cells in place by the mean of their known neighbours, ring by ring."""
+    """Fill NaN cells in place with the mean of their known neighbours, repeatedly."""
     rows, cols = z.shape
-    left = np.empty((rows * cols, 2), np.int64)
+    holes = np.empty((rows * cols, 2), np.int64)
     count = 0
     for i in range(rows):
         for j in range(cols):
             if np.isnan(z[i, j]):
-                left[count, 0] = i
-                left[count, 1] = j
+                holes[count, 0] = i
+                holes[count, 1] = j
                 count += 1
     value = np.empty(count)
     while count > 0:
         for n in range(count):
             total = 0.0
             known = 0
-            for i in range(max(left[n, 0] - 1, 0), min(left[n, 0] + 2, rows)):
-                for j in range(max(left[n, 1] - 1, 0), min(left[n, 1] + 2, cols)):
+            for i in range(max(holes[n, 0] - 1, 0), min(holes[n, 0] + 2, rows)):
+                for j in range(max(holes[n, 1] - 1, 0), min(holes[n, 1] + 2, cols)):
                     if not np.isnan(z[i, j]):
                         total += z[i, j]
                         known += 1
             value[n] = total / known if known > 0 else np.nan
         kept = 0
         for n in range(count):
-            i = left[n, 0]
-            j = left[n, 1]
+            i = holes[n, 0]
+            j = holes[n, 1]
             if np.isnan(value[n]):
-                left[kept, 0] = i
-                left[kept, 1] = j
+                holes[kept, 0] = i
+                holes[kept, 1] = j
                 kept += 1
             else:
                 z[i, j] = value[n]
         if kept == count:
-            break  # nothing known at all
+            break  # no known cell at all
         count = kept
 
 
-_NEIGHBOURS = 2  # vertices further apart on the detector have a missing return between them
+_MAX_PIXEL_DISTANCE = (
+    2  # vertices that are farther apart on the detector have a missing return between them
+)
 
 
-# A triangle with an edge this many times longer than the samples are apart spans an occlusion.
-_GAP = 3.0
+# A triangle spans an occlusion if an edge exceeds the sample spacing by this factor.
+_OCCLUSION_RATIO = 3.0
 
 
 @kernel(shared=True, allocates=False)
 def edges(share, points, triangles, row, col, spacing, longest, usable):
-    """Write the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+    """Write the longest edge of each triangle (m,), and which are usable (m,).
 
-    See `gaussian.triangle_edges`; `row` and `col` are the places of the points on their detector.
+    `row` and `col` are the detector positions of the points. See `gaussian.triangle_edges`.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
-        most = 0.0
-        apart = 0
-        wide = 0.0
+        max_square = 0.0
+        pixel_distance = 0
+        max_spacing = 0.0
         for e in range(3):
             a = triangles[t, e]
             b = triangles[t, (e + 1) % 3]
             dx = points[a, 0] - points[b, 0]
             dy = points[a, 1] - points[b, 1]
-            most = max(most, dx * dx + dy * dy)
-            wide = max(wide, spacing[a])
+            max_square = max(max_square, dx * dx + dy * dy)
+            max_spacing = max(max_spacing, spacing[a])
             if row.size > 0:
-                apart = max(apart, abs(row[a] - row[b]), abs(col[a] - col[b]))
-        longest[t] = np.sqrt(most) if apart <= _NEIGHBOURS else np.inf
-        usable[t] = longest[t] <= _GAP * wide
+                pixel_distance = max(pixel_distance, abs(row[a] - row[b]), abs(col[a] - col[b]))
+        longest[t] = np.sqrt(max_square) if pixel_distance <= _MAX_PIXEL_DISTANCE else np.inf
+        usable[t] = longest[t] <= _OCCLUSION_RATIO * max_spacing
 
 
 @kernel(fast=True)
 def _decay(x):
-    """Return exp(-x); a polynomial good to 2e-11 for the small x of near neighbours."""
+    """Return exp(-x), by a polynomial with an error below 2e-11 for x < 0.1."""
     if x < 0.1:
         return 1.0 - x * (
             1.0
@@ -136,16 +138,16 @@ def _decay(x):
 
 @kernel(fast=True)
 def _correlation(x, y, u, v, per_length):
-    """Return the exponential kernel of Eq. 4 between two places, for a variance of 1."""
+    """Return the exponential kernel of Eq. 4 between two points, for unit variance."""
     return _decay(np.sqrt((x - u) * (x - u) + (y - v) * (y - v)) * per_length)
 
 
 @kernel()
 def _edge(points, u, v):
-    """Return start, direction and turn of the edge from u to v.
+    """Return start, direction and orientation of the edge from u to v.
 
-    Both triangles of an edge get the same start and direction, the lower index first, so that
-    rounding cannot give a cell two owners or none; see `_inside`.
+    Both triangles of an edge get the same start and direction, the lower index first. Rounding can
+    then not assign a cell to two triangles or to none.
     """
     first, last = min(u, v), max(u, v)
     x, y = points[first, 0], points[first, 1]
@@ -154,16 +156,17 @@ def _edge(points, u, v):
 
 @kernel()
 def _inside(edge, x, across):
-    """Tell whether a place is inside of an edge; `across` is its own part of the product.
+    """Return whether a point lies on the inner side of an edge.
 
-    A point on the edge belongs to the triangle that runs from the lower index.
+    `across` is the part of the cross product that depends on the y of the point only. A point on
+    the edge belongs to the triangle that traverses it from the lower index.
     """
     return (across - edge[3] * (x - edge[0]) >= 0.0) == edge[4]
 
 
 @kernel()
 def _regress_triangle(
-    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, least, mean,
+    points, noise, a, b, c, use, gradient, x0, y0, p, prior, length_scale, weight, min_weight, mean,
     variance, observed,
 ):  # fmt: skip
     rows, cols = mean.shape
@@ -176,7 +179,7 @@ def _regress_triangle(
     j1 = min(int(np.floor((max(max(ax, bx), cx) - x0) / p)), cols - 1)
     if i0 > i1 or j0 > j1:
         return
-    # The Gram matrix and its inverse, symmetric.
+    # Gram matrix and its inverse, both symmetric.
     da = prior + noise[a]
     db = prior + noise[b]
     dc = prior + noise[c]
@@ -197,17 +200,21 @@ def _regress_triangle(
     za = points[a, 2] - centre - gx * (ax - mx) - gy * (ay - my)
     zb = points[b, 2] - centre - gx * (bx - mx) - gy * (by - my)
     zc = points[c, 2] - centre - gx * (cx - mx) - gy * (cy - my)
-    one, two, three = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
+    edge_ab, edge_bc, edge_ca = _edge(points, a, b), _edge(points, b, c), _edge(points, c, a)
     for i in range(i0, i1 + 1):
         y = y0 + p * i
-        first = one[2] * (y - one[1])
-        second = two[2] * (y - two[1])
-        third = three[2] * (y - three[1])
+        first = edge_ab[2] * (y - edge_ab[1])
+        second = edge_bc[2] * (y - edge_bc[1])
+        third = edge_ca[2] * (y - edge_ca[1])
         for j in range(j0, j1 + 1):
-            if weight[i, j] > least:
+            if weight[i, j] > min_weight:
                 continue
             x = x0 + p * j
-            if not (_inside(one, x, first) & _inside(two, x, second) & _inside(three, x, third)):
+            if not (
+                _inside(edge_ab, x, first)
+                & _inside(edge_bc, x, second)
+                & _inside(edge_ca, x, third)
+            ):
                 continue
             ka = prior * _correlation(ax, ay, x, y, per_length)
             kb = prior * _correlation(bx, by, x, y, per_length)
@@ -224,19 +231,27 @@ def _regress_triangle(
 
 @kernel(shared=True, allocates=False)
 def regress(
-    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, least,
+    share, points, noise, triangles, usable, gradient, x0, y0, p, prior, length, weight, min_weight,
     mean, variance, observed,
 ):  # fmt: skip
-    """Write mean and variance (Eqs. 4 to 6) of the cells without samples, triangle by triangle.
+    """Write mean and variance (Eqs. 4 to 6) of the unmeasured cells, per triangle.
 
-    `noise` (n,) is the variance of each point, `prior` (m,) that of the field in each triangle,
-    `length` (m,) its length scale.
-    The prior mean is the plane through the three vertices' mean with the gradient (m, 2) of each
-    triangle. Triangles (m,) that are not usable span an occlusion: they give a mean, the prior
-    variance, and leave `observed` False.
+    Parameters
+    ----------
+    noise
+        Variance of each point (n,), m^2.
+    prior, length
+        Variance (m,), m^2, and length scale (m,), m, of the random field in each triangle.
+    gradient
+        Slope of the prior mean in each triangle (m, 2). The prior mean is the plane through the
+        centroid of the vertices with this slope.
+    usable
+        False for triangles that span an occlusion (m,). They yield a mean and the prior variance,
+        and leave `observed` False.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         _regress_triangle(
             points, noise, triangles[t, 0], triangles[t, 1], triangles[t, 2], usable[t],
-            gradient[t], x0, y0, p, prior[t], length[t], weight, least, mean, variance, observed,
+            gradient[t], x0, y0, p, prior[t], length[t], weight, min_weight,
+            mean, variance, observed,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Compiled kernels of the pooled samples and of the roughness between them."""
+"""Compiled kernels of pooled samples and of the terrain roughness between them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from lunarsim._jit import kernel
 
 
 @kernel()
-def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
+def pool(points, base, sigma, spacing, frame, centroid, splat, call_weight, min_spacing):
     """Add points (n, 3) to the sums of `SamplePool`; return how many fell on the grid.
 
-    `own` (rows, cols) gets the weights of these points alone.
+    `call_weight` (rows, cols) receives the bilinear weights of these points only.
     """
     x0, y0, p = frame
-    rows, cols = least.shape
+    rows, cols = min_spacing.shape
     count = 0
     for n in range(points.shape[0]):
         u = (points[n, 0] - x0) / p
@@ -31,7 +31,7 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
             centroid[i, j, 1] += precision * (u - j) * p
             centroid[i, j, 2] += precision * (v - i) * p
             centroid[i, j, 3] += precision * z
-            least[i, j] = min(least[i, j], spacing[n])
+            min_spacing[i, j] = min(min_spacing[i, j], spacing[n])
         j = int(np.floor(u))
         i = int(np.floor(v))
         for b in range(2):
@@ -40,19 +40,20 @@ def pool(points, base, sigma, spacing, frame, centroid, splat, own, least):
                 c = j + a
                 if r < 0 or r >= rows or c < 0 or c >= cols:
                     continue
-                w = (u - j if a == 1 else 1.0 - u + j) * (v - i if b == 1 else 1.0 - v + i)
-                own[r, c] += w
-                splat[r, c, 1] += w * precision
-                splat[r, c, 2] += w * precision * z
-                splat[r, c, 3] += w * w * precision
+                weight = (u - j if a == 1 else 1.0 - u + j) * (v - i if b == 1 else 1.0 - v + i)
+                call_weight[r, c] += weight
+                splat[r, c, 1] += weight * precision
+                splat[r, c, 2] += weight * precision * z
+                splat[r, c, 3] += weight * weight * precision
     return count
 
 
 @kernel(shared=True, allocates=False)
 def triangle_growth(share, points, variance, triangles, gradient, out):
-    """Write what the edges of each triangle have grown, and twice their lengths (m, 2).
+    """Write the variogram increment and twice the edge length of triangles (m, 2).
 
-    The squared differences in height off the gradient (m, 2), less what noise adds to them.
+    The increment is the sum over the edges of the squared height difference relative to the
+    gradient (m, 2), minus the noise variance of both ends.
     """
     for t in range(share[0], triangles.shape[0], share[1]):
         grown = 0.0
@@ -70,20 +71,22 @@ def triangle_growth(share, points, variance, triangles, gradient, out):
 
 
 @kernel(shared=True, allocates=False)
-def measured_pool(share, splat, base, least, growth, square, sub, prior, mean, variance, observed):
-    """Write mean, variance and observed of the cells that were measured, else the prior's.
+def measured_pool(
+    share, splat, base, min_weight, growth, square, sub, prior, mean, variance, observed
+):
+    """Write mean, variance and observed: the measurement, or the prior without one.
 
-    `growth` (m) is that of squares of `square` cells; `sub` times it is what the ground differs
-    by between a single sample and the cell's centre, m^2; many lie about the centre.
+    `growth`, m, is the variogram growth in squares of `square` cells. `sub` times `growth` is the
+    variance between a single sample and the cell centre, m^2; it falls with the number of samples.
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
-            if splat[i, j, 0] > least:
+            if splat[i, j, 0] > min_weight:
                 w = splat[i, j, 1]
                 mean[i, j] = base + splat[i, j, 2] / w
-                aside = sub * growth[i // square, j // square] / max(splat[i, j, 0], 1.0)
-                variance[i, j] = splat[i, j, 3] / (w * w) + aside
+                offset_variance = sub * growth[i // square, j // square] / max(splat[i, j, 0], 1.0)
+                variance[i, j] = splat[i, j, 3] / (w * w) + offset_variance
                 observed[i, j] = True
             else:
                 mean[i, j] = np.nan
@@ -93,24 +96,24 @@ def measured_pool(share, splat, base, least, growth, square, sub, prior, mean, v
 
 @kernel(shared=True, allocates=False)
 def add_kinks(share, mean, measured, noise, part, variance):
-    """Add to the variance of measured cells what the ground bends by there.
+    """Add the terrain curvature to the variance of measured cells.
 
-    On the edge of a rock a cell's samples lie above or below its centre. The bend is the second
-    difference of the mean, the greatest of four directions; what is not three times its noise is
-    none.
+    On the edge of a rock the samples of a cell lie above or below its centre. The curvature is the
+    second difference of the mean, the maximum of four directions. It is ignored below three times
+    its noise.
     """
     rows, cols = mean.shape
     for i in range(share[0], rows, share[1]):
         for j in range(cols):
             if not measured[i, j]:
                 continue
-            most = 0.0
+            max_curvature = 0.0
             for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 if i < di or i + di >= rows or j < abs(dj) or j + abs(dj) >= cols:
-                    continue  # along the edge of the map there is one direction left
+                    continue  # at the edge of the map only one direction exists
                 bend = 0.5 * (mean[i + di, j + dj] + mean[i - di, j - dj]) - mean[i, j]
                 if np.isfinite(bend):
-                    most = max(most, bend * bend)
-            left = most - 13.5 * noise[i, j]
-            if left > 0.0:
-                variance[i, j] += part * left
+                    max_curvature = max(max_curvature, bend * bend)
+            excess = max_curvature - 13.5 * noise[i, j]
+            if excess > 0.0:
+                variance[i, j] += part * excess

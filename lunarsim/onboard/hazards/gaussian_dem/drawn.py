@@ -1,4 +1,4 @@
-"""A Gaussian DEM as it was drawn at one time: the ground at once, judgements when asked for."""
+"""Snapshot of a Gaussian DEM: elevations now, site evaluation on demand."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from lunarsim.safety.unseen_rocks import depth_curve, height_curve
 
 
 @dataclass(frozen=True)
-class DrawnDem:
-    """Elevations, what they say of sites, and how safe that makes each; the later the costlier.
+class DemSnapshot:
+    """Elevations, site evidence and landing safety of a DEM, computed on demand.
 
     Attributes
     ----------
     dem
-        The elevations.
+        Elevations.
     lander, rocks
-        Geometry and limits; what the mission expects.
+        Geometry and limits of the lander; rock population expected by the mission.
     refit
-        As for `calibrated_safety`.
+        Last stage of the calibration; None: that of the package.
     """
 
     dem: PooledDem
@@ -40,7 +40,7 @@ class DrawnDem:
 
     @property
     def grid(self) -> Grid:
-        """The cells."""
+        """Cells of the map."""
         return self.dem.grid
 
     @property
@@ -55,50 +55,56 @@ class DrawnDem:
 
     @property
     def observed(self) -> BoolMap:
-        """Where the whole footprint was seen (rows, cols)."""
-        return self.judged.observed
+        """Where the complete footprint has been observed (rows, cols)."""
+        return self.site_evidence.observed
 
     @property
-    def rises(self) -> NDArray[np.float32]:
-        """How far the sample of each cell stands above the ground about it (rows, cols), m."""
-        return self.dem.sampling.of_cells
+    def residual_heights(self) -> NDArray[np.float32]:
+        """Height of the samples above the local plane, per cell (rows, cols), m."""
+        return self.dem.sampling.residual_raster
 
     @cached_property
-    def judged(self) -> Evidence:
-        """What it says of its sites."""
+    def site_evidence(self) -> Evidence:
+        """Evidence for the safety of each site."""
         return evidence_of(self.dem, self.lander, self.rocks)
 
     @cached_property
     def hazard_map(self) -> HazardMap:
-        """How safe they are."""
-        p, known = calibrated_safety(self.judged, refit=self.refit)
+        """Calibrated probability of a safe landing."""
+        p, known = calibrated_safety(self.site_evidence, refit=self.refit)
         return HazardMap(
             self.grid, p, self.observed, self.elevation, self.variance, in_domain=known
         )
 
 
 def evidence_of(dem: PooledDem, lander: Lander, rocks: RockExpectation) -> Evidence:
-    """Return what a map says of its sites.
+    """Return the evidence of a DEM for the safety of each site.
 
     Parameters
     ----------
     dem
-        The map.
+        Elevations.
     lander
         Geometry and limits.
     rocks
-        What the mission expects.
+        Rock population expected by the mission.
     """
-    seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
+    observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
     s = dem.sampling
-    said = (s.rises, s.noise, lander.roughness_limit, rocks.cover, rocks.height_ratio[0])
+    curve_args = (
+        s.residual_heights,
+        s.noise,
+        lander.roughness_limit,
+        rocks.cover,
+        rocks.height_ratio[0],
+    )
     return Evidence(
-        stochastic_safety(seen, dem.variance, dem.grid, lander),
-        plane_stochastic_safety(seen, dem.variance, dem.grid, lander),
-        bounded_safety(seen, dem.grid, lander),
+        stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        plane_stochastic_safety(observed_mean, dem.variance, dem.grid, lander),
+        bounded_safety(observed_mean, dem.grid, lander),
         lander,
-        height_curve(*said),
-        depth_curve(*said),
+        height_curve(*curve_args),
+        depth_curve(*curve_args),
         s.density,
         s.noise,
         s.spacing,

@@ -1,4 +1,4 @@
-"""Hyper-parameters of the random field from the point cloud itself, by its variogram."""
+"""Hyperparameters of the random field, fitted to the variogram of a point cloud."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_BINS = 24
+_BIN_COUNT = 24
 
 
 @dataclass(frozen=True)
 class FieldFit:
-    """Fitted hyper-parameters.
+    """Fitted hyperparameters.
 
     Attributes
     ----------
     sigma_f, length_scale
-        m. On lags much shorter than the length scale only their combination `growth` is known.
+        Standard deviation and length scale of the field, m. Lags much shorter than the length scale
+        determine only their combination `growth`.
     growth
-        sigma_f^2 / length_scale: how fast the variogram rises from the origin, m.
+        sigma_f^2 / length_scale, m: slope of the variogram at the origin.
     lag, variogram
-        Centres of the lag bins (n,), m, and half the mean squared difference there (n,), m^2.
+        Centres of the lag bins (n,), m, and half the mean squared difference in each (n,), m^2.
     seconds
-        Wall-clock cost of the fit.
+        Wall-clock time of the fit, s.
     """
 
     sigma_f: float
@@ -52,47 +53,47 @@ def fit_hyperparameters(
 ) -> FieldFit:
     """Fit the absolute exponential kernel to the variogram of a point cloud.
 
-    The variogram of the model is ``sigma_f^2 (1 - exp(-d / length)) + sigma_eps^2``. Pairs are
-    drawn at random; their squared differences are averaged in bins of lag and the model is fitted
-    to the bins, each weighted by its relative error.
+    The model variogram is ``sigma_f^2 (1 - exp(-d / length)) + sigma_eps^2``. Pairs of points are
+    drawn at random and their squared differences are averaged in lag bins. The model is fitted to
+    the bins, each weighted by its relative error.
 
     Parameters
     ----------
     points
         East, north, up (n, 3), m; at least 100.
     sigma_eps
-        Standard deviation of a sample, m; held.
+        Standard deviation of a sample, m; not fitted.
     rng
-        Draws the pairs.
+        Random generator for the pairs.
     largest_lag
-        Longest lag used, m.
+        Maximum lag, m.
     pairs
         Number of pairs drawn.
 
     Raises
     ------
     ValueError
-        If there are too few points, or none lie within the largest lag of each other.
+        If there are too few points, or no two points within the maximum lag.
     """
-    began = time.perf_counter()
+    start = time.perf_counter()
     cloud = check_points(points)
     if len(cloud) < 100:
-        raise ValueError(f"points: {len(cloud)} are too few for a variogram, at least 100")
-    distance, square = _drawn_pairs(cloud, rng, pairs, largest_lag)
+        raise ValueError(f"points: must be at least 100 for a variogram, got {len(cloud)}")
+    distance, square = _sample_pairs(cloud, rng, pairs, largest_lag)
     if not distance.size:
-        raise ValueError(f"largest_lag = {largest_lag}: no two points are that close")
-    lag, variogram, count = _binned(distance, square, largest_lag)
-    sigma_f, length = _fitted(lag, variogram, count, sigma_eps, largest_lag)
+        raise ValueError(f"largest_lag: must exceed the distance of some points, got {largest_lag}")
+    lag, variogram, count = _bin_pairs(distance, square, largest_lag)
+    sigma_f, length = _fit_model(lag, variogram, count, sigma_eps, largest_lag)
     return FieldFit(
-        sigma_f, length, sigma_f**2 / length, lag, variogram, time.perf_counter() - began
+        sigma_f, length, sigma_f**2 / length, lag, variogram, time.perf_counter() - start
     )
 
 
-def _drawn_pairs(
+def _sample_pairs(
     cloud: Array, rng: np.random.Generator, pairs: int, largest_lag: float
 ) -> tuple[Array, Array]:
-    """Return distance and half the squared difference in height of pairs of points."""
-    # Partners at a random direction and a lag even in its logarithm: every bin gets its share.
+    """Return distance and half the squared height difference of random point pairs."""
+    # Random direction and log-uniform lag, so that every bin gets its share.
     first = rng.integers(0, len(cloud), pairs)
     low = 0.02 * largest_lag
     lag = low * (largest_lag / low) ** rng.random(pairs)
@@ -104,21 +105,21 @@ def _drawn_pairs(
     return distance[use], 0.5 * (cloud[first, 2] - cloud[second, 2])[use] ** 2
 
 
-def _binned(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
-    """Return lag, variogram and number of pairs of the bins that hold enough of them."""
-    edges = np.geomspace(distance.min(), largest_lag, _BINS + 1)
-    index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BINS - 1)
-    count = np.bincount(index, minlength=_BINS)
+def _bin_pairs(distance: Array, square: Array, largest_lag: float) -> tuple[Array, Array, Index]:
+    """Return lag, variogram and number of pairs of the bins with at least 30 pairs."""
+    edges = np.geomspace(distance.min(), largest_lag, _BIN_COUNT + 1)
+    index = np.clip(np.searchsorted(edges, distance) - 1, 0, _BIN_COUNT - 1)
+    count = np.bincount(index, minlength=_BIN_COUNT)
     filled = count >= 30
-    centre = np.bincount(index, weights=distance, minlength=_BINS)[filled] / count[filled]
-    height = np.bincount(index, weights=square, minlength=_BINS)[filled] / count[filled]
+    centre = np.bincount(index, weights=distance, minlength=_BIN_COUNT)[filled] / count[filled]
+    height = np.bincount(index, weights=square, minlength=_BIN_COUNT)[filled] / count[filled]
     return centre, height, count[filled]
 
 
-def _fitted(
+def _fit_model(
     lag: Array, variogram: Array, count: Index, sigma_eps: float, largest_lag: float
 ) -> tuple[float, float]:
-    """Return sigma_f and length scale of the model nearest to the bins."""
+    """Return sigma_f and length scale of the best model."""
 
     def model(d: Array, log_sigma: float, log_length: float) -> Array:
         rise = np.exp(2.0 * log_sigma) * -np.expm1(-d / np.exp(log_length))

@@ -1,4 +1,4 @@
-"""The Gaussian DEM: local Gaussian random field regression on a Delaunay triangulation."""
+"""The Gaussian DEM: local random field regression on a Delaunay triangulation."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import _kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
+    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
-    plain,
 )
 from lunarsim.triangulation import delaunay, delaunay_of_image
 
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
 
-# A cell whose samples weigh more than this is measured, not interpolated.
+# Bilinear weight above which a cell is measured and not interpolated.
 DENSE = 0.5
-# Of points that are no detector's.
+# Pixel numbers of points without a detector.
 NO_PIXELS = np.zeros(0, np.int64)
-# Lengths of a random field that its variances, in single precision, can hold, m.
-_LONGEST = 1e9
-# Neighbours by which the distance of samples is judged where no sensor tells it.
-_NEAREST = 6
+# Maximum length parameter of the field, m: its square fits float32.
+_MAX_LENGTH_M = 1e9
+# Number of neighbours from which the sample spacing is estimated if the sensor does not state it.
+_NEIGHBOUR_COUNT = 6
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class GaussianDem:
     Attributes
     ----------
     grid
-        Places the cells; values belong to cell centres.
+        Positions of the cells; values belong to cell centres.
     mean
-        Mean elevation (rows, cols), m; NaN where nothing is known.
+        Mean elevation (rows, cols), m; NaN where unknown.
     variance
-        Variance (rows, cols), m^2; the prior's where nothing is known.
+        Variance (rows, cols), m^2; the prior variance where unknown.
     observed
         False outside the hull of the samples and across occlusions (rows, cols).
     """
@@ -67,39 +67,40 @@ def gaussian_dem(
 ) -> GaussianDem:
     """Build a Gaussian DEM from a point cloud (section II of the Gaussian DEM paper).
 
-    Cells with enough samples take the conventional DEM's value and the sensor's variance, the
-    others the regression of Eqs. 5 and 6 with the kernel of Eq. 4 from the three vertices of the
-    Delaunay triangle about them. The prior mean is theirs: zero would pull relief towards z = 0.
+    Cells with enough samples take the value of the conventional DEM and the variance of the sensor.
+    The others take the regression of Eqs. 5 and 6, with the kernel of Eq. 4, from the vertices of
+    the Delaunay triangle that contains them. The prior mean is the mean of these vertices, because
+    a prior mean of zero would pull the terrain towards z = 0.
 
     Parameters
     ----------
     points
-        East, north, up (n, 3), m; rows with NaN are left out.
+        East, north, up (n, 3), m; rows with NaN are ignored.
     grid
-        The cells.
+        Cells of the DEM.
     sigma_f
         Prior standard deviation of the terrain, m.
     length_scale
-        Length scale of the kernel, m. Only sigma_f^2 / length_scale matters when the length
-        scale is much longer than the triangles.
+        Length scale of the kernel, m. If it is much longer than the triangles, only sigma_f^2 /
+        length_scale matters.
     sigma_eps
         Standard deviation of a sample, m.
     image_shape
-        Rows and columns of the detector, if the points are its returns in order: triangulation
-        then starts from its mesh, and triangles over missing returns are known as such.
+        Rows and columns of the detector, if the points are its returns in order. The triangulation
+        then starts from the pixel mesh and recognizes triangles over missing returns.
     spacing
-        How far apart neighbouring samples lie, one or (n,), m (`LidarScan.spacing`): a triangle
-        with an edge three times as long spans ground that was not seen. Left out: that of
-        neighbouring pixels, or without `image_shape` the mean distance to a sample's six nearest.
+        Distance of neighbouring samples, scalar or (n,), m, as from `LidarScan.spacing`. A triangle
+        with an edge longer than three times this spacing is an occlusion. Default: distance of
+        neighbouring pixels, or without `image_shape` the mean distance to the six nearest samples.
 
     Raises
     ------
     ValueError
-        If the array is not (n, 3), holds infinities, or a parameter is not positive; if a height
-        is over 8 km, where float32 no longer tells millimetres.
+        If the array is not (n, 3), contains infinities, a parameter is not positive, or a height
+        exceeds 8 km.
     """
     _check_parameters(sigma_f, length_scale, sigma_eps)
-    raw = plain(points)
+    raw = as_real_array(points)
     cloud = check_points(raw)
     base = base_height(cloud)
     check_heights(cloud)
@@ -120,9 +121,9 @@ def gaussian_dem(
 def _regress(
     dem: GaussianDem, mesh: _Mesh, weight: FloatMap, field: tuple[float, float, float]
 ) -> None:
-    """Fill the cells of a map that were not measured, with one field everywhere.
+    """Fill the unmeasured cells of a DEM with one random field.
 
-    `field` holds its variance, its length scale and the variance of a sample.
+    `field` holds the variance and the length scale of the field and the variance of a sample.
     """
     prior, length, noise = field
     count, grid = len(mesh.triangles), dem.grid
@@ -137,10 +138,10 @@ def _regress(
 
 def _check_parameters(sigma_f: float, length_scale: float, sigma_eps: float) -> None:
     for name, value in (("sigma_f", sigma_f), ("length_scale", length_scale)):
-        if not 0.0 < value <= _LONGEST:
-            raise InputError(name, value, f"a positive length of at most {_LONGEST:g} m")
-    if not 0.0 <= sigma_eps <= _LONGEST:
-        raise InputError("sigma_eps", sigma_eps, f"0, or a length of at most {_LONGEST:g} m")
+        if not 0.0 < value <= _MAX_LENGTH_M:
+            raise InputError(name, value, f"must be positive and at most {_MAX_LENGTH_M:g} m")
+    if not 0.0 <= sigma_eps <= _MAX_LENGTH_M:
+        raise InputError("sigma_eps", sigma_eps, f"must be between 0 and {_MAX_LENGTH_M:g} m")
 
 
 def triangle_edges(
@@ -150,14 +151,26 @@ def triangle_edges(
     cols: int,
     spacing: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], BoolMap]:
-    """Return the longest edge of every triangle (m,), and which triangles span ground seen (m,).
+    """Return the longest edge of each triangle (m,), and which are usable (m,).
 
-    Not those over missing returns, whose longest edge is inf, nor those with an edge three times as
-    long as their samples are apart: `spacing` (n,), the widest at a triangle's corners.
-    `pixels` numbers the points row by row on a detector of `cols` columns; empty if unknown.
+    A triangle is not usable if it covers missing returns (its longest edge is then inf) or if an
+    edge exceeds three times the sample spacing.
+
+    Parameters
+    ----------
+    points
+        Vertices (n, 3), m.
+    triangles
+        Indices of vertices (m, 3).
+    pixels
+        Row-major pixel numbers of the points on the detector (n,); empty if unknown.
+    cols
+        Columns of the detector.
+    spacing
+        Sample spacing (n,), m; the maximum over the corners of a triangle counts.
     """
     longest, usable = np.empty(len(triangles)), np.empty(len(triangles), np.bool_)
-    # Whole divisions are slow: once a pixel, not once an edge.
+    # Integer division is slow: divide once per pixel, not once per edge.
     row, col = np.divmod(pixels, cols)
     k.edges(points, triangles, row, col, spacing, longest, usable)
     return longest, usable
@@ -165,16 +178,16 @@ def triangle_edges(
 
 @dataclass(frozen=True)
 class _Mesh:
-    """Delaunay triangulation of a cloud.
+    """Delaunay triangulation of a point cloud.
 
     Attributes
     ----------
     vertices
-        (n, 3).
+        Points (n, 3), m.
     triangles
         Indices into `vertices` (m, 3).
     usable
-        False for triangles over ground that was not seen (m,).
+        False for triangles that span an occlusion (m,).
     """
 
     vertices: NDArray[np.float64]
@@ -189,16 +202,20 @@ class _Mesh:
         image_shape: tuple[int, int] | None,
         spacing: ArrayLike | None,
     ) -> _Mesh:
-        """Triangulate all points given, or the cloud of finite ones if they are no image."""
+        """Triangulate all points of an image, or the finite points of a cloud."""
         if image_shape is None:
             return cls._of_cloud(raw, cloud, spacing)
         if len(raw) != image_shape[0] * image_shape[1]:
-            raise ValueError(f"image_shape = {image_shape}: does not hold {len(raw)} points")
+            raise ValueError(f"image_shape: must hold {len(raw)} points, got {image_shape}")
         triangles = delaunay_of_image(_blank(raw), image_shape)
         pixels = np.arange(len(raw))
-        wide = _pixel_spacing(raw, image_shape) if spacing is None else spacing
-        apart = np.ascontiguousarray(np.broadcast_to(np.asarray(wide, np.float64), len(raw)))
-        return cls(raw, triangles, triangle_edges(raw, triangles, pixels, image_shape[1], apart)[1])
+        pixel_spacing = _pixel_spacing(raw, image_shape) if spacing is None else spacing
+        point_spacing = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(pixel_spacing, np.float64), len(raw))
+        )
+        return cls(
+            raw, triangles, triangle_edges(raw, triangles, pixels, image_shape[1], point_spacing)[1]
+        )
 
     @classmethod
     def _of_cloud(
@@ -207,18 +224,23 @@ class _Mesh:
         vertices, group = _merge_coincident(cloud)
         triangles = delaunay(vertices[:, :2])
         if spacing is None:
-            apart = sample_spacing(vertices)
+            vertex_spacing = sample_spacing(vertices)
         else:
             given = np.broadcast_to(np.asarray(spacing, dtype=np.float64), len(raw))
-            apart = np.full(len(vertices), np.inf)
-            np.minimum.at(apart, group, given[finite_rows(raw)])
-        return cls(vertices, triangles, triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)[1])
+            vertex_spacing = np.full(len(vertices), np.inf)
+            np.minimum.at(vertex_spacing, group, given[finite_rows(raw)])
+        return cls(
+            vertices,
+            triangles,
+            triangle_edges(vertices, triangles, NO_PIXELS, 1, vertex_spacing)[1],
+        )
 
 
 def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
-    """Return the distance of neighbouring pixels' points in the direction of the longer one, m.
+    """Return the median horizontal distance of neighbouring pixels, m.
 
-    0 if no two neighbours have a return: nothing then tells gaps from sparse samples.
+    The larger of the medians along the two axes of the detector. 0 if no two neighbours have a
+    return: gaps and sparse samples then cannot be distinguished.
     """
     image = raw[:, :2].reshape(*shape, 2)
     medians = [0.0]
@@ -232,8 +254,8 @@ def _pixel_spacing(raw: NDArray[np.float64], shape: tuple[int, int]) -> float:
 
 
 def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean distance (n,) of points (n, 2 or more) to their nearest neighbours, m."""
-    nearest = min(_NEAREST, len(points) - 1)
+    """Return the mean distance (n,) of points (n, 2 or more) to their six nearest, m."""
+    nearest = min(_NEIGHBOUR_COUNT, len(points) - 1)
     if nearest < 1:
         return np.full(len(points), np.inf)
     distance, _ = cKDTree(points[:, :2]).query(points[:, :2], k=nearest + 1, workers=-1)
@@ -241,7 +263,7 @@ def sample_spacing(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points' (x, y) with every pixel that lacks a coordinate NaN as a whole."""
+    """Return (x, y) of the points, with NaN for every point that lacks a coordinate."""
     xy = points[:, :2]
     lost = ~finite_rows(points)
     return np.where(lost[:, None], np.nan, xy) if lost.any() else xy
@@ -250,9 +272,9 @@ def _blank(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _merge_coincident(
     cloud: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the cloud with samples at the same (x, y) replaced by their mean height.
+    """Replace samples at the same (x, y) by one with their mean height.
 
-    The second array (n,) tells in which row of it each sample ended.
+    The second array (n,) gives the row of each sample in the result.
     """
     order = np.lexsort((cloud[:, 1], cloud[:, 0]))
     same = (np.diff(cloud[order, :2], axis=0) == 0.0).all(axis=1)
@@ -262,6 +284,6 @@ def _merge_coincident(
     first = order[np.concatenate(([True], ~same))]
     count = np.bincount(group)
     z = np.bincount(group, weights=cloud[order, 2]) / count
-    of = np.empty(len(cloud), np.int64)
-    of[order] = group
-    return np.column_stack((cloud[first, :2], z)), of
+    row_of = np.empty(len(cloud), np.int64)
+    row_of[order] = group
+    return np.column_stack((cloud[first, :2], z)), row_of

@@ -1,4 +1,4 @@
-"""The Gaussian DEM mapper: LiDAR scans in, `HazardMap` out."""
+"""Mapper that converts LiDAR scans to a Gaussian DEM and a `HazardMap`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.drawing_times import DrawingTimes
-from lunarsim.onboard.hazards.early_ground import EarlyGround
-from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
+from lunarsim.onboard.hazards.gaussian_dem.drawn import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import PooledDem, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap, Surface
+from lunarsim.onboard.hazards.map_update_timer import MapUpdateTimer
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.published import ReliefEvidence
+from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import check_bounds, quantity
 from lunarsim.rocks.population import RockExpectation
@@ -30,48 +30,48 @@ from lunarsim.safety.calibration import measured
 from lunarsim.safety.refit import ScenarioCalibration
 
 Array = NDArray[np.float64]
-# A scan lies higher or lower than those before if it does by so many deviations, and by that, m.
-_SURELY, _LEAST_STEP = 5.0, 0.01
+# A height offset of a scan is corrected if it exceeds this many standard deviations and this
+# height, m.
+_MIN_OFFSET_SIGMAS, _MIN_OFFSET_M = 5.0, 0.01
 Judgement = Literal["calibrated", "level", "planes"]
 
 
 @dataclass(frozen=True)
 class GaussianDemMapping:
-    """A Gaussian DEM of LiDAR returns, judged by a stochastic safety test.
+    """Settings of a Gaussian DEM of LiDAR returns with a stochastic safety test.
 
     Attributes
     ----------
     sensor
-        Whose scans it maps.
+        Name of the LiDAR.
     posting, size
-        Of the map, m.
+        Sides of a cell and of the map, m.
     safety
-        See `GaussianDemMapper`.
+        Safety test, as in `GaussianDemMapper`.
     interval
-        See `GaussianDemMapper`, s.
+        Minimum time between two updates of the map, s.
     calibration_path
-        See `ScenarioCalibration.load`; None: the packaged calibration.
+        File for `ScenarioCalibration.load`; None: the packaged calibration.
 
     Raises
     ------
     InputError
-        If the calibration is missing or no such file, or `safety` has no use for it.
+        If the calibration file is missing or invalid, or if `safety` does not use one.
     """
 
-    sensor: str = quantity("flash", help="whose scans it maps")
-    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
-    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
+    sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
+    posting: float = quantity(0.2, "m", gt=0, help="side of a map cell")
+    size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
     safety: Judgement = quantity(
         "calibrated",
-        help="a frequency, Eqs. 15 to 17 of the paper, or these through the real support planes",
+        help="safety test: calibrated probability, Eqs. 15 to 17, or these with support planes",
     )
     interval: float = quantity(
-        1.0, "s", ge=0, le=10, help="least time between two drawings of the map"
+        1.0, "s", ge=0, le=10, help="minimum time between two updates of the map"
     )
     calibration_path: Path | None = quantity(
         None,
-        help="last stage of the calibration that `lunarsim calibrate` wrote, relative to the "
-        "scenario file",
+        help="calibration file from `lunarsim calibrate`, relative to the scenario file",
     )
 
     takes: ClassVar[type] = LidarScan
@@ -82,12 +82,12 @@ class GaussianDemMapping:
         if self.calibration_path is not None and self.safety != "calibrated":
             raise InputError(
                 "calibration_path", str(self.calibration_path),
-                f"left out: safety = {self.safety!r} does not use it, safety = 'calibrated' does",
+                f"must be omitted with safety = {self.safety!r}", "Use safety = 'calibrated'.",
             )  # fmt: skip
         self.calibration()
 
     def calibration(self) -> ScenarioCalibration | None:
-        """Return what the file at `calibration_path` holds, None without one."""
+        """Return the calibration in `calibration_path`; None without a file."""
         if self.calibration_path is None:
             return None
         try:
@@ -95,7 +95,9 @@ class GaussianDemMapping:
             found.check_regression(measured())
         except InputError as error:
             raise InputError(
-                "calibration_path", str(self.calibration_path), f"a calibration ({error})"
+                "calibration_path",
+                str(self.calibration_path),
+                f"must be a valid calibration ({error})",
             ) from None
         return found
 
@@ -112,31 +114,32 @@ class GaussianDemMapping:
 
 
 class GaussianDemMapper(HazardMapper):
-    """Pools flash LiDAR scans into a Gaussian DEM and judges landing safety on it.
+    """Pool LiDAR scans into a Gaussian DEM and evaluate landing safety on it.
 
     Parameters
     ----------
     grid
-        The cells of the map, in the estimated ENU frame.
+        Cells of the map, estimated ENU frame.
     lander
         Geometry and limits.
     safety
-        ``"calibrated"``: how often such sites are safe, and a bound where that is not known; see
-        `lunarsim.safety.calibration`. ``"level"``: the conservative test of Eqs. 15 to 17.
-        ``"planes"``: through the real support planes, which keeps safe sites on relief.
+        ``"calibrated"``: calibrated probability, and a bound outside the calibrated domain (see
+        `lunarsim.safety.calibration`). ``"level"``: conservative test of Eqs. 15 to 17.
+        ``"planes"``: the same test with the actual support planes, which keeps safe sites on
+        relief.
     rocks
-        What the mission expects; left out, its defaults.
+        Rock population expected by the mission; default: that of `RockExpectation`.
     refit
-        Last stage of the calibration, of the scenario's own; left out, that of the package.
+        Last stage of the calibration for the scenario; default: that of the package.
     interval
-        Least time between two drawings of the map, s; where nobody tells the time it is drawn
-        whenever something has come in.
+        Minimum time between two updates of the map, s. Without a known time, each new scan causes
+        an update.
 
     Raises
     ------
     InputError
-        If there is no such `safety`, or `refit` is not for it or for this lander; if the lander has
-        no footprint on such cells; if `rocks` are none.
+        If `safety` is unknown, `refit` does not fit `safety` or the lander, the lander has no
+        footprint on these cells, or `rocks` is invalid.
     """
 
     def __init__(
@@ -151,135 +154,148 @@ class GaussianDemMapper(HazardMapper):
     ) -> None:
         footprint_of(lander, grid.posting)
         if not isinstance(safety, str) or safety not in ("calibrated", "level", "planes"):
-            raise InputError("safety", safety, "calibrated, level or planes")
+            raise InputError("safety", safety, "must be calibrated, level or planes")
         if refit is not None:
             if safety != "calibrated":
-                raise InputError("safety", safety, "calibrated: the others know no calibration")
+                raise InputError("safety", safety, "must be calibrated if refit is given")
             refit.check(lander, measured())
         self.grid = grid
         self.lander = lander
         self.refit = refit
         self.safety = safety
         self.rocks = RockExpectation.given(rocks)
-        self._samples, self._turning = SamplePool(grid), SamplePool(grid)
-        self._early = EarlyGround()
-        self._drawn: HazardMap | DrawnDem = HazardMap.unobserved(grid)
-        self._times, self._stale = DrawingTimes(interval), False
+        self._samples, self._provisional = SamplePool(grid), SamplePool(grid)
+        self._unleveled = UnleveledScans()
+        self._map: HazardMap | DemSnapshot = HazardMap.unobserved(grid)
+        self._timer, self._is_outdated = MapUpdateTimer(interval), False
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; a scan without returns changes nothing.
+        """Add a scan taken at the estimated pose; ignore a scan without returns.
 
         Raises
         ------
         InputError
-            If the scan, or the pose, is none; see `LidarScan.check`.
+            If the scan or the pose is invalid, as in `LidarScan.check`.
         """
         measurement.check(estimate.position, estimate.attitude)
         points = measurement.points(estimate.position, estimate.attitude)
-        early = self._early.takes(estimate.tilt_sigma)
-        self._raise_to(points)
-        taken = (self._turning if early else self._samples).add(
+        early = self._unleveled.includes(estimate.tilt_sigma)
+        self._align_heights_to(points)
+        taken = (self._provisional if early else self._samples).add(
             points,
             measurement.height_sigma(estimate.attitude),
             measurement.spacing(estimate.attitude),
         )
-        self._stale |= taken > 0
+        self._is_outdated |= taken > 0
 
-    def _raise_to(self, points: Array) -> None:
-        """Raise all samples to the height of a new scan, if that is surely another.
+    def _align_heights_to(self, points: Array) -> None:
+        """Shift all samples to the height of a new scan if the offset is significant.
 
-        The lander's height drifts by decimetres from scan to scan; samples of two heights side by
-        side would be steps all over the map. The newest is the height that the lander goes by.
+        The estimated height of the lander drifts by decimetres between scans. Samples at two
+        heights would look like steps all over the map. The newest scan defines the height, because
+        guidance uses it.
         """
-        found = self.pool.height_of(points)
-        if found is None or abs(found[0]) < max(_SURELY * found[1], _LEAST_STEP):
+        found = self.pool.height_offset(points)
+        if found is None or abs(found[0]) < max(_MIN_OFFSET_SIGMAS * found[1], _MIN_OFFSET_M):
             return
-        self._samples, self._turning = (
-            one.raised(found[0]) for one in (self._samples, self._turning)
+        self._samples, self._provisional = (
+            one.shifted_up(found[0]) for one in (self._samples, self._provisional)
         )
 
     @property
     def pool(self) -> SamplePool:
-        """All samples; those that came before the tilt was known lie where they are taken to."""
-        return self._samples.with_those_of(self._turning)
+        """All samples, those with a provisional tilt at their present position."""
+        return self._samples.union(self._provisional)
 
     def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
-        """Turn the samples that came while the tilt was not known; see `HazardMapper.level`."""
-        if self._turning.base is None:
+        """Rotate the samples that came before the tilt was known.
+
+        Parameters
+        ----------
+        turn, pivot
+            Rotation (3, 3) about a point (3,), local frame, m.
+        tilt_sigma
+            Present standard deviation of the tilt, rad.
+        """
+        if self._provisional.base is None:
             return
-        self._turning = self._turning.turned(turn, pivot)
-        self._stale = True
-        if self._early.known(tilt_sigma):
-            self._samples, self._turning = self.pool, SamplePool(self.grid)
+        self._provisional = self._provisional.rotated(turn, pivot)
+        self._is_outdated = True
+        if self._unleveled.is_tilt_known(tilt_sigma):
+            self._samples, self._provisional = self.pool, SamplePool(self.grid)
 
     def dem(self) -> PooledDem:
         """Return mean and variance of the elevation."""
         return pooled_dem(self.pool)
 
     def surface(self) -> Surface:
-        """Return the ground as it was last drawn; it is drawn when it is asked for and due."""
-        return self._due_drawing()
+        """Return the elevations as last computed, after an update if one is due."""
+        return self._updated()
 
-    def _due_drawing(self) -> HazardMap | DrawnDem:
-        if self._stale and self._times.due:
-            self._drawn, self._stale = self._draw(self.dem()), False
-            self._times.drawn()
-        return self._drawn
+    def _updated(self) -> HazardMap | DemSnapshot:
+        if self._is_outdated and self._timer.is_due:
+            self._map, self._is_outdated = self._compute(self.dem()), False
+            self._timer.mark_updated()
+        return self._map
 
     def hazard_map(self) -> HazardMap:
-        """Return the ground as it was last drawn, judged."""
-        drawn = self._due_drawing()
-        return drawn.hazard_map if isinstance(drawn, DrawnDem) else drawn
+        """Return the hazard map as last computed, after an update if one is due."""
+        snapshot = self._updated()
+        return snapshot.hazard_map if isinstance(snapshot, DemSnapshot) else snapshot
 
     def evidence(self) -> ReliefEvidence | None:
-        """Return the ground as it was last drawn and what it was drawn from; None before any.
+        """Return the last computed elevations and their evidence; None before any return.
 
-        Of the tests that know no calibration, the map alone.
+        Uncalibrated safety tests provide the map only.
         """
-        drawn = self._due_drawing()
+        snapshot = self._updated()
         if self.blank:
             return None
-        if isinstance(drawn, HazardMap):
-            return ReliefEvidence(drawn)
+        if isinstance(snapshot, HazardMap):
+            return ReliefEvidence(snapshot)
         return ReliefEvidence(
-            drawn, drawn.judged, self.refit, drawn.rises, draw=lambda: drawn.hazard_map
+            snapshot,
+            snapshot.site_evidence,
+            self.refit,
+            snapshot.residual_heights,
+            compute_map=lambda: snapshot.hazard_map,
         )
 
     def refresh(self, time: float) -> None:
-        """Note the time (s)."""
-        self._times.tell(time)
+        """Set the current time (s)."""
+        self._timer.set_time(time)
 
-    def _draw(self, dem: PooledDem) -> HazardMap | DrawnDem:
-        if not len(dem.sampling.rises):
+    def _compute(self, dem: PooledDem) -> HazardMap | DemSnapshot:
+        if not len(dem.sampling.residual_heights):
             return HazardMap.unobserved(self.grid)
         if self.safety == "calibrated":
-            return DrawnDem(dem, self.lander, self.rocks, self.refit)
-        seen = np.where(dem.observed, dem.mean, np.float32(np.nan))
-        judge = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
-        safety = judge(seen, dem.variance, self.grid, self.lander)
+            return DemSnapshot(dem, self.lander, self.rocks, self.refit)
+        observed_mean = np.where(dem.observed, dem.mean, np.float32(np.nan))
+        test = plane_stochastic_safety if self.safety == "planes" else stochastic_safety
+        safety = test(observed_mean, dem.variance, self.grid, self.lander)
         return HazardMap(self.grid, safety.p_safe, safety.observed, dem.mean, dem.variance)
 
     @property
     def blank(self) -> bool:
         """Whether no return has fallen on the map yet."""
-        return self._samples.base is None and self._turning.base is None
+        return self._samples.base is None and self._provisional.base is None
 
     def recentre(self, centre: Array) -> None:
-        """Lay the map about another point (3,), local frame, m."""
+        """Move the map to another centre (3,), local frame, m, if it is too far away."""
         if not (self.blank or is_aside(self.grid, centre)):
             return
-        self._samples, self._turning = self._about(centre)
+        self._samples, self._provisional = self._pools_about(centre)
         self.grid = self._samples.grid
-        self._drawn, self._stale = HazardMap.unobserved(self.grid), not self.blank
-        self._times.at_once()
+        self._map, self._is_outdated = HazardMap.unobserved(self.grid), not self.blank
+        self._timer.force_update()
 
-    def _about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
-        """Return both pools over one grid about another point (3,)."""
+    def _pools_about(self, centre: Array) -> tuple[SamplePool, SamplePool]:
+        """Return both pools on one grid about another point (3,)."""
         both = self.pool.about(centre)
         if both.base is None:
             return both, SamplePool(both.grid)
-        # Grids move by whole cells while there are samples, so that both come to lie alike.
+        # Grids with samples move by integer numbers of cells, so that both pools stay aligned.
         return tuple(  # type: ignore[return-value]
-            SamplePool(both.grid) if one.base is None else one.laid(both.grid)
-            for one in (self._samples, self._turning)
+            SamplePool(both.grid) if one.base is None else one.on_shifted_grid(both.grid)
+            for one in (self._samples, self._provisional)
         )

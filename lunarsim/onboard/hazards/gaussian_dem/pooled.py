@@ -1,4 +1,4 @@
-"""The Gaussian DEM of many scans, with a random field as rough as the ground about a triangle."""
+"""Gaussian DEM of many scans, with a random field fitted to the local roughness."""
 
 from __future__ import annotations
 
@@ -18,178 +18,186 @@ from lunarsim.onboard.hazards.gaussian_dem.gaussian import (
     triangle_edges,
 )
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.triangulation import delaunay
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# The field's variance over that of what is asked of it in a triangle: so large that the level of a
-# triangle is known from its corners alone, and only the kernel's growth at the origin matters.
-_WIDE = 100.0
-# Scale on which ground that was not seen may stand off the rest, m.
-_FAR = 30.0
-# Growth of a cell's own square counts as much as this many squares of the whole map's.
-_PRIOR = 1.0
-# A dead level plane of millimetres still has dust on it.
-_LEAST_GROWTH = 1e-6
-# Of the posting: where in its cell a sample lies, as far as the field can differ from the centre.
-_SUB = 0.15
-# Of the squared bend of the ground at a cell.
-_KINK = 0.4
-# Ground is smoother within a triangle than along its edges ...
-_WITHIN = 0.4
-# ... but a triangle's own growth counts for more where its edges have grown by so many times their
-# noise: what stands there is as high between its corners as at them, or higher.
-_SIGNIFICANT, _BETWEEN = 6.0, 2.2
+# Variance of the field relative to the height differences in a triangle: so large that only the
+# corners determine the level of a triangle, and only the kernel's slope at the origin matters.
+_PRIOR_VARIANCE_RATIO = 100.0
+# Length scale over which unobserved terrain may deviate from the rest, m.
+_UNOBSERVED_LENGTH_M = 30.0
+# The growth of the complete map counts as this many squares in the estimate for each square.
+_GLOBAL_WEIGHT_SQUARES = 1.0
+# Minimum growth, m: even flat terrain has dust of millimetres.
+_MIN_GROWTH_M = 1e-6
+# Effective distance of a sample from the cell centre, in units of the posting.
+_SAMPLE_DISTANCE_RATIO = 0.15
+# Share of the squared terrain curvature that is added to the variance of a cell.
+_CURVATURE_SHARE = 0.4
+# Terrain is smoother within a triangle than along its edges ...
+_INTERIOR_GROWTH_RATIO = 0.4
+# ... but the growth of the triangle itself, times the second factor, counts if it exceeds the first
+# factor times the noise: an object there is as high between its corners as at them, or higher.
+_SIGNIFICANCE_RATIO, _SIGNIFICANT_GROWTH_FACTOR = 6.0, 2.2
 
 
 @dataclass(frozen=True)
-class Sampling:
-    """What the samples of a map say of themselves and of the ground between them.
+class SamplingStatistics:
+    """Statistics of the samples of a DEM and of the terrain between them.
 
     Attributes
     ----------
     density
-        Samples at different places on a square metre (rows, cols).
+        Samples at different places per square metre (rows, cols).
     spacing
-        Middle one of the scans' own distances of neighbouring samples, m.
+        Median distance of neighbouring samples within their scans, m.
     noise
-        Middle one of the samples' standard deviations, m.
-    rises
-        Heights of the samples above the ground about them (n,), m.
-    of_cells
-        The same, each at its cell (rows, cols), m; NaN where there is none.
+        Median standard deviation of the samples, m.
+    residual_heights
+        Heights of the samples above the local terrain plane (n,), m.
+    residual_raster
+        The same at the cell of each sample (rows, cols), m; NaN without a sample.
     """
 
     density: Array
     spacing: float
     noise: float
-    rises: Array
-    of_cells: NDArray[np.float32]
+    residual_heights: Array
+    residual_raster: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class PooledDem(GaussianDem):
-    """A Gaussian DEM and the sampling that it was made of; see `GaussianDem`."""
+    """Gaussian DEM with the statistics of its samples; see `GaussianDem`."""
 
-    sampling: Sampling
+    sampling: SamplingStatistics
 
 
 def pooled_dem(pool: SamplePool) -> PooledDem:
-    """Return mean and variance of the elevation between all samples.
+    """Return mean and variance of the elevation between all samples of a pool.
 
-    As `gaussian_dem`, but for the mean and the variance of the field. The paper's kernel (Eq. 4)
-    grows by ``sigma_f^2 / length_scale`` a metre near its origin, and that alone matters between
-    near samples. Here it is measured: the mean squared difference along the edges of the triangles,
-    off the slope of the ground, less the noise, over twice their length, in squares of a few
-    samples, and of a triangle alone where it shows more. Rocky ground is so given the spread that
-    it has, and smooth ground its own. The field's mean has the slope of the ground about a
-    triangle, so that noise larger than the relief does not flatten it.
+    The method is that of `gaussian_dem`, but mean and variance of the random field are estimated.
+    Between close samples only the slope of the variogram of Eq. 4 at the origin matters:
+    ``sigma_f^2 / length_scale``. It is estimated as the mean squared height difference along
+    triangle edges, relative to the terrain slope and minus the noise, divided by twice their
+    length. The estimate is made in squares of a few samples, and in a single triangle if that is
+    significantly larger. Rocky and smooth terrain thus each get their own variance. The mean of the
+    field has the local terrain slope, so that noise larger than the relief does not flatten it.
     """
     grid = pool.grid
     mean, variance = np.empty(grid.shape, np.float32), np.empty(grid.shape, np.float32)
     observed = np.empty(grid.shape, np.bool_)
     vertices, noise, spacing = pool.vertices()
     triangles = delaunay(vertices[:, :2]) if len(vertices) > 2 else np.zeros((0, 3), np.int64)
-    # Thinned to one a cell they are no nearer than that.
-    apart = np.maximum(spacing, grid.posting)
-    longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, apart)
-    squares = Squares.of(grid, longest[usable])
+    # The pool keeps one sample per cell, so the spacing is at least the posting.
+    vertex_spacing = np.maximum(spacing, grid.posting)
+    longest, usable = triangle_edges(vertices, triangles, NO_PIXELS, 1, vertex_spacing)
+    squares = LocalPlaneGrid.of(grid, longest[usable])
     first, second, third = _corners(vertices[:, :2], triangles)
     middles = (first + second + third) / 3.0
-    planes = squares.planes(vertices)
+    planes = squares.fit_planes(vertices)
     gradient = squares.at(planes[..., 1:], middles)
-    grown = np.empty((len(triangles), 2))
-    sk.triangle_growth(vertices, noise, triangles, gradient, grown)
-    growth = _growth(squares, middles[usable], grown[usable])
+    increments = np.empty((len(triangles), 2))
+    sk.triangle_growth(vertices, noise, triangles, gradient, increments)
+    growth = _variogram_growth(squares, middles[usable], increments[usable])
     weight = np.ascontiguousarray(pool.splat[..., 0], dtype=np.float32)
     sk.measured_pool(
-        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells, _SUB * grid.posting,
-        float(growth.max()) * _FAR, mean, variance, observed,
+        pool.splat, pool.base or 0.0, DENSE, growth, squares.cells,
+        _SAMPLE_DISTANCE_RATIO * grid.posting, float(growth.max()) * _UNOBSERVED_LENGTH_M,
+        mean, variance, observed,
     )  # fmt: skip
     if len(triangles) and not observed.all():
         noises = _corners(noise, triangles)
-        # To the squared difference along each of three edges noise adds that of both its ends.
-        added = 2.0 * (noises[0] + noises[1] + noises[2])
-        own = grown[:, 0] - (_SIGNIFICANT - 1.0) * added
-        rate = np.maximum(_WITHIN * squares.at(growth, middles), _BETWEEN * own / grown[:, 1])
-        prior = _WIDE * (np.maximum.reduce(noises) + rate * grown[:, 1])
+        # Noise adds the variance of both ends to the squared difference of each of three edges.
+        noise_increments = 2.0 * (noises[0] + noises[1] + noises[2])
+        own_increments = increments[:, 0] - (_SIGNIFICANCE_RATIO - 1.0) * noise_increments
+        rate = np.maximum(
+            _INTERIOR_GROWTH_RATIO * squares.at(growth, middles),
+            _SIGNIFICANT_GROWTH_FACTOR * own_increments / increments[:, 1],
+        )
+        prior = _PRIOR_VARIANCE_RATIO * (np.maximum.reduce(noises) + rate * increments[:, 1])
         k.regress(
             vertices, noise, triangles, usable, gradient, grid.x0, grid.y0, grid.posting,
             prior, prior / rate, weight, np.float32(DENSE), mean, variance, observed,
         )  # fmt: skip
     measured = weight > DENSE
     with np.errstate(divide="ignore", invalid="ignore"):
-        averaged = pool.splat[..., 3] / pool.splat[..., 1] ** 2
-    sk.add_kinks(mean, measured, averaged, _KINK, variance)
+        mean_variance = pool.splat[..., 3] / pool.splat[..., 1] ** 2
+    sk.add_kinks(mean, measured, mean_variance, _CURVATURE_SHARE, variance)
     return PooledDem(
-        grid, mean, variance, observed, _sampling(pool, vertices, noise, spacing, squares, planes)
+        grid,
+        mean,
+        variance,
+        observed,
+        _sampling_statistics(pool, vertices, noise, spacing, squares, planes),
     )
 
 
-def _sampling(
+def _sampling_statistics(
     pool: SamplePool,
     vertices: Array,
     noise: Array,
     spacing: Array,
-    squares: Squares,
+    squares: LocalPlaneGrid,
     planes: Array,
-) -> Sampling:
+) -> SamplingStatistics:
     if not len(vertices):
         nothing = np.zeros(pool.grid.shape)
         unknown = np.full(pool.grid.shape, np.nan, np.float32)
-        return Sampling(nothing, np.inf, np.inf, np.zeros(0), unknown)
+        return SamplingStatistics(nothing, np.inf, np.inf, np.zeros(0), unknown)
     middle = float(np.median(spacing))
-    # Over some four samples each way.
+    # Average over about four samples each way.
     window = max(5, round(4.0 * middle / pool.grid.posting))
     taken = ndimage.uniform_filter(np.isfinite(pool.spacing).astype(np.float64), window)
-    rises = vertices[:, 2] - squares.heights(planes, vertices)
-    of_cells = np.full(pool.grid.shape, np.nan, np.float32)
-    # Vertices come in the order of their cells.
-    of_cells[np.nonzero(pool.centroid[..., 0])] = rises
-    return Sampling(
+    residual_heights = vertices[:, 2] - squares.plane_heights(planes, vertices)
+    residual_raster = np.full(pool.grid.shape, np.nan, np.float32)
+    # Vertices are in the order of their cells.
+    residual_raster[np.nonzero(pool.centroid[..., 0])] = residual_heights
+    return SamplingStatistics(
         np.maximum(taken, 0.0) / pool.grid.posting**2,
         middle,
         float(np.sqrt(np.median(noise))),
-        rises,
-        of_cells,
+        residual_heights,
+        residual_raster,
     )
 
 
 def _corners(values: Array, triangles: IntArray) -> list[Array]:
-    """Return the values (n, ...) of the first, second and third corners of triangles (m, ...)."""
+    """Return values (n, ...) at the three corners of triangles, each (m, ...)."""
     return [values[corner] for corner in triangles.T]
 
 
-def _growth(squares: Squares, points: Array, grown: Array) -> Array:
-    """Return how fast the variogram rises from its origin (rows, cols), m.
+def _variogram_growth(squares: LocalPlaneGrid, points: Array, increments: Array) -> Array:
+    """Return the slope of the variogram at the origin, per square (rows, cols), m.
 
     Parameters
     ----------
     squares
-        In which it is measured.
+        Squares of the estimate.
     points
-        Middles of triangles (m, 2).
-    grown
-        See `triangle_growth` (m, 2).
+        Centres of triangles (m, 2).
+    increments
+        Output of `triangle_growth` (m, 2).
     """
     row, col = squares.grid.cell(points[:, :2])
     rows, cols = squares.shape
     index = np.clip(row // squares.cells, 0, rows - 1) * cols
     index = index + np.clip(col // squares.cells, 0, cols - 1)
     rise, length = (
-        np.bincount(index, weights=grown[:, n], minlength=rows * cols).reshape(squares.shape)
+        np.bincount(index, weights=increments[:, n], minlength=rows * cols).reshape(squares.shape)
         for n in range(2)
     )
     if length.sum() <= 0.0:
-        return np.full(squares.shape, _LEAST_GROWTH)
-    whole = max(rise.sum() / length.sum(), _LEAST_GROWTH)
-    usual = _PRIOR * length.sum() / np.count_nonzero(length)
-    own = (_around(rise) + usual * whole) / (_around(length) + usual)
-    return np.asarray(np.maximum(own, _LEAST_GROWTH), dtype=np.float64)
+        return np.full(squares.shape, _MIN_GROWTH_M)
+    map_growth = max(rise.sum() / length.sum(), _MIN_GROWTH_M)
+    prior_length = _GLOBAL_WEIGHT_SQUARES * length.sum() / np.count_nonzero(length)
+    growth = (_sum_3x3(rise) + prior_length * map_growth) / (_sum_3x3(length) + prior_length)
+    return np.asarray(np.maximum(growth, _MIN_GROWTH_M), dtype=np.float64)
 
 
-def _around(values: NDArray[Any]) -> Array:
+def _sum_3x3(values: NDArray[Any]) -> Array:
     """Return sums over 3 x 3 squares."""
     return np.asarray(9.0 * ndimage.uniform_filter(values, 3, mode="constant"))

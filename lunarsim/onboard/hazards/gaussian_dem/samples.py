@@ -1,9 +1,9 @@
-"""All returns of a descent, thinned to the cells of a map.
+"""Returns of all scans of a descent, accumulated per map cell.
 
-Maps of single scans cannot be averaged as if their errors were independent: scans from one place
-look between the same points, so that their interpolation errors are the same. What is kept here
-are the samples themselves; the map is interpolated once, between all of them. Noise then averages
-where cells were measured again, and interpolation errors shrink only where new points fall.
+Maps of single scans must not be averaged as if their errors were independent: scans from one place
+sample the same points and share their interpolation errors. The pool therefore stores the samples,
+and the map is interpolated once between all of them. Noise averages out where a cell is measured
+again; interpolation errors shrink only where new points fall.
 """
 
 from __future__ import annotations
@@ -13,53 +13,53 @@ from numpy.typing import ArrayLike, NDArray
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.early_ground import turned_about
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as k
 from lunarsim.onboard.hazards.gaussian_dem.conventional import (
+    as_real_array,
     base_height,
     check_heights,
     check_points,
     finite_rows,
-    plain,
 )
+from lunarsim.onboard.hazards.unleveled_scans import rotate_about
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# No deviation or spacing of samples is longer, m.
-_LONGEST = 1e4
-# Ranges are not known better than this, whatever a sensor says.
-_LEAST_SIGMA = 1e-4
-# Cells that two scans share for a height of one above the other to be told.
-_FEWEST = 30
-# Standard deviation of normal values over their median absolute deviation, and of their median over
-# that of their mean.
-_MAD, _MEDIAN = 1.4826, 1.2533
+# Maximum standard deviation or spacing of samples, m.
+_MAX_LENGTH_M = 1e4
+# Minimum standard deviation of a height, m, whatever the sensor states.
+_MIN_SIGMA_M = 1e-4
+# Minimum number of shared cells for the height offset between two scans.
+_MIN_SHARED_CELLS = 30
+# Ratio of the standard deviation to the median absolute deviation of normal values, and ratio of
+# the standard errors of their median and mean.
+_MAD_TO_SIGMA, _MEDIAN_TO_MEAN_ERROR = 1.4826, 1.2533
 
 
 class SamplePool:
-    """Sums of the samples of each cell of a grid; memory does not grow with the scans.
+    """Sums over the samples in each cell of a grid; memory does not grow with scans.
 
     Parameters
     ----------
     grid
-        The cells.
+        Cells of the pool.
 
     Attributes
     ----------
     base
-        Height from which heights are counted, m; None before the first sample.
+        Reference of the heights, m; None before the first sample.
     centroid
-        Sums of precision, and of precision times east, north (from the cell's centre) and height
-        (above `base`), of the samples that fell into each cell (rows, cols, 4).
+        Sums of precision, and of precision times east, north (from the cell centre) and height
+        (above `base`), over the samples in each cell (rows, cols, 4).
     splat
-        Of the samples about each cell (rows, cols, 4): the greatest sum of bilinear weights (Eq. 1)
-        that one call of `add` gave it, and the sums of all weights over the variance, of height
-        times these, and of squared weights over the variance. A far corner that is hit again and
-        again does not make a cell measured.
+        Sums over the samples about each cell (rows, cols, 4): the maximum sum of bilinear weights
+        (Eq. 1) in one call of `add`, then the sums of weight over variance, of the same times
+        height, and of squared weight over variance. The maximum prevents that repeated hits of a
+        far corner make a cell count as measured.
     spacing
-        Least distance of neighbouring samples, as their scans had them (rows, cols), m; inf for
-        none.
+        Minimum distance of neighbouring samples within their scans (rows, cols), m; inf without
+        samples.
     """
 
     def __init__(self, grid: Grid) -> None:
@@ -71,77 +71,77 @@ class SamplePool:
 
     @property
     def nbytes(self) -> int:
-        """Memory of the sums."""
+        """Memory of the sums, bytes."""
         return self.centroid.nbytes + self.splat.nbytes + self.spacing.nbytes
 
     def add(self, points: ArrayLike, sigma: ArrayLike, spacing: ArrayLike) -> int:
-        """Take in samples; return how many fell on the grid.
+        """Add samples and return how many fell on the grid.
 
         Parameters
         ----------
         points
-            East, north, up (n, 3), m; rows with NaN are left out.
+            East, north, up (n, 3), m; rows with NaN are ignored.
         sigma
-            Standard deviation of each height, one or (n,), m.
+            Standard deviation of each height, scalar or (n,), m.
         spacing
-            Distance to the neighbouring samples of its scan, one or (n,), m.
+            Distance of neighbouring samples in the scan, scalar or (n,), m.
 
         Raises
         ------
         InputError
-            If points are infinite or more than 8 km up or down, or a deviation or
-            spacing is not positive.
+            If points are infinite or beyond 8 km in height, or if a standard deviation or spacing
+            is not positive.
         """
         try:
-            raw = plain(points)
+            raw = as_real_array(points)
             cloud = check_points(raw)
         except ValueError as error:
             raise InputError("points", np.shape(points), str(error)) from None
         if not len(cloud):
             return 0
         finite = finite_rows(raw)
-        noise, apart = (
-            _positive(name, np.broadcast_to(plain(values), len(raw))[finite])
+        noise, gaps = (
+            _check_positive(name, np.broadcast_to(as_real_array(values), len(raw))[finite])
             for name, values in (("sigma", sigma), ("spacing", spacing))
         )
         check_heights(cloud)
         base = base_height(cloud) if self.base is None else self.base
         g = self.grid
-        own = np.zeros(g.shape)
+        call_weight = np.zeros(g.shape)
         count = k.pool(
-            cloud, base, np.maximum(noise, _LEAST_SIGMA), apart, (g.x0, g.y0, g.posting),
-            self.centroid, self.splat, own, self.spacing,
+            cloud, base, np.maximum(noise, _MIN_SIGMA_M), gaps, (g.x0, g.y0, g.posting),
+            self.centroid, self.splat, call_weight, self.spacing,
         )  # fmt: skip
-        np.maximum(self.splat[..., 0], own, out=self.splat[..., 0])
-        # A cloud beside the grid leaves it as empty as it was.
-        self.base = base if own.any() else self.base
+        np.maximum(self.splat[..., 0], call_weight, out=self.splat[..., 0])
+        # A cloud outside the grid leaves the pool empty.
+        self.base = base if call_weight.any() else self.base
         return int(count)
 
-    def height_of(self, points: ArrayLike) -> tuple[float, float] | None:
-        """Return how high points stand above the samples of the same cells, and its deviation.
+    def height_offset(self, points: ArrayLike) -> tuple[float, float] | None:
+        """Return the height offset of points from the samples in the same cells.
 
-        The median of the differences and its standard deviation, m; None where too few cells have
-        both. What stands in a cell, and where in it the points lie, differs either way.
+        The result is the median difference and its standard error, m; None if too few cells contain
+        both. The position of the points within a cell contributes differences of either sign.
 
         Parameters
         ----------
         points
-            East, north, up (n, 3), m; rows with NaN are left out.
+            East, north, up (n, 3), m; rows with NaN are ignored.
         """
         cloud = np.asarray(points, dtype=np.float64)
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
         (row, col), keep = _cells(self.grid, cloud)
         known = self.centroid[row, col]
         both = known[:, 0] > 0.0
-        if np.count_nonzero(both) < _FEWEST or self.base is None:
+        if np.count_nonzero(both) < _MIN_SHARED_CELLS or self.base is None:
             return None
-        off = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
-        middle = float(np.median(off))
-        spread = _MAD * float(np.median(np.abs(off - middle)))
-        return middle, _MEDIAN * spread / float(np.sqrt(len(off)))
+        difference = cloud[keep][both, 2] - self.base - known[both, 3] / known[both, 0]
+        median = float(np.median(difference))
+        spread = _MAD_TO_SIGMA * float(np.median(np.abs(difference - median)))
+        return median, _MEDIAN_TO_MEAN_ERROR * spread / float(np.sqrt(len(difference)))
 
-    def raised(self, by: float) -> SamplePool:
-        """Return the same samples, all so much higher, m."""
+    def shifted_up(self, by: float) -> SamplePool:
+        """Return the same samples shifted up by a height, m."""
         out = SamplePool(self.grid)
         out.base = None if self.base is None else self.base + by
         out.centroid, out.splat, out.spacing = self.centroid, self.splat, self.spacing
@@ -150,20 +150,21 @@ class SamplePool:
     def about(self, centre: ArrayLike) -> SamplePool:
         """Return the same samples on a grid about another point (2,) or (3,), m.
 
-        It moves by whole cells, and those that leave it are dropped; without samples, exactly.
+        The grid moves by an integer number of cells and drops samples that leave it. An empty pool
+        moves exactly.
         """
         g = self.grid
         if self.base is None:
             return SamplePool(g.about(centre))
         by = np.asarray(centre, dtype=np.float64)[:2] - g.centre
         east, north = (int(v) for v in np.rint(by / g.posting))
-        out = self.laid(g.moved((east * g.posting, north * g.posting)))
+        out = self.on_shifted_grid(g.moved((east * g.posting, north * g.posting)))
         return SamplePool(g.about(centre)) if out.base is None else out
 
-    def laid(self, grid: Grid) -> SamplePool:
-        """Return the same samples on a grid that lies some whole cells aside of this one.
+    def on_shifted_grid(self, grid: Grid) -> SamplePool:
+        """Return the same samples on a grid shifted by an integer number of cells.
 
-        Those that leave it are dropped.
+        Samples that leave the grid are dropped.
         """
         out, g = SamplePool(grid), self.grid
         by = np.rint((np.asarray(grid.centre) - g.centre) / g.posting)
@@ -174,30 +175,35 @@ class SamplePool:
         out.base = self.base if out.splat[..., 1].any() else None
         return out
 
-    def turned(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
-        """Return the samples turned by (3, 3) about a pivot (3,), m; those that leave are dropped.
+    def rotated(self, turn: ArrayLike, pivot: ArrayLike) -> SamplePool:
+        """Return the samples rotated about a pivot, without those that leave the grid.
 
-        The mean point of a cell's samples is turned, which is exact but for samples that would come
-        to lie in another cell than their mean; what was splatted about a cell moves with the point
-        above its centre, by whole cells.
+        The mean point of each cell is rotated. This is exact except for samples that would move to
+        another cell than their mean. The splatted sums of a cell move by an integer number of cells
+        with the point above its centre.
+
+        Parameters
+        ----------
+        turn, pivot
+            Rotation (3, 3) about a point (3,), m.
 
         Raises
         ------
         InputError
-            If it is no turn, or the pivot no point.
+            If `turn` is not a rotation or `pivot` is not a point.
         """
         r, c = np.asarray(turn, np.float64), np.asarray(pivot, np.float64)
         if not (r.shape == (3, 3) and np.allclose(r @ r.T, np.eye(3), atol=1e-6)):
-            raise InputError("turn", turn, "a rotation matrix (3, 3)")
+            raise InputError("turn", turn, "must be a rotation matrix (3, 3)")
         if not (c.shape == (3,) and np.isfinite(c).all()):
-            raise InputError("pivot", pivot, "a finite point (3,)")
+            raise InputError("pivot", pivot, "must be a finite point (3,)")
         out = SamplePool(self.grid)
         if self.base is None:
             return out
         out.base = self.base
         points, _, spacing = self.vertices()
         rows, cols = np.nonzero(self.centroid[..., 0])
-        new = turned_about(points, r, c)
+        new = rotate_about(points, r, c)
         at, keep = _cells(self.grid, new)
         weight = self.centroid[rows, cols, 0][keep]
         away = new[keep] - np.column_stack(
@@ -210,7 +216,7 @@ class SamplePool:
         splat = self.splat[rows, cols]
         above = out.base + splat[:, 2] / splat[:, 1]
         old = np.column_stack((self.grid.centre_of(rows, cols), above))
-        new = turned_about(old, r, c)
+        new = rotate_about(old, r, c)
         at, keep = _cells(self.grid, new)
         splat[:, 2] += splat[:, 1] * (new[:, 2] - old[:, 2])
         np.add.at(out.splat[..., 1:], at, splat[keep, 1:])
@@ -218,23 +224,23 @@ class SamplePool:
         out.base = self.base if out.splat[..., 1].any() else None
         return out
 
-    def with_those_of(self, other: SamplePool) -> SamplePool:
-        """Return these samples and those of another pool over the same grid."""
+    def union(self, other: SamplePool) -> SamplePool:
+        """Return the union of these samples and those of another pool on the same grid."""
         if other.base is None or self.base is None:
             return self if other.base is None else other
         out = SamplePool(self.grid)
         out.base = self.base
-        lower = other.base - self.base
+        base_offset = other.base - self.base
         out.centroid = self.centroid + other.centroid
-        out.centroid[..., 3] += lower * other.centroid[..., 0]
+        out.centroid[..., 3] += base_offset * other.centroid[..., 0]
         out.splat = self.splat + other.splat
-        out.splat[..., 2] += lower * other.splat[..., 1]
+        out.splat[..., 2] += base_offset * other.splat[..., 1]
         out.splat[..., 0] = np.maximum(self.splat[..., 0], other.splat[..., 0])
         out.spacing = np.minimum(self.spacing, other.spacing)
         return out
 
     def vertices(self) -> tuple[Array, Array, Array]:
-        """Return a point a cell (n, 3) with variance (n,), m^2, and spacing (n,)."""
+        """Return a point per cell (n, 3), m, its variance (n,), m^2, and spacing (n,), m."""
         rows, cols = np.nonzero(self.centroid[..., 0])
         total = self.centroid[rows, cols]
         mean = total[:, 1:] / total[:, :1]
@@ -244,22 +250,22 @@ class SamplePool:
 
 
 def _cells(grid: Grid, points: Array) -> tuple[tuple[Index, Index], NDArray[np.bool_]]:
-    """Return rows and columns of the points (n, 3) that lie on a grid, and which do (n,)."""
+    """Return rows and columns of points (n, 3) on a grid, and which are on it (n,)."""
     keep = np.asarray(grid.contains(points[:, :2]))
     row, col = grid.cell(points[keep, :2])
     return (np.asarray(row), np.asarray(col)), keep
 
 
 def _overlap(count: int, by: int) -> tuple[slice, slice]:
-    """Return which of a number of cells, moved by some, lie on which of them before."""
+    """Return the slices of a shifted axis and of the original axis that overlap."""
     kept = max(count - abs(by), 0)
     return slice(max(-by, 0), max(-by, 0) + kept), slice(max(by, 0), max(by, 0) + kept)
 
 
-def _positive(name: str, values: Array) -> Array:
+def _check_positive(name: str, values: Array) -> Array:
     out = np.ascontiguousarray(values, dtype=np.float64)
-    wrong = ~((out > 0.0) & (out <= _LONGEST))
-    if wrong.any():
-        told = f"positive lengths of at most {_LONGEST:g} m"
-        raise InputError(name, float(out[wrong][0]), told)
+    is_invalid = ~((out > 0.0) & (out <= _MAX_LENGTH_M))
+    if is_invalid.any():
+        problem = f"must be positive and at most {_MAX_LENGTH_M:g} m"
+        raise InputError(name, float(out[is_invalid][0]), problem)
     return out

@@ -1,4 +1,4 @@
-"""Quadtree map and the selection of landing sites on it.
+"""Quadtree map of LiDAR points and selection of landing sites on it.
 
 Marcus, Setterfield, Hewitt and Chen, "Landing Site Selection with a Variable-Resolution
 SLAM-Refined Map".
@@ -7,11 +7,11 @@ SLAM-Refined Map".
 from lunarsim.onboard.hazards.quadtree.mapper import QuadtreeMapper
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, Site, SiteSelector
-from lunarsim.onboard.hazards.quadtree.tree import Inserted, QuadtreeMap
+from lunarsim.onboard.hazards.quadtree.tree import InsertionCounts, QuadtreeMap
 
 __all__ = [
     "STATUS",
-    "Inserted",
+    "InsertionCounts",
     "InterestMap",
     "QuadtreeMap",
     "QuadtreeMapper",

@@ -1,6 +1,6 @@
 """Compiled insertion of sorted batches of points into a quadtree.
 
-Splitting a leaf cuts its runs and moves no point.
+Splitting a leaf divides its runs of points and moves no point.
 """
 
 from __future__ import annotations
@@ -8,15 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.hazards.quadtree._sum_kernels import MANY, add_to_many, settle
+from lunarsim.onboard.hazards.quadtree._sum_kernels import (
+    MIN_POINTS_FOR_SUMS,
+    add_to_summed_cell,
+    update_outliers_and_sums,
+)
 from lunarsim.onboard.hazards.quadtree._tree_kernels import STACK, cell_centre
 
-DIGIT = 11  # bits a pass of the radix sort
+RADIX_BITS = 11  # bits per pass of the radix sort
 
 
 @kernel(inline=True)
 def _spread(v):
-    """Put a zero bit between the 16 bits of v."""
+    """Insert a zero bit between the 16 bits of v."""
     v = (v | (v << 8)) & 0x00FF00FF
     v = (v | (v << 4)) & 0x0F0F0F0F
     v = (v | (v << 2)) & 0x33333333
@@ -25,44 +29,44 @@ def _spread(v):
 
 @kernel(inline=True)
 def _column_of(v, half, per_metre):
-    """Return the column (or row) of least cells that holds the coordinate v."""
+    """Return the column (or row) of smallest cells that contains the coordinate v."""
     return np.int64(np.floor((np.float64(v) + half) * per_metre))
 
 
 @kernel()
 def _order_of(key, bits):
-    """Return the order (n,) that sorts keys of so many bits (radix sort, stable)."""
+    """Return the order (n,) that sorts keys with `bits` bits (stable radix sort)."""
     n = key.size
     order = np.arange(n).astype(np.int32)
     spare = np.empty(n, np.int32)
-    mask = (1 << DIGIT) - 1
+    mask = (1 << RADIX_BITS) - 1
     shift = 0
     while shift < bits:
-        begin = np.zeros((1 << DIGIT) + 1, np.int64)
+        begin = np.zeros((1 << RADIX_BITS) + 1, np.int64)
         for i in range(n):
             begin[((key[i] >> shift) & mask) + 1] += 1
-        for d in range(1 << DIGIT):
+        for d in range(1 << RADIX_BITS):
             begin[d + 1] += begin[d]
         for i in range(n):
             d = (key[order[i]] >> shift) & mask
             spare[begin[d]] = order[i]
             begin[d] += 1
         order, spare = spare, order
-        shift += DIGIT
+        shift += RADIX_BITS
     return order
 
 
 @kernel()
-def place(points, centre, half, depths, highest):
-    """Sort points (n, 3) along the Z-order curve of the least cells.
+def sort_points(points, centre, half, depths, highest):
+    """Sort points (n, 3) along the Z-order curve of the smallest cells.
 
     Returns
     -------
     xyz, key
-        Of the points on the map (m, 3) and (m,), relative to its centre.
+        Points on the map (m, 3), relative to its centre, m, and their keys (m,).
     outside, missing, high
-        How many lie outside, how many are no numbers, and how many are on the map but farther than
-        `highest` from its elevation.
+        Number of points off the map, with NaN, and on the map but farther than `highest` from its
+        elevation.
     """
     n = points.shape[0]
     side = 1 << depths
@@ -110,7 +114,7 @@ def place(points, centre, half, depths, highest):
 
 @kernel()
 def _split(tree, node, used, version):
-    """Give a leaf four children and hand its runs down; return nodes, runs and sums used."""
+    """Split a leaf and divide its runs; return nodes, runs and sums in use."""
     nodes, runs, slots = used
     first = nodes
     depth = tree.depth[node] + 1
@@ -165,25 +169,28 @@ def _split(tree, node, used, version):
 
 
 @kernel(inline=True)
-def _towards(tree, node, depth, key):
-    """Return the child of a node at `depth` whose cell holds a key."""
+def _child_towards(tree, node, depth, key):
+    """Return the child of a node at `depth` whose cell contains a key."""
     return tree.child[node] + ((key >> (2 * (tree.depths - depth - 1))) & 3)
 
 
 @kernel(inline=True)
 def _leaf_of(tree, key):
-    """Return the leaf whose cell holds a key, and its depth."""
+    """Return the leaf whose cell contains a key, and its depth."""
     node = 0
     depth = 0
     while tree.child[node] >= 0:
-        node = _towards(tree, node, depth, key)
+        node = _child_towards(tree, node, depth, key)
         depth += 1
     return node, depth
 
 
 @kernel(inline=True)
 def _end_of_cell(key, i, shift):
-    """Return the first key after `i` outside its cell; keys are sorted, a cell is a prefix."""
+    """Return the first index after `i` whose key is outside the cell.
+
+    Keys are sorted, and a cell is a common prefix.
+    """
     prefix = key[i] >> shift
     j = i + 1
     while j < key.size and key[j] >> shift == prefix:
@@ -192,8 +199,8 @@ def _end_of_cell(key, i, shift):
 
 
 @kernel(inline=True)
-def _count_down_to(tree, leaf, key, more, version, touched, count):
-    """Count `more` points in a leaf and all above it; list those first touched by this batch."""
+def _count_along_path(tree, leaf, key, more, version, touched, count):
+    """Add `more` points to a leaf and its ancestors; list cells first touched."""
     node = 0
     depth = 0
     while True:
@@ -204,35 +211,38 @@ def _count_down_to(tree, leaf, key, more, version, touched, count):
         tree.count[node] += more
         if node == leaf:
             return count
-        node = _towards(tree, node, depth, key)
+        node = _child_towards(tree, node, depth, key)
         depth += 1
 
 
 @kernel()
-def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
-    """Divide a leaf that has got a run if it must; bring the sums of least cells up to date.
+def _split_if_needed(tree, leaf, run, split_count, used, version, touched, count, found):
+    """Split a leaf that got a run if needed, and update the sums of smallest cells.
 
     Returns
     -------
     used, count, found
-        Nodes, runs and sums in use, cells listed in `touched`, and `found`, perhaps enlarged.
+        Nodes, runs and sums in use, number of cells listed in `touched`, and `found`, possibly
+        enlarged.
     """
     nodes, runs, slots = used
     depths = tree.depths
     first, more = tree.start[run], tree.length[run]
     if tree.depth[leaf] == depths and tree.slot[leaf] >= 0:
-        return used, count, add_to_many(tree, leaf, first, first + more, found)
+        return used, count, add_to_summed_cell(tree, leaf, first, first + more, found)
     stack = np.empty(STACK, np.int32)
     stack[0] = leaf
     top = 1
     while top > 0:
         top -= 1
-        m = np.int64(stack[top])  # one type for all that take a node: compiled once
+        m = np.int64(
+            stack[top]
+        )  # one integer type for all node arguments, so that functions compile once
         if tree.depth[m] == depths:
-            if tree.count[m] >= MANY:
+            if tree.count[m] >= MIN_POINTS_FOR_SUMS:
                 tree.slot[m] = slots
                 slots += 1
-                found = settle(tree, m, found)
+                found = update_outliers_and_sums(tree, m, found)
             continue
         if tree.count[m] < split_count:
             continue
@@ -248,9 +258,9 @@ def _enter(tree, leaf, run, split_count, used, version, touched, count, found):
 
 @kernel()
 def insert(tree, key, base, begin, used, split_count, version):
-    """Insert a sorted batch that lies in the pool from `base` on.
+    """Insert a sorted batch that is stored in the pool from index `base`.
 
-    Goes on from point `begin` of the batch until it is in or an array might be too small.
+    Continues at point `begin` of the batch until all are inserted or an array might be too small.
 
     Returns
     -------
@@ -266,27 +276,27 @@ def insert(tree, key, base, begin, used, split_count, version):
     while i < key.size:
         leaf, depth = _leaf_of(tree, key[i])
         j = _end_of_cell(key, i, 2 * (depths - depth))
-        # At each depth below at most total / split_count cells split; each cut run has a point.
+        # Per deeper level at most total / split_count cells split; each divided run has a point.
         total = tree.count[leaf] + (j - i)
         divided = (depths - depth) * (total // split_count)
         if (
             nodes + 4 * divided >= tree.child.size
             or runs + total + 1 >= tree.start.size
-            or slots + divided + total // MANY >= tree.sums.shape[0]
+            or slots + divided + total // MIN_POINTS_FOR_SUMS >= tree.sums.shape[0]
         ):
             break
-        count = _count_down_to(tree, leaf, key[i], j - i, version, touched, count)
+        count = _count_along_path(tree, leaf, key[i], j - i, version, touched, count)
         tree.start[runs] = base + i
         tree.length[runs] = j - i
         tree.following[runs] = tree.head[leaf]
         tree.head[leaf] = runs
-        tree.apart[base + i : base + j] = False
-        (nodes, runs, slots), count, found = _enter(
+        tree.is_outlier[base + i : base + j] = False
+        (nodes, runs, slots), count, found = _split_if_needed(
             tree, leaf, runs, split_count, (nodes, runs + 1, slots), version, touched, count, found
         )
         i = j
     # A child is always touched after its parent.
     for t in range(count - 1, -1, -1):
         if tree.child[touched[t]] >= 0:
-            found = settle(tree, np.int64(touched[t]), found)
+            found = update_outliers_and_sums(tree, np.int64(touched[t]), found)
     return i, nodes, runs, slots

@@ -1,7 +1,7 @@
-"""Compiled selection of sites: ground planes, hazard cells, landing zones.
+"""Compiled selection of sites: terrain planes, hazard cells, landing zones.
 
-Places are counted in half sides of the least cells from the south-west corner of the map, so that
-centres of cells of every size are whole numbers and a point on an edge is found exactly.
+Positions are integers in half sides of the smallest cells ("half steps") from the south-west corner
+of the map. Cell centres of every size are then integers, and points on an edge are located exactly.
 """
 
 from __future__ import annotations
@@ -23,34 +23,44 @@ from lunarsim.onboard.hazards.quadtree._tree_kernels import (
     cell_centre,
     node_at,
     points_in,
-    with_room,
+    with_capacity,
 )
 
-# Why a site is not to be landed on; 0: it may be.
+# Status of a site; see `sites.STATUS`.
 ELIGIBLE, NO_PLANE, OFF_MAP, NO_INTEREST, STEEP, SPARSE, HAZARD = range(7)
-# What is found of a site, in columns.
-COSINE, ROUGHNESS, RATIO, NEAR, RELIEF, TOP, POINTS, FITTED, SIGMA = range(9)
+# Columns of the results per site.
+(
+    COSINE,
+    ROUGHNESS,
+    RATIO,
+    FOOTPRINT_RATIO,
+    RELIEF,
+    FOOTPRINT_RELIEF,
+    POINT_COUNT,
+    FITTED_SLOPE,
+    SLOPE_SIGMA,
+) = range(9)
 
 
 @kernel(inline=True, inner=True)
 def half_steps(tree, node):
-    """Return the centre of a node in half sides of the least cells."""
+    """Return the centre of a node in half steps."""
     size = 1 << (tree.depths - tree.depth[node])
     return (2 * tree.column[node] + 1) * size, (2 * tree.row[node] + 1) * size
 
 
 @kernel()
-def mesh_nodes(tree, nodes, per_area):
-    """Tell which cells (n,) each of whose quarters holds enough points to a square metre."""
+def is_mesh_node(tree, nodes, per_area):
+    """Return which cells (n,) have enough points per square metre in each quarter."""
     good = np.zeros(nodes.size, np.bool_)
     for i in range(nodes.size):
-        good[i] = evenly_seen(tree, nodes[i], per_area)
+        good[i] = is_evenly_sampled(tree, nodes[i], per_area)
     return good
 
 
 @kernel(inner=True)
-def evenly_seen(tree, node, per_area):
-    """Tell whether each quarter of a cell is dense enough; the whole one if it has none."""
+def is_evenly_sampled(tree, node, per_area):
+    """Return whether each quarter of a cell, or the leaf itself, is dense enough."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
     if tree.child[node] < 0:
         return tree.count[node] >= per_area * size * size
@@ -62,7 +72,7 @@ def evenly_seen(tree, node, per_area):
 
 @kernel()
 def normals(x, y, z, triangles):
-    """Return the upward unit normals (t, 3) of counter-clockwise triangles, Eq. 2."""
+    """Return the upward unit normals (t, 3) of counter-clockwise triangles (Eq. 2)."""
     out = np.empty((triangles.shape[0], 3))
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t]
@@ -113,7 +123,7 @@ def list_triangles(px, py, triangles, bucket, wide):
 
 @kernel(inline=True)
 def _holds(px, py, a, b, c, x, y):
-    """Tell whether (x, y) lies in the closed counter-clockwise triangle abc; exact."""
+    """Return whether (x, y) lies in the closed counter-clockwise triangle abc; exact."""
     return (
         (px[b] - px[a]) * (y - py[a]) - (py[b] - py[a]) * (x - px[a]) >= 0
         and (px[c] - px[b]) * (y - py[b]) - (py[c] - py[b]) * (x - px[b]) >= 0
@@ -123,9 +133,9 @@ def _holds(px, py, a, b, c, x, y):
 
 @kernel()
 def steepest_normal(x, y, mesh, out):
-    """Write the normal (3,) of the steepest triangle that holds a point; tell which, -1 for none.
+    """Write the normal (3,) of the steepest triangle at a point; return its index.
 
-    On an edge or a vertex several do.
+    The index is -1 off the mesh. Several triangles contain a point on an edge or a vertex.
     """
     px, py, _, triangles, normal, bucket, wide, start, index = mesh
     s = (y // bucket) * wide + x // bucket
@@ -142,7 +152,7 @@ def steepest_normal(x, y, mesh, out):
 
 @kernel()
 def mesh_height(x, y, mesh, t, metre):
-    """Return the height of triangle t at a place in half steps of `metre` m."""
+    """Return the height of triangle t at a point in half steps of `metre` m."""
     px, py, z, triangles, normal = mesh[0], mesh[1], mesh[2], mesh[3], mesh[4]
     a = triangles[t, 0]
     east, north = (x - px[a]) * metre, (y - py[a]) * metre
@@ -151,7 +161,7 @@ def mesh_height(x, y, mesh, t, metre):
 
 @kernel()
 def normals_at(x, y, mesh):
-    """Return the steepest normals (n, 3) at places given in half steps, NaN off the mesh."""
+    """Return the steepest normals (n, 3) at points in half steps; NaN off the mesh."""
     out = np.full((x.size, 3), np.nan)
     normal = np.empty(3)
     for i in range(x.size):
@@ -164,7 +174,7 @@ def normals_at(x, y, mesh):
 def mark(rectangles, reach, square, wide, marked):
     """Mark the squares of a raster that rectangles (n, 4), grown by `reach`, touch.
 
-    All in half steps; west, east, south, north.
+    Rectangles are west, east, south, north, in half steps.
     """
     for i in range(rectangles.shape[0]):
         west = max((rectangles[i, 0] - reach) // square, 0)
@@ -177,16 +187,17 @@ def mark(rectangles, reach, square, wide, marked):
 
 @kernel()
 def marked_nodes(tree, marked, smallest, largest, seen, version):
-    """Return the cells of a band in the marked squares (one square a cell of the smallest size).
+    """Return the cells of a band in marked squares, and outlines of empty squares.
 
-    And the outlines (m, 4) in half steps of the marked squares that have none.
+    One square is one cell of the smallest size. Outlines (m, 4) are in half steps, for marked
+    squares without a cell.
     """
     wide = marked.shape[1]
     step = 2.0 * tree.half / wide
     square = 2 << (tree.depths - smallest)
     out = np.empty(1024, np.int32)
-    none = np.empty(64, np.int64)
-    n, m = np.int64(0), np.int64(0)  # plain zeros are a type of their own
+    empty_squares = np.empty(64, np.int64)
+    n, m = np.int64(0), np.int64(0)  # typed zeros, so that functions compile once
     for row in range(wide):
         for col in range(wide):
             if not marked[row, col]:
@@ -194,19 +205,19 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
             x, y = (col + 0.5) * step - tree.half, (row + 0.5) * step - tree.half
             node = node_at(tree, x, y, smallest, largest)
             if node < 0:
-                none = with_room(none, m)
-                none[m] = row * wide + col
+                empty_squares = with_capacity(empty_squares, m)
+                empty_squares[m] = row * wide + col
                 m += 1
                 continue
-            place = place_of(tree, node, smallest)
+            place = raster_index(tree, node, smallest)
             if seen[place] != version:
                 seen[place] = version
-                out = with_room(out, n)
+                out = with_capacity(out, n)
                 out[n] = node
                 n += 1
     empty = np.empty((m, 4), np.int64)
     for i in range(m):
-        row, col = none[i] // wide, none[i] % wide
+        row, col = empty_squares[i] // wide, empty_squares[i] % wide
         empty[i, 0] = col * square
         empty[i, 1] = (col + 1) * square
         empty[i, 2] = row * square
@@ -215,19 +226,19 @@ def marked_nodes(tree, marked, smallest, largest, seen, version):
 
 
 @kernel(inline=True, inner=True)
-def place_of(tree, node, smallest):
-    """Return a number of a cell among squares of a depth: that of its south-west corner."""
+def raster_index(tree, node, smallest):
+    """Return the index of a cell in the raster of a depth, by its south-west corner."""
     more = smallest - tree.depth[node]
     row, column = np.int64(tree.row[node]) << more, np.int64(tree.column[node]) << more
     return (row << smallest) + column
 
 
 @kernel()
-def places_of(tree, nodes, smallest):
-    """Return the numbers (n,) of cells among squares of a depth."""
+def raster_indices(tree, nodes, smallest):
+    """Return the indices (n,) of cells in the raster of a depth."""
     out = np.empty(nodes.size, np.int64)
     for i in range(nodes.size):
-        out[i] = place_of(tree, nodes[i], smallest)
+        out[i] = raster_index(tree, nodes[i], smallest)
     return out
 
 
@@ -247,12 +258,12 @@ def rectangles_of(tree, nodes):
 
 @kernel()
 def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
-    """Write the sums over the points in a rectangle, about (cx, cy).
+    """Write the sums over the points in a rectangle, relative to (cx, cy).
 
-    Cells that only touch it are left out.
+    Cells that only touch the rectangle are ignored.
     """
     empty_sums(s)
-    # Edges of cells and zones are often the same number but for rounding.
+    # Tolerance, m: edges of cells and zones often coincide except for rounding.
     edge = 1e-6
     stack[0] = 0
     top = 1
@@ -284,14 +295,14 @@ def zone_sums(tree, west, east, south, north, cx, cy, stack, s):
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 px, py = np.float64(tree.xyz[i, 0]), np.float64(tree.xyz[i, 1])
-                if not tree.apart[i] and west <= px <= east and south <= py <= north:
+                if not tree.is_outlier[i] and west <= px <= east and south <= py <= north:
                     add_point(s, px - cx, py - cy, np.float64(tree.xyz[i, 2]))
             run = tree.following[run]
 
 
 @kernel(inline=True)
 def _mean_square(s, z0, normal):
-    """Return the mean squared distance of summed points to the plane through (0, 0, z0)."""
+    """Return the mean squared distance of points to the plane through (0, 0, z0)."""
     a, b, c = normal
     n = s[NUMBER]
     sxz = s[5] - z0 * s[0]
@@ -305,10 +316,10 @@ def _mean_square(s, z0, normal):
 
 @kernel(inline=True)
 def _fitted_slope(s):
-    """Return the slope of the least-squares plane of summed points and its standard error, rad.
+    """Return slope and standard error (rad) of the plane through summed points.
 
-    Both NaN where the points do not span a plane. The error is that of the gradient's length where
-    residuals are independent.
+    The plane is a least-squares fit. Both are NaN if the points do not span a plane. The error is
+    that of the gradient magnitude with independent residuals.
     """
     n = s[NUMBER]
     mx, my, mz = s[0] / n, s[1] / n, s[2] / n
@@ -318,18 +329,18 @@ def _fitted_slope(s):
     if n < 4 or not spread > 1e-12 * (xx + yy) ** 2:
         return np.nan, np.nan
     east, north = (yy * xz - xy * yz) / spread, (xx * yz - xy * xz) / spread
-    left = max(zz - east * xz - north * yz, 0.0) / (n - 3.0)
-    return np.arctan(np.hypot(east, north)), np.sqrt(left * (xx + yy) / spread)
+    residual = max(zz - east * xz - north * yz, 0.0) / (n - 3.0)
+    return np.arctan(np.hypot(east, north)), np.sqrt(residual * (xx + yy) / spread)
 
 
 @kernel()
-def _root_sum(tree, west, east, south, north, x, y, z, normal):
-    """Return sum |d| and the number of the points in a closed rectangle: for Eq. 8 as printed."""
+def _abs_distance_sum(tree, west, east, south, north, x, y, z, normal):
+    """Return sum |d| and number of points in a rectangle, for Eq. 8 as printed."""
     index = points_in(tree, west, east, south, north)
     total = 0.0
     n = 0
     for i in index:
-        if tree.apart[i]:
+        if tree.is_outlier[i]:
             continue
         n += 1
         total += abs(
@@ -341,11 +352,11 @@ def _root_sum(tree, west, east, south, north, x, y, z, normal):
 
 
 @kernel()
-def _worst(raster, x, y, reach):
-    """Return the greatest value of the squares that overlap a zone; NaN if one is NaN.
+def _max_over_zone(raster, x, y, reach):
+    """Return the maximum of the squares that overlap a zone; NaN if one is NaN.
 
-    Middle and half side of the zone in squares of the raster, as fractions; squares that only touch
-    do not count.
+    Centre and half side of the zone are in squares of the raster. Squares that only touch it are
+    ignored.
     """
     worst = np.float32(0.0)
     reach = reach - 1e-6
@@ -359,8 +370,8 @@ def _worst(raster, x, y, reach):
 
 
 @kernel()
-def _worst_seen(raster, x, y, reach):
-    """Return the greatest value of the squares that overlap a zone, whatever is not known; or 0."""
+def _max_known_over_zone(raster, x, y, reach):
+    """Return the maximum of the squares that overlap a zone, ignoring NaN; or 0."""
     worst = np.float32(0.0)
     reach = reach - 1e-6
     wide = raster.shape[0]
@@ -372,61 +383,63 @@ def _worst_seen(raster, x, y, reach):
 
 
 @kernel()
-def _verdict(cosine, worst, least_cosine, exception):
-    """Return why the ground of a site is not to be landed on."""
-    if cosine < least_cosine:
+def _site_status(cosine, max_ratio, min_cosine, max_exceptions):
+    """Return the status of a site from slope and exception ratio."""
+    if cosine < min_cosine:
         return STEEP
-    if np.isnan(worst):
+    if np.isnan(max_ratio):
         return SPARSE
-    return HAZARD if worst > exception else ELIGIBLE
+    return HAZARD if max_ratio > max_exceptions else ELIGIBLE
 
 
 @kernel()
 def _measure_zone(tree, node, zone, normal, printed, stack, s, out):
-    """Write what the points of the zone about a cell tell: roughness over its plane, and more."""
+    """Write number, fitted slope and roughness of the points in the zone about a cell."""
     x, y = cell_centre(tree, node)
     west, east, south, north = x - zone, x + zone, y - zone, y + zone
     sums_of(tree, node, s)
     z = s[2] / s[NUMBER]
     zone_sums(tree, west, east, south, north, x, y, stack, s)
-    out[POINTS] = s[NUMBER]
-    out[FITTED], out[SIGMA] = _fitted_slope(s)
+    out[POINT_COUNT] = s[NUMBER]
+    out[FITTED_SLOPE], out[SLOPE_SIGMA] = _fitted_slope(s)
     if printed:
-        total, n = _root_sum(tree, west, east, south, north, x, y, z, normal)
+        total, n = _abs_distance_sum(tree, west, east, south, north, x, y, z, normal)
         out[ROUGHNESS] = total / np.sqrt(n)
     else:
         out[ROUGHNESS] = np.sqrt(_mean_square(s, z, normal))
 
 
 @kernel(parallel=True)
-def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
-    """Judge the ground of sites at the centres of cells.
+def evaluate_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough, found, status):
+    """Evaluate the terrain of sites at the centres of cells.
 
     Parameters
     ----------
     nodes, smallest
-        Cells (n,), and the depth of the smallest that are sites.
+        Cells (n,), and the depth of the smallest cells that are sites.
     mesh
-        Ground planes.
+        Terrain planes.
     rasters
-        Exception ratios and greatest exceptions of squares over the whole map; NaN: hazardous for
-        want of points.
+        Exception ratios and maximum distances of squares over the map; NaN counts as too few
+        points.
     limits
-        Least cosine of the slope, exception tolerance, half sides of the zone and of the lander's
-        footprint, how far hazards reach from where they were seen, m.
+        Minimum cosine of the slope, maximum exception ratio, half sides of the zone and of the
+        footprint of the lander, and margin around hazards, m.
     printed
-        Roughness by Eq. 8 as printed, else root mean square.
+        Compute the roughness by Eq. 8 as printed, not as root mean square.
     thorough
-        Find the roughness of rejected sites too, where there are points.
+        Compute the roughness of rejected sites too, if there are enough points.
     found, status
-        What is found (N, 9) and the verdict (N,), a row a square of the smallest cells.
+        Results (N, 9) and status (N,), one row per square of the smallest cells.
     """
     ratios, reliefs = rasters
-    least_cosine, exception, zone, footprint, margin = limits
+    min_cosine, exception, zone, footprint, margin = limits
     per_square = 2.0 * tree.half / ratios.shape[0]
     for i in prange(nodes.size):
-        node = np.int64(nodes[i])  # one type for all that take a node: compiled once
-        place = place_of(tree, node, smallest)
+        node = np.int64(
+            nodes[i]
+        )  # one integer type for all node arguments, so that functions compile once
+        place = raster_index(tree, node, smallest)
         normal = np.empty(3)
         stack = np.empty(STACK, np.int32)
         s = np.empty(SUMS)
@@ -446,14 +459,16 @@ def judge_sites(tree, nodes, smallest, mesh, rasters, limits, printed, thorough,
             status[place] = SPARSE
             continue
         column, row = (x + tree.half) / per_square, (y + tree.half) / per_square
-        worst = _worst(ratios, column, row, zone / per_square)
-        if not np.isnan(worst):
+        max_ratio = _max_over_zone(ratios, column, row, zone / per_square)
+        if not np.isnan(max_ratio):
             reach = (zone + margin) / per_square
-            worst = _worst_seen(ratios, column, row, reach)
-            out[RATIO] = worst
-            out[NEAR] = _worst(ratios, column, row, footprint / per_square)
-            out[RELIEF] = _worst_seen(reliefs, column, row, reach)
-            out[TOP] = _worst_seen(reliefs, column, row, footprint / per_square)
-        status[place] = _verdict(normal[2], worst, least_cosine, exception)
-        if status[place] == ELIGIBLE or (thorough and not np.isnan(worst)):
+            max_ratio = _max_known_over_zone(ratios, column, row, reach)
+            out[RATIO] = max_ratio
+            out[FOOTPRINT_RATIO] = _max_over_zone(ratios, column, row, footprint / per_square)
+            out[RELIEF] = _max_known_over_zone(reliefs, column, row, reach)
+            out[FOOTPRINT_RELIEF] = _max_known_over_zone(
+                reliefs, column, row, footprint / per_square
+            )
+        status[place] = _site_status(normal[2], max_ratio, min_cosine, exception)
+        if status[place] == ELIGIBLE or (thorough and not np.isnan(max_ratio)):
             _measure_zone(tree, node, zone, normal, printed, stack, s, out)

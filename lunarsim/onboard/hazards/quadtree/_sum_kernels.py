@@ -1,10 +1,10 @@
-"""Compiled sums over the points of a quadtree's cells, and which points stand apart from them.
+"""Compiled sums over the points of quadtree cells, and outliers in height.
 
-Sums are kept for nodes with children and for least cells with many points; a leaf without them has
-few points to walk over. They leave out points that stand apart: a return off a bird or off nothing
-lies farther in height from all others of its cell than ground and rocks can, and one at 1000 m
-would lift the mean of hundreds. Which points these are depends on what the cell holds alone, not on
-the order in which it came.
+Sums are stored for nodes with children and for smallest cells with many points. Other leaves have
+few points, which are summed on demand. The sums exclude outliers: a spurious return or one from a
+bird is farther in height from all other points of its cell than terrain and rocks can be, and one
+at 1000 m would raise the mean of hundreds. The outliers depend only on the points of a cell, not on
+the order in which they came.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from __future__ import annotations
 import numpy as np
 
 from lunarsim._jit import kernel
-from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_room
+from lunarsim.onboard.hazards.quadtree._tree_kernels import cell_centre, with_capacity
 
-# Sums over a node's points about its centre: x, y, z, xx, xy, xz, yy, yz, zz; their number, and
-# their least and greatest z.
+# Sums over the points of a node relative to its centre: x, y, z, xx, xy, xz, yy, yz, zz; then their
+# number, and the minimum and maximum z.
 SUMS = 12
-NUMBER, LOWEST, HIGHEST = 9, 10, 11
-# Points from which a least cell has sums of its own.
-MANY = 8
-# A point stands apart if no other of its cell lies within so much in height: m, and m a metre of
-# the cell's side. A cell of fewer points does not tell, nor one where more than a share does.
-APART, APART_A_METRE = 0.3, 0.25
-FEWEST, MOST_APART = 5, 0.25
+NUMBER, MIN_Z, MAX_Z = 9, 10, 11
+# Minimum number of points for a smallest cell to have separate sums.
+MIN_POINTS_FOR_SUMS = 8
+# A point is an outlier if no other point of its cell is within this height: m, plus m per metre of
+# the cell side. A cell with fewer points, or with a larger share of outliers, has none.
+OUTLIER_GAP_M, OUTLIER_GAP_PER_M = 0.3, 0.25
+MIN_POINTS_FOR_OUTLIERS, MAX_OUTLIER_SHARE = 5, 0.25
 
 
 @kernel(inline=True, inner=True)
 def add_point(s, x, y, z):
-    """Add a point, relative to the middle of sums, to them."""
+    """Add a point, relative to the centre of the sums."""
     s[0] += x
     s[1] += y
     s[2] += z
@@ -39,22 +39,22 @@ def add_point(s, x, y, z):
     s[7] += y * z
     s[8] += z * z
     s[NUMBER] += 1.0
-    s[LOWEST] = min(s[LOWEST], z)
-    s[HIGHEST] = max(s[HIGHEST], z)
+    s[MIN_Z] = min(s[MIN_Z], z)
+    s[MAX_Z] = max(s[MAX_Z], z)
 
 
 @kernel(inline=True, inner=True)
 def empty_sums(s):
-    """Set sums to those of no point."""
-    for k in range(LOWEST):
+    """Set sums to those of no points."""
+    for k in range(MIN_Z):
         s[k] = 0.0
-    s[LOWEST] = np.inf
-    s[HIGHEST] = -np.inf
+    s[MIN_Z] = np.inf
+    s[MAX_Z] = -np.inf
 
 
 @kernel(inline=True, inner=True)
 def add_shifted(out, s, dx, dy):
-    """Add sums s to `out`, about a point that lies (-dx, -dy) from theirs."""
+    """Add sums s to `out`, whose centre is at (-dx, -dy) from that of s."""
     n = s[NUMBER]
     out[0] += s[0] + n * dx
     out[1] += s[1] + n * dy
@@ -66,18 +66,18 @@ def add_shifted(out, s, dx, dy):
     out[7] += s[7] + dy * s[2]
     out[8] += s[8]
     out[NUMBER] += n
-    out[LOWEST] = min(out[LOWEST], s[LOWEST])
-    out[HIGHEST] = max(out[HIGHEST], s[HIGHEST])
+    out[MIN_Z] = min(out[MIN_Z], s[MIN_Z])
+    out[MAX_Z] = max(out[MAX_Z], s[MAX_Z])
 
 
 @kernel(inner=True)
 def add_leaf(tree, leaf, cx, cy, out):
-    """Add the points of a leaf that do not stand apart to sums about (cx, cy)."""
+    """Add the points of a leaf without outliers to sums relative to (cx, cy)."""
     run = tree.head[leaf]
     while run >= 0:
         begin = tree.start[run]
         for i in range(begin, begin + tree.length[run]):
-            if not tree.apart[i]:
+            if not tree.is_outlier[i]:
                 x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
                 add_point(out, x, y, np.float64(tree.xyz[i, 2]))
         run = tree.following[run]
@@ -85,7 +85,7 @@ def add_leaf(tree, leaf, cx, cy, out):
 
 @kernel(inner=True)
 def sums_of(tree, node, out):
-    """Write the sums of a node about its centre."""
+    """Write the sums of a node relative to its centre."""
     if tree.slot[node] >= 0:
         out[:] = tree.sums[tree.slot[node]]
         return
@@ -96,7 +96,7 @@ def sums_of(tree, node, out):
 
 @kernel()
 def moments(tree, nodes):
-    """Return number, mean and variance of the heights (n, 3) of cells; NaN without points."""
+    """Return number, mean and variance of heights (n, 3) of cells; NaN without points."""
     out = np.empty((nodes.size, 3))
     s = np.empty(SUMS)
     for i in range(nodes.size):
@@ -110,17 +110,17 @@ def moments(tree, nodes):
 
 @kernel(inline=True)
 def _tolerance(tree, node):
-    """Return how far in height from all others of a cell a point stands apart, m."""
-    return APART + APART_A_METRE * 2.0 * tree.half / (1 << tree.depth[node])
+    """Return the minimum height gap of an outlier to all other points of a cell, m."""
+    return OUTLIER_GAP_M + OUTLIER_GAP_PER_M * 2.0 * tree.half / (1 << tree.depth[node])
 
 
 @kernel()
-def _loose(tree, node, found):
-    """List the points of a cell that no sums below it hold; return the list and their number.
+def _unsummed_points(tree, node, found):
+    """List the points of a cell that are in no sums below it; return list and number.
 
-    The points of a leaf, or of the leaves among a node's children that have no sums.
+    These are the points of a leaf, or of those children of a node that have no sums.
     """
-    n = np.int64(0)  # a plain zero is a type of its own
+    n = np.int64(0)  # a typed zero, so that functions compile once
     own = tree.child[node] < 0
     for q in range(1 if own else 4):
         leaf = node if own else tree.child[node] + q
@@ -130,7 +130,7 @@ def _loose(tree, node, found):
         while run >= 0:
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
-                found = with_room(found, n)
+                found = with_capacity(found, n)
                 found[n] = i
                 n += 1
             run = tree.following[run]
@@ -138,48 +138,48 @@ def _loose(tree, node, found):
 
 
 @kernel()
-def _part_apart(tree, node, index, tolerance):
-    """Say which of a cell's loose points stand apart from all its others."""
-    held = 0.0
+def _mark_outliers(tree, node, index, tolerance):
+    """Mark which of the loose points of a cell are outliers."""
+    summed_count = 0.0
     if tree.child[node] >= 0:
         for q in range(4):
             slot = tree.slot[tree.child[node] + q]
-            held += tree.sums[slot, NUMBER] if slot >= 0 else 0.0
+            summed_count += tree.sums[slot, NUMBER] if slot >= 0 else 0.0
     order = np.argsort(tree.xyz[index, 2])
-    apart = 0
+    outlier_count = 0
     for j in range(index.size):
         z = np.float64(tree.xyz[index[order[j]], 2])
-        alone = (j == 0 or z - tree.xyz[index[order[j - 1]], 2] > tolerance) and (
+        is_isolated = (j == 0 or z - tree.xyz[index[order[j - 1]], 2] > tolerance) and (
             j == index.size - 1 or tree.xyz[index[order[j + 1]], 2] - z > tolerance
         )
-        if alone and held > 0.0:
+        if is_isolated and summed_count > 0.0:
             for q in range(4):
                 slot = tree.slot[tree.child[node] + q]
                 if slot >= 0 and tree.sums[slot, NUMBER] > 0.0:
-                    alone &= (
-                        z < tree.sums[slot, LOWEST] - tolerance
-                        or z > tree.sums[slot, HIGHEST] + tolerance
+                    is_isolated &= (
+                        z < tree.sums[slot, MIN_Z] - tolerance
+                        or z > tree.sums[slot, MAX_Z] + tolerance
                     )
-        tree.apart[index[order[j]]] = alone
-        apart += alone
-    total = held + index.size
-    if total < FEWEST or apart > MOST_APART * total:
-        tree.apart[index] = False
+        tree.is_outlier[index[order[j]]] = is_isolated
+        outlier_count += is_isolated
+    total = summed_count + index.size
+    if total < MIN_POINTS_FOR_OUTLIERS or outlier_count > MAX_OUTLIER_SHARE * total:
+        tree.is_outlier[index] = False
 
 
 @kernel(inner=True)
-def settle(tree, node, found):
-    """Find which points of a touched cell stand apart, and its sums, afresh; return the list.
+def update_outliers_and_sums(tree, node, found):
+    """Recompute the outliers and the sums of a touched cell; return the list.
 
-    A cell with children that have sums of their own takes those.
+    A cell with children that have separate sums adds those.
     """
-    found, n = _loose(tree, node, found)
+    found, n = _unsummed_points(tree, node, found)
     low, high = np.inf, -np.inf
     some = False
     for j in range(n):
         z = np.float64(tree.xyz[found[j], 2])
         low, high = min(low, z), max(high, z)
-        some |= tree.apart[found[j]]
+        some |= tree.is_outlier[found[j]]
     s = np.empty(SUMS)
     empty_sums(s)
     if tree.child[node] >= 0:
@@ -191,20 +191,20 @@ def settle(tree, node, found):
                 dy = quarter if q & 2 else -quarter
                 add_shifted(s, tree.sums[slot], dx, dy)
     tolerance = _tolerance(tree, node)
-    wide = n > 0 and max(high, s[HIGHEST]) - min(low, s[LOWEST]) > tolerance
+    wide = n > 0 and max(high, s[MAX_Z]) - min(low, s[MIN_Z]) > tolerance
     if some or wide:
-        before = tree.apart[found[:n]]
-        tree.apart[found[:n]] = False
+        before = tree.is_outlier[found[:n]]
+        tree.is_outlier[found[:n]] = False
         if wide:
-            _part_apart(tree, node, found[:n], tolerance)
-        if tree.child[node] >= 0 and (before != tree.apart[found[:n]]).any():
-            # What these leaves tell has changed, wherever the new points lie.
+            _mark_outliers(tree, node, found[:n], tolerance)
+        if tree.child[node] >= 0 and (before != tree.is_outlier[found[:n]]).any():
+            # The result of these leaves has changed, wherever the new points are.
             for q in range(4):
                 tree.stamp[tree.child[node] + q] = tree.stamp[node]
     cx, cy = cell_centre(tree, node)
     for j in range(n):
         i = found[j]
-        if not tree.apart[i]:
+        if not tree.is_outlier[i]:
             x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
             add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     tree.sums[tree.slot[node]] = s
@@ -212,14 +212,14 @@ def settle(tree, node, found):
 
 
 @kernel(inner=True)
-def add_to_many(tree, leaf, first, last, found):
-    """Add the points from `first` to `last` to a least cell that has sums; return `found`.
+def add_to_summed_cell(tree, leaf, first, last, found):
+    """Add points `first` to `last` to a smallest cell with sums; return `found`.
 
-    Where they could change which points stand apart all of the cell is settled afresh.
+    If the points could change which points are outliers, the complete cell is recomputed.
     """
     s = tree.sums[tree.slot[leaf]]
     tolerance = _tolerance(tree, leaf)
-    low, high = s[LOWEST], s[HIGHEST]
+    low, high = s[MIN_Z], s[MAX_Z]
     plain = high - low <= tolerance
     none_apart = s[NUMBER] == tree.count[leaf] - (last - first)
     for i in range(first, last):
@@ -227,20 +227,21 @@ def add_to_many(tree, leaf, first, last, found):
         if none_apart and min(abs(z - low), abs(z - high)) <= tolerance:
             low, high = min(low, z), max(high, z)
         elif not (plain and low <= z <= high):
-            return settle(tree, leaf, found)
+            return update_outliers_and_sums(tree, leaf, found)
     cx, cy = cell_centre(tree, leaf)
     for i in range(first, last):
         x, y = np.float64(tree.xyz[i, 0]) - cx, np.float64(tree.xyz[i, 1]) - cy
-        tree.apart[i] = False
+        tree.is_outlier[i] = False
         add_point(s, x, y, np.float64(tree.xyz[i, 2]))
     return found
 
 
 @kernel()
 def count_in_squares(xyz, half, side, count):
-    """Add to `count` (n, n) how many points fall into each square of a map about (0, 0).
+    """Add the points in each square of a map centred on (0, 0) to `count` (n, n).
 
-    The map reaches to `half` each way; what lies beyond it, by rounding, counts at its edge.
+    The map extends to `half` in each direction; points beyond it, due to rounding, count at its
+    edge.
     """
     last = count.shape[0] - 1
     for k in range(xyz.shape[0]):

@@ -1,10 +1,11 @@
-"""What compiled kernels need of a quadtree, and queries of it.
+"""Data structure of a quadtree for compiled kernels, and queries of it.
 
-Nodes live in parallel arrays; the four children of a node are consecutive, so one index finds them,
-and a parent's index is always below its children's. A leaf owns its points as a chain of runs:
-stretches of the pool, where every batch lies sorted along the Z-order curve.
+Nodes are stored in parallel arrays. The four children of a node are consecutive, so one index
+locates them, and the index of a parent is always below those of its children. A leaf owns its
+points as a chain of runs: sections of the pool, in which every batch is sorted along the Z-order
+curve.
 
-Quadrant q of a node lies east if q & 1 and north if q & 2.
+Quadrant q of a node is east if q & 1 and north if q & 2.
 """
 
 from __future__ import annotations
@@ -15,34 +16,34 @@ import numpy as np
 
 from lunarsim._jit import kernel
 
-# Deepest walk: three siblings wait at each of at most 16 levels.
+# Maximum stack of a traversal: three siblings wait at each of at most 16 levels.
 STACK = 64
 
 
 class Tree(NamedTuple):
-    """What kernels need of a quadtree."""
+    """Quadtree data for kernels."""
 
-    half: float  # half the root's side, m
-    depths: int  # depth of the least cells
-    xyz: Any  # points (n, 3) relative to the root's centre, float32
-    apart: Any  # points that stand apart (n,), bool
+    half: float  # half the side of the root, m
+    depths: int  # depth of the smallest cells
+    xyz: Any  # points (n, 3) relative to the centre of the root, m, float32
+    is_outlier: Any  # outliers in height (n,), bool
     child: Any  # first child, -1 for a leaf (N,)
-    depth: Any  # (N,)
-    column: Any  # of the cell among those of its depth, from the west (N,)
-    row: Any  # from the south (N,)
-    count: Any  # points (N,)
+    depth: Any  # depth, 0 for the root (N,)
+    column: Any  # column of the cell among those of its depth, from the west (N,)
+    row: Any  # row, from the south (N,)
+    count: Any  # number of points (N,)
     stamp: Any  # number of the last batch that added points (N,)
     head: Any  # first run, -1 for none (N,)
-    slot: Any  # place among the sums, -1 for none (N,)
-    sums: Any  # (S, 12)
-    start: Any  # of runs, in the pool
+    slot: Any  # index into the sums, -1 for none (N,)
+    sums: Any  # sums (S, 12)
+    start: Any  # first point of each run, in the pool
     length: Any
     following: Any  # next run, -1 for the last
 
 
 @kernel(inner=True)
-def with_room(array, n):
-    """Return a list of which n entries are taken, enlarged if there is no room for another."""
+def with_capacity(array, n):
+    """Return an array with n used entries, enlarged if it has no space for another."""
     if n < array.size:
         return array
     grown = np.empty(2 * n + 64, array.dtype)
@@ -52,7 +53,7 @@ def with_room(array, n):
 
 @kernel(inline=True, inner=True)
 def cell_centre(tree, node):
-    """Return the centre of a node, relative to the root's."""
+    """Return the centre of a node relative to that of the root, m."""
     size = 2.0 * tree.half / (1 << tree.depth[node])
     return (
         (tree.column[node] + 0.5) * size - tree.half,
@@ -62,9 +63,9 @@ def cell_centre(tree, node):
 
 @kernel()
 def node_at(tree, x, y, smallest, largest):
-    """Return the smallest cell at a point between two depths (the band), -1 for none.
+    """Return the smallest cell at a point between two depths (the band); -1 for none.
 
-    `smallest` is the greater depth. Coordinates are relative to the root's centre.
+    `smallest` is the greater depth. Coordinates are relative to the centre of the root.
     """
     if not (-tree.half <= x < tree.half and -tree.half <= y < tree.half):
         return -1
@@ -77,7 +78,7 @@ def node_at(tree, x, y, smallest, largest):
 
 @kernel()
 def band(tree, smallest, largest, since):
-    """Return the smallest cells between two depths that got points after batch `since`."""
+    """Return the smallest cells between two depths with points after batch `since`."""
     found = np.empty(tree.child.size, np.int32)
     n = 0
     stack = np.empty(STACK, np.int32)
@@ -100,9 +101,9 @@ def band(tree, smallest, largest, since):
 
 @kernel()
 def points_in(tree, west, east, south, north):
-    """Return the pool indices of the points in a closed rectangle, relative to the centre."""
+    """Return the pool indices of points in a closed rectangle relative to the centre."""
     found = np.empty(1024, np.int64)
-    n = np.int64(0)  # a plain zero is a type of its own
+    n = np.int64(0)  # a typed zero, so that functions compile once
     stack = np.empty(STACK, np.int32)
     stack[0] = 0
     top = 1
@@ -125,7 +126,7 @@ def points_in(tree, west, east, south, north):
             begin = tree.start[run]
             for i in range(begin, begin + tree.length[run]):
                 if west <= tree.xyz[i, 0] <= east and south <= tree.xyz[i, 1] <= north:
-                    found = with_room(found, n)
+                    found = with_capacity(found, n)
                     found[n] = i
                     n += 1
             run = tree.following[run]

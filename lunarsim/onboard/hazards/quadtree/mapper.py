@@ -1,4 +1,4 @@
-"""The quadtree mapper: LiDAR scans in, ranked sites and a `HazardMap` out."""
+"""Mapper that converts LiDAR scans to a quadtree, ranked sites and a `HazardMap`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from lunarsim.grid import Grid
 from lunarsim.messages.briefing import Briefing
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.early_ground import EarlyGround, turned_about
 from lunarsim.onboard.hazards.hazard_map import FloatMap, HazardMap
 from lunarsim.onboard.hazards.mapper import HazardMapper, is_aside, map_grid
 from lunarsim.onboard.hazards.published import ReliefEvidence
@@ -23,6 +22,7 @@ from lunarsim.onboard.hazards.quadtree.site_probability import evidence_of, site
 from lunarsim.onboard.hazards.quadtree.sites import STATUS, Selection, SiteSelector
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.onboard.hazards.scoreboard import Scoreboard
+from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans, rotate_about
 from lunarsim.onboard.navigation.estimate import Estimate, Navigation
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
@@ -33,34 +33,35 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class QuadtreeMapping:
-    """A quadtree of LiDAR points on which sites are ranked.
+    """Settings of a quadtree of LiDAR points with a ranking of sites.
 
     Attributes
     ----------
     sensor
-        Whose scans it maps.
+        Name of the LiDAR.
     posting, size
-        Of the map, m.
+        Sides of a cell and of the map, m.
     least, split_count
-        Least cells of the quadtree, m, and points at which one divides.
+        Minimum cell side of the quadtree, m, and number of points at which a cell splits.
     interval
-        Between two selections of sites, s.
+        Time between two site selections, s.
     interest_path
-        See `InterestMap.load`; None: 1 everywhere.
+        File for `InterestMap.load`; None: interest 1 everywhere.
     sites
-        What a site must be like.
+        Criteria for landing sites.
     """
 
-    sensor: str = quantity("flash", help="whose scans it maps")
-    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
-    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
-    least: float = quantity(0.1, "m", gt=0, help="least cells of the quadtree")
-    split_count: int = quantity(8, ge=2, help="points at which a cell divides")
-    interval: float = quantity(1.0, "s", gt=0, help="between two selections of sites")
+    sensor: str = quantity("flash", help="name of the LiDAR whose scans are mapped")
+    posting: float = quantity(0.2, "m", gt=0, help="side of a map cell")
+    size: float = quantity(100.0, "m", gt=0, help="side of the square map centred on the target")
+    least: float = quantity(0.1, "m", gt=0, help="minimum cell side of the quadtree")
+    split_count: int = quantity(8, ge=2, help="number of points at which a cell splits")
+    interval: float = quantity(1.0, "s", gt=0, help="time between two site selections")
     interest_path: Path | None = quantity(
-        None, help="NumPy archive of value, x0, y0, posting, relative to the scenario file"
+        None,
+        help="interest map (.npz of value, x0, y0, posting), relative to the scenario file",
     )
-    sites: SiteSettings = quantity(SiteSettings(), help="what a site must be like")
+    sites: SiteSettings = quantity(SiteSettings(), help="criteria for landing sites")
 
     takes: ClassVar[type] = LidarScan
     publishes: ClassVar[type] = ReliefEvidence
@@ -81,32 +82,33 @@ class QuadtreeMapping:
 
 
 class QuadtreeMapper(HazardMapper):
-    """Keeps a quadtree of scans and judges landing sites on it.
+    """Keep a quadtree of scans and evaluate landing sites on it.
 
     Parameters
     ----------
     grid
         Cells of the hazard map, estimated ENU frame; the quadtree covers them.
     settings
-        Tolerances, weights, sizes of cells.
+        Tolerances, weights and cell sizes.
     elevation
-        Level from which the quadtree counts heights, m.
+        Reference of the heights in the quadtree, m.
     least, split_count
-        Of the quadtree.
+        Minimum cell side of the quadtree, m, and number of points at which a cell splits.
     interest
-        Left out: 1 everywhere.
+        Interest of the mission; default: 1 everywhere.
     model
-        Weights of `site_safety`; left out: the calibrated ones.
+        Weights of `site_safety`; default: the packaged ones.
     interval
-        Least time between two selections of sites while flying, s.
+        Minimum time between two site selections in flight, s.
     lander, rocks
-        Whose safety is asked for, and what rocks the mission expects; left out, the defaults.
+        Lander to evaluate, and rock population expected by the mission; default: those of `Lander`
+        and `RockExpectation`.
 
     Raises
     ------
     InputError
-        If the interval is negative or not finite, `rocks` are none, or the lander is wider than
-        the map.
+        If `interval` is negative or not finite, `rocks` is invalid, or the lander is wider than the
+        map.
 
     Attributes
     ----------
@@ -129,24 +131,24 @@ class QuadtreeMapper(HazardMapper):
         rocks: RockExpectation | None = None,
     ) -> None:
         if not 0.0 <= interval < np.inf:
-            raise InputError("interval", interval, "0 or a positive number of seconds")
+            raise InputError("interval", interval, "must be 0 or more, in seconds")
         self._quadtree = (least, split_count)
         self._settings = settings
         self._interest = interest
         self.selection: Selection | None = None
         self._model = model
         self._lander = lander or Lander()
-        self._lay(grid, elevation)
+        self._create_tree(grid, elevation)
         self._target = np.array(grid.centre)
         self._rocks = RockExpectation.given(rocks)
         self._interval = interval
-        self._early, self._unsure = EarlyGround(), 0
-        self._refreshed = -np.inf
-        self._judged = -1
-        self._drawn: HazardMap | None = self._nothing(grid)
+        self._unleveled, self._provisional_count = UnleveledScans(), 0
+        self._last_selection_s = -np.inf
+        self._selected_version = -1
+        self._hazard_map: HazardMap | None = self._empty_map(grid)
 
-    def _lay(self, grid: Grid, elevation: float) -> None:
-        """Begin an empty quadtree over a grid."""
+    def _create_tree(self, grid: Grid, elevation: float) -> None:
+        """Create an empty quadtree on a grid."""
         least, split_count = self._quadtree
         self.grid = grid
         west, east, south, north = grid.extent
@@ -158,7 +160,7 @@ class QuadtreeMapper(HazardMapper):
         if 2.0 * footprint > max(east - west, north - south):
             raise InputError(
                 "vehicle.leg_radius", self._lander.leg_radius,
-                f"a lander that the map of {max(east - west, north - south):g} m has room for",
+                f"must fit on the map of {max(east - west, north - south):g} m",
             )  # fmt: skip
         self.selector = SiteSelector(
             self.map, self._settings, self._interest, thorough=True, footprint=footprint
@@ -166,73 +168,86 @@ class QuadtreeMapper(HazardMapper):
         self.noise = 0.0
 
     def recentre(self, centre: Array) -> None:
-        """Lay the map about another point (3,), local frame, m; what was of interest moves too."""
+        """Move the map to another centre (3,), local frame, m, if it is too far away.
+
+        The interest map, which is centred on the target, moves too.
+        """
         by = np.asarray(centre, dtype=np.float64)[:2] - self._target
-        # The mission's interest lies about the target, and is laid anew with the map.
-        aside = self._interest is not None and np.abs(by).max() > self._interest.grid.posting
-        if not (self.blank or aside or is_aside(self.grid, centre)):
+        # The interest map is centred on the target and must move with it.
+        interest_moves = (
+            self._interest is not None and np.abs(by).max() > self._interest.grid.posting
+        )
+        if not (self.blank or interest_moves or is_aside(self.grid, centre)):
             return
         self._target = self._target + by
         if self._interest is not None:
             self._interest = InterestMap(self._interest.grid.moved(by), self._interest.value)
-        self._lay_anew(self.grid.about(centre), float(centre[2]), self.map.points)
+        self._rebuild(self.grid.about(centre), float(centre[2]), self.map.points)
 
-    def _lay_anew(self, grid: Grid, elevation: float, points: Array) -> None:
-        """Begin anew over a grid, with points (n, 3) of which the first are not sure."""
+    def _rebuild(self, grid: Grid, elevation: float, points: Array) -> None:
+        """Rebuild the quadtree from points (n, 3); the first have a provisional tilt."""
         noise = self.noise
-        self._lay(grid, elevation)
+        self._create_tree(grid, elevation)
         if len(points):
-            # One after the other: the tree keeps the order of batches alone.
-            self.map.insert(points[: self._unsure])
-            sure = points[self._unsure :]
-            self._unsure = self.map.count
-            self.map.insert(sure)
+            # Insert in two batches: the tree keeps the order of batches, but not within a batch.
+            self.map.insert(points[: self._provisional_count])
+            final_points = points[self._provisional_count :]
+            self._provisional_count = self.map.count
+            self.map.insert(final_points)
             self.noise = noise
-        self.selection, self._judged = None, -1
-        self._drawn = self._nothing(grid)
+        self.selection, self._selected_version = None, -1
+        self._hazard_map = self._empty_map(grid)
 
     def level(self, turn: Array, pivot: Array, tilt_sigma: float) -> None:
-        """Turn the points that came while the tilt was not known; see `HazardMapper.level`."""
-        points, first = self.map.points, self._unsure
+        """Rotate the points that came before the tilt was known.
+
+        Parameters
+        ----------
+        turn, pivot
+            Rotation (3, 3) about a point (3,), local frame, m.
+        tilt_sigma
+            Present standard deviation of the tilt, rad.
+        """
+        points, first = self.map.points, self._provisional_count
         if first == 0:
             return
-        points[:first] = turned_about(points[:first], turn, pivot)
-        self._lay_anew(self.grid, float(self.map.centre[2]), points)
-        if self._early.known(tilt_sigma):
-            self._unsure = 0
+        points[:first] = rotate_about(points[:first], turn, pivot)
+        self._rebuild(self.grid, float(self.map.centre[2]), points)
+        if self._unleveled.is_tilt_known(tilt_sigma):
+            self._provisional_count = 0
 
     def update(self, measurement: LidarScan, estimate: Estimate) -> None:
-        """Add a scan taken at the estimated pose; without returns nothing changes.
+        """Add a scan taken at the estimated pose; ignore a scan without returns.
 
         Raises
         ------
         InputError
-            If the scan, or the pose, is none; see `LidarScan.check`.
+            If the scan or the pose is invalid, as in `LidarScan.check`.
         """
         measurement.check(estimate.position, estimate.attitude)
         if np.isnan(measurement.range).all():
             return
         self._insert(measurement, estimate.position, estimate.attitude)
-        if self._early.takes(estimate.tilt_sigma):
-            self._unsure = self.map.count
+        if self._unleveled.includes(estimate.tilt_sigma):
+            self._provisional_count = self.map.count
 
     def _insert(self, scan: LidarScan, position: Array, attitude: Array) -> None:
-        self.map.insert(_returns(scan, position, attitude))
-        # The noisiest scan's: the points of all are on the map.
+        self.map.insert(_return_points(scan, position, attitude))
+        # The noisiest scan counts, because the points of all scans are on the map.
         self.noise = max(self.noise, float(np.nanmedian(scan.height_sigma(attitude))))
 
     def select(self) -> Selection:
-        """Return all sites as they stand."""
-        if self.selection is None or self._judged != self.map.version:
-            self._judged = self.map.version
+        """Return the current site selection."""
+        if self.selection is None or self._selected_version != self.map.version:
+            self._selected_version = self.map.version
             self.selection = self.selector.update()
-            self._drawn = None
+            self._hazard_map = None
         return self.selection
 
     def refresh(self, time: float) -> None:
-        """Select sites anew if it is time to."""
-        if time >= self._refreshed + self._interval - 1e-9:
-            self._refreshed = time
+        """Select sites if the interval since the last selection has passed."""
+        if time >= self._last_selection_s + self._interval - 1e-9:
+            self._last_selection_s = time
             self.select()
 
     @property
@@ -241,39 +256,45 @@ class QuadtreeMapper(HazardMapper):
         return self.map.count == 0
 
     def hazard_map(self) -> HazardMap:
-        """Return the map as it was when sites were last selected, or first asked for since."""
-        if self._drawn is None or self.selection is None:
-            # What points tell of sites belongs to the same points that the sites were selected on.
-            self._drawn = self._draw(self.select())
-        return self._drawn
+        """Return the map of the last site selection, computed when first needed."""
+        if self._hazard_map is None or self.selection is None:
+            # The site evidence must use the same points as the site selection.
+            self._hazard_map = self._compute_map(self.select())
+        return self._hazard_map
 
     def evidence(self) -> ReliefEvidence | None:
-        """Return the map alone: what it follows from is that of sites, not of cells."""
+        """Return the map only, because its evidence refers to sites and not to cells."""
         return None if self.blank else ReliefEvidence(self.hazard_map())
 
     def scoreboard(self, site: Array) -> Scoreboard:
-        """Return the ranked sites as they were when sites were last selected, by Eq. 9."""
+        """Return the ranked sites of the last selection, scored by Eq. 9.
+
+        Parameters
+        ----------
+        site
+            Current target site (3,), local frame, m.
+        """
         if self.selection is None:
             self.select()
         s = self.selection
         assert s is not None
         sizes = self.map.sizes(s.nodes)
-        under = (np.abs(s.position[:, :2] - np.asarray(site)[:2]) <= 0.5 * sizes[:, None]).all(1)
+        at_site = (np.abs(s.position[:, :2] - np.asarray(site)[:2]) <= 0.5 * sizes[:, None]).all(1)
         return Scoreboard(
             np.array([one.position for one in s.ranked]).reshape(-1, 3),
             np.array([one.score for one in s.ranked]),
-            float(s.score[under].min(initial=np.inf)),
+            float(s.score[at_site].min(initial=np.inf)),
         )
 
-    def _draw(self, selection: Selection) -> HazardMap:
-        """Return what is known of the sites on the grid: each cell has that of the site under it.
+    def _compute_map(self, selection: Selection) -> HazardMap:
+        """Return a map in which each cell has the values of the site at its centre.
 
-        The probability is the ground's alone; what the limits of the mission and its interest leave
-        is the layer `eligible`.
+        The probability depends on the terrain only. The limits of the mission and its interest form
+        the layer `eligible`.
         """
         g = self.grid
         if len(selection.nodes) == 0:
-            return self._nothing(g)
+            return self._empty_map(g)
         evidence = evidence_of(
             self.map, selection, self.selector.settings.zone, self.noise, self._lander, self._rocks
         )
@@ -291,15 +312,15 @@ class QuadtreeMapper(HazardMapper):
             in_domain=rasterised(g, xy, size, known, 0.0) > 0.0,
         )
 
-    def _nothing(self, grid: Grid) -> HazardMap:
-        """Return the map before anything was seen; what the mission says of it is known."""
+    def _empty_map(self, grid: Grid) -> HazardMap:
+        """Return a map without observations but with the interest of the mission."""
         value = self._value(grid)
         return replace(
             HazardMap.unobserved(grid), eligible=np.zeros(grid.shape, np.bool_), value=value
         )
 
     def _value(self, grid: Grid) -> FloatMap | None:
-        """Return the mission's interest (rows, cols); None: 1 everywhere."""
+        """Return the interest of the mission (rows, cols); None: 1 everywhere."""
         if self._interest is None:
             return None
         return (
@@ -308,23 +329,23 @@ class QuadtreeMapper(HazardMapper):
 
 
 def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float) -> Array:
-    """Return the value of the cell under each centre of a grid (rows, cols).
+    """Return the value of the quadtree cell at each centre of a grid (rows, cols).
 
     Parameters
     ----------
     grid
-        The raster.
+        Target grid.
     xy, size
         Centres (n, 2) and sides (n,) of square cells that do not overlap, m.
     value
-        Of each cell (n,).
+        Value of each cell (n,).
     fill
-        Where there is none.
+        Value outside all cells.
     """
     out = np.full(grid.shape, fill)
     value = np.asarray(value, dtype=np.float64)
     for side in np.unique(size):
-        # Cells of one size make a raster of their own: look up instead of filling.
+        # Cells of one size form a raster, which allows a lookup instead of filling cell by cell.
         mine = np.flatnonzero(size == side)
         corner = xy[mine[0]] - 0.5 * side
         col0, row0 = np.rint((xy[mine] - 0.5 * side - corner) / side).astype(np.int64).T
@@ -339,7 +360,7 @@ def rasterised(grid: Grid, xy: Array, size: Array, value: ArrayLike, fill: float
     return out
 
 
-def _returns(scan: LidarScan, position: Array, attitude: Array) -> Array:
+def _return_points(scan: LidarScan, position: Array, attitude: Array) -> Array:
     """Return the points (n, 3) of the pixels that got a return, taken at a pose."""
     points = np.asarray(scan.points(position, attitude)).reshape(-1, 3)
     return points[np.isfinite(scan.range).ravel()]

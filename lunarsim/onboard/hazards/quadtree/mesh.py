@@ -1,4 +1,4 @@
-"""Triangular mesh of coarse cells: the local ground plane at any point (Eqs. 1-3)."""
+"""Triangular mesh of coarse cells: local terrain plane at any point (Eqs. 1-3)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-class GroundMesh:
-    """Delaunay triangulation of the centres of the smallest cells within a band of sizes.
+class TerrainMesh:
+    """Delaunay triangulation of the centres of the smallest cells within a size band.
 
-    A cell is a node when each of its quarters holds enough points: one that was seen from one
-    side only would lend its middle the elevation of its edge. Which triangulation comes out where
-    nodes are cocircular depends on the nodes alone, not on the order in which they were found.
+    A cell is a node if each of its quarters has enough points. The mean elevation of a cell
+    observed on one side only would be that of its edge. For cocircular nodes, the triangulation
+    depends on the nodes only, not on the order in which they were found.
 
     Parameters
     ----------
     quadtree
-        The map.
+        Map of the points.
     smallest, largest
         Band of cell sizes, m.
     density
-        Least number of points on a square metre.
+        Minimum number of points per square metre.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class GroundMesh:
         self._band = (smallest, largest)
         self._density = density
         self._bits = quadtree.depths + 1
-        # Buckets as large as the largest cells: a triangle touches few of them.
+        # Buckets have the size of the largest cells, so that a triangle touches few of them.
         self._bucket = 2 << (quadtree.depths - quadtree.depth_of(largest))
         self._wide = (2 << quadtree.depths) // self._bucket
         self.nodes: Nodes = np.zeros(0, np.int32)
@@ -49,15 +49,17 @@ class GroundMesh:
         self._index()
 
     def update(self, since: int) -> IntArray:
-        """Follow the map; return the outlines (n, 4) of triangles that came, went or moved.
+        """Update the mesh and return the outlines (n, 4) of changed triangles.
 
-        Outlines are west, east, south and north in half sides of the least cells.
+        These are triangles that were added, removed or moved.
+
+        Outlines are west, east, south and north, in half sides of the smallest cells.
         """
         if not len(self._map.band(*self._band, since=since)):
             return np.zeros((0, 4), np.int64)
         tree = self._map.tree
         nodes = self._map.band(*self._band)
-        nodes = nodes[k.mesh_nodes(tree, nodes, self._density)]
+        nodes = nodes[k.is_mesh_node(tree, nodes, self._density)]
         nodes = np.sort(nodes)
         z = np.asarray(moments(tree, np.asarray(nodes, np.int64))[:, 1])
         nodes, z = nodes[np.isfinite(z)], z[np.isfinite(z)]
@@ -71,22 +73,22 @@ class GroundMesh:
         x, y = metre * self.xy[:, 0], metre * self.xy[:, 1]
         self.normals = k.normals(x, y, z, self.triangles)
         self._index()
-        return self._changed(*before)
+        return self._changed_outlines(*before)
 
     def normals_of(self, nodes: Nodes) -> Array:
-        """Return the ground's unit normals (n, 3) at the centres of cells; NaN off the mesh."""
+        """Return the unit normals (n, 3) of the terrain at cell centres; NaN off the mesh."""
         x, y = np.ascontiguousarray(self._half_steps(nodes).T)
         return np.asarray(k.normals_at(x, y, self.arrays))
 
     def _half_steps(self, nodes: Nodes) -> IntArray:
-        """Return the centres (n, 2) of cells in half sides of the least cells."""
+        """Return cell centres (n, 2) in half sides of the smallest cells."""
         tree = self._map.tree
         size = 1 << (tree.depths - tree.depth[nodes].astype(np.int64))
         place = np.stack((tree.column[nodes], tree.row[nodes]), axis=-1).astype(np.int64)
         return np.asarray((2 * place + 1) * size[:, None])
 
     def _triangulate(self) -> IntArray:
-        """Triangulate the nodes, in an order that depends on their places alone."""
+        """Triangulate the nodes in an order that depends on their positions only."""
         if len(self.xy) < 3:
             return np.zeros((0, 3), np.int64)
         order = np.argsort(hilbert_keys(self.xy, self._bits), kind="stable")
@@ -99,24 +101,26 @@ class GroundMesh:
             px, py, self.z, self.triangles, self.normals, self._bucket, self._wide, start, index,
         )  # fmt: skip
 
-    def _changed(self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray) -> IntArray:
-        """Return the outlines of triangles of before or now that the other lacks."""
-        everyone = np.union1d(nodes, self.nodes)
-        old = _keys(np.searchsorted(everyone, nodes), triangles, len(everyone))
-        new = _keys(np.searchsorted(everyone, self.nodes), self.triangles, len(everyone))
-        gone = ~np.isin(old, new)
-        come = ~np.isin(new, old)
-        height = np.full(len(everyone), np.nan)
-        height[np.searchsorted(everyone, nodes)] = z
-        moved = height[np.searchsorted(everyone, self.nodes)] != self.z
-        come |= moved[self.triangles].any(axis=1)
+    def _changed_outlines(
+        self, nodes: Nodes, xy: IntArray, z: Array, triangles: IntArray
+    ) -> IntArray:
+        """Return the outlines of triangles, old or new, that are not in both meshes."""
+        all_nodes = np.union1d(nodes, self.nodes)
+        old = _triangle_keys(np.searchsorted(all_nodes, nodes), triangles, len(all_nodes))
+        new = _triangle_keys(np.searchsorted(all_nodes, self.nodes), self.triangles, len(all_nodes))
+        removed = ~np.isin(old, new)
+        added = ~np.isin(new, old)
+        height = np.full(len(all_nodes), np.nan)
+        height[np.searchsorted(all_nodes, nodes)] = z
+        moved = height[np.searchsorted(all_nodes, self.nodes)] != self.z
+        added |= moved[self.triangles].any(axis=1)
         return np.concatenate(
-            (_outlines(xy, triangles[gone]), _outlines(self.xy, self.triangles[come]))
+            (_outlines(xy, triangles[removed]), _outlines(self.xy, self.triangles[added]))
         )
 
 
-def _keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
-    """Return a number a triangle that does not depend on where its corners are counted from."""
+def _triangle_keys(index: IntArray, triangles: IntArray, count: int) -> IntArray:
+    """Return a number per triangle that does not depend on the order of its corners."""
     corners = np.sort(index[triangles], axis=1)
     return np.asarray((corners[:, 0] * count + corners[:, 1]) * count + corners[:, 2])
 

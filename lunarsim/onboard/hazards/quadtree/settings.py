@@ -1,4 +1,4 @@
-"""What a landing site must be like, and how sites are scored (Table 1)."""
+"""Criteria for landing sites and weights of their score (Table 1)."""
 
 from __future__ import annotations
 
@@ -19,77 +19,95 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SiteSettings:
-    """Tolerances, weights and the sizes of cells; defaults are those of Table 1.
+    """Tolerances, weights and cell sizes; the defaults are those of Table 1.
 
-    The paper gives no sizes of cells, no number of sites and no separation; those here are ours.
+    The paper states no cell sizes, number of sites or separation; these are choices of lunarsim.
 
     Attributes
     ----------
     slope_limit
-        lambda_theta, rad.
+        lambda_theta: maximum slope, rad.
     roughness_limit
-        lambda_d: farthest that a point may lie from its plane without being an exception, m.
+        lambda_d: distance from the terrain plane above which a point is an exception, m.
     density
-        lambda_rho: least number of points on a square metre.
+        lambda_rho: minimum number of points per square metre.
     exception_limit
-        lambda_e: greatest share of exceptions among a cell's points.
+        lambda_e: maximum share of exceptions among the points of a cell.
     zone
         lambda_z: half side of the landing zone, m.
     weight_interest, weight_slope, weight_roughness
-        alpha of Eq. 9, for (1 - interest), (1 - cosine of the slope) and the roughness in m.
+        alpha of Eq. 9 for (1 - interest), (1 - cosine of the slope) and the roughness in m.
     margin
-        How much farther a hazard may reach than where it was seen, m: scans are not placed better.
+        Margin around observed hazards, m, for the position error of scans.
     mesh_band, hazard_band, site_band
-        Smallest and largest cells, m, that become nodes of the mesh, are searched for exceptions,
-        and are sites.
+        Smallest and largest cells, m, that become mesh nodes, are searched for exceptions, and
+        become sites.
     count
-        Sites on the scoreboard.
+        Number of ranked sites.
     separation
-        Least distance between them, m.
+        Minimum distance between ranked sites, m.
     roughness
-        ``"rms"``: root mean square distance to the plane. ``"printed"``: Eq. 8 as printed,
-        sum |d| / sqrt(N), which grows with the square root of the number of points, so that ground
-        seen more often scores worse.
+        ``"rms"``: root mean square distance to the plane. ``"printed"``: Eq. 8 as printed, sum |d|
+        / sqrt(N), which grows with the square root of the number of points and thus penalizes well
+        observed terrain.
     """
 
-    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="lambda_theta")
-    roughness_limit: float = quantity(0.3, "m", gt=0, help="lambda_d: farther is an exception")
-    density: float = quantity(5.0, "1/m^2", ge=0, help="least number of points")
-    exception_limit: float = quantity(0.015, ge=0, lt=1, help="lambda_e: share of exceptions")
-    zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone")
-    weight_interest: float = quantity(1.0, ge=0, help="alpha of Eq. 9 for 1 - interest")
-    weight_slope: float = quantity(1000.0, ge=0, help="alpha of Eq. 9 for 1 - cos slope")
-    weight_roughness: float = quantity(100.0, ge=0, help="alpha of Eq. 9 for the roughness in m")
-    mesh_band: tuple[float, float] = quantity((6.4, 12.8), "m", gt=0, help="cells of the mesh")
-    margin: float = quantity(0.3, "m", ge=0, help="farther than seen hazards may reach")
-    hazard_band: tuple[float, float] = quantity(
-        (1.6, 1.6), "m", gt=0, help="cells searched for exceptions"
+    slope_limit: float = quantity(5.0, "deg", gt=0, lt=45, help="maximum slope (lambda_theta)")
+    roughness_limit: float = quantity(
+        0.3, "m", gt=0, help="distance from the plane that makes an exception (lambda_d)"
     )
-    site_band: tuple[float, float] = quantity((0.8, 1.6), "m", gt=0, help="cells of sites")
-    count: int = quantity(5, ge=1, help="sites on the scoreboard")
-    separation: float = quantity(5.0, "m", ge=0, help="least distance between sites")
-    roughness: Literal["rms", "printed"] = quantity("rms", help="Eq. 8")
+    density: float = quantity(5.0, "1/m^2", ge=0, help="minimum point density (lambda_rho)")
+    exception_limit: float = quantity(
+        0.015, ge=0, lt=1, help="maximum share of exceptions (lambda_e)"
+    )
+    zone: float = quantity(2.5, "m", gt=0, help="half side of the landing zone (lambda_z)")
+    weight_interest: float = quantity(
+        1.0, ge=0, help="score weight of 1 - interest (alpha of Eq. 9)"
+    )
+    weight_slope: float = quantity(
+        1000.0, ge=0, help="score weight of 1 - cos(slope) (alpha of Eq. 9)"
+    )
+    weight_roughness: float = quantity(
+        100.0, ge=0, help="score weight of the roughness in m (alpha of Eq. 9)"
+    )
+    mesh_band: tuple[float, float] = quantity(
+        (6.4, 12.8), "m", gt=0, help="smallest and largest cells of the terrain mesh"
+    )
+    margin: float = quantity(0.3, "m", ge=0, help="margin around observed hazards")
+    hazard_band: tuple[float, float] = quantity(
+        (1.6, 1.6), "m", gt=0, help="smallest and largest cells searched for exceptions"
+    )
+    site_band: tuple[float, float] = quantity(
+        (0.8, 1.6), "m", gt=0, help="smallest and largest cells of sites"
+    )
+    count: int = quantity(5, ge=1, help="number of ranked sites")
+    separation: float = quantity(5.0, "m", ge=0, help="minimum distance between ranked sites")
+    roughness: Literal["rms", "printed"] = quantity(
+        "rms", help="roughness measure: rms, or Eq. 8 as printed"
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "sites")
         for name in ("mesh_band", "hazard_band", "site_band"):
             low, high = getattr(self, name)
             if low > high:
-                raise InputError(f"sites.{name}", (low, high), "two rising sizes in metres")
+                raise InputError(
+                    f"sites.{name}", (low, high), "must be two sizes in ascending order, in metres"
+                )
         if self.roughness not in {"rms", "printed"}:
-            raise InputError("sites.roughness", self.roughness, "rms or printed")
+            raise InputError("sites.roughness", self.roughness, "must be rms or printed")
 
 
 @dataclass(frozen=True)
 class InterestMap:
-    """How much the mission wants to land where.
+    """Interest of the mission in landing at each place.
 
     Attributes
     ----------
     grid
-        Places the cells, ENU.
+        Positions of the cells, ENU.
     value
-        Interest (rows, cols) in [0, 1]; 0: not to be landed on, as is everything off the map.
+        Interest (rows, cols) in [0, 1]; 0 excludes a landing, as does any place off the map.
     """
 
     grid: Grid
@@ -97,24 +115,31 @@ class InterestMap:
 
     def __post_init__(self) -> None:
         if isinstance(self.value, np.ma.MaskedArray):
-            raise InputError("interest", type(self.value), "a plain array, 0 where not to land")
-        value = np.array(self.value, dtype=np.float64)  # a copy that nobody else can write to
+            raise InputError(
+                "interest",
+                type(self.value),
+                "must not be a masked array",
+                "Use 0 to exclude a place.",
+            )
+        value = np.array(self.value, dtype=np.float64)  # a private copy
         value.flags.writeable = False
         object.__setattr__(self, "value", value)
         if value.shape != self.grid.shape:
-            raise InputError("interest", value.shape, f"an array of the grid's {self.grid.shape}")
+            raise InputError(
+                "interest", value.shape, f"must have the shape of the grid, {self.grid.shape}"
+            )
         wrong = ~((value >= 0.0) & (value <= 1.0))
         if wrong.any():
-            raise InputError("interest", float(value[wrong][0]), "numbers from 0 to 1")
+            raise InputError("interest", float(value[wrong][0]), "must be between 0 and 1")
 
     @classmethod
     def load(cls, path: Path) -> InterestMap:
-        """Read a NumPy archive that holds `value` (rows, cols), `x0`, `y0` and `posting`.
+        """Read a NumPy archive with `value` (rows, cols), `x0`, `y0` and `posting`.
 
         Raises
         ------
         InputError
-            If the file is missing or holds something else.
+            If the file is missing or has other contents.
         """
         try:
             file = read_arrays(path)
@@ -124,14 +149,14 @@ class InterestMap:
             raise InputError(
                 "sites.interest_path",
                 str(path),
-                f"a NumPy archive with value, x0, y0 and posting ({error})",
+                f"must be a NumPy archive with value, x0, y0 and posting ({error})",
             ) from None
         if value.ndim != 2:
-            raise InputError("interest", value.shape, "an array of rows and columns")
+            raise InputError("interest", value.shape, "must be an array of rows and columns")
         return cls(Grid(x0, y0, posting, *value.shape), value)
 
     def at(self, xy: Array) -> Array:
-        """Return the interest (n,) of points (n, 2)."""
+        """Return the interest (n,) at points (n, 2); 0 off the map."""
         row, col = self.grid.cell(xy)
         inside = self.grid.contains(xy)
         g = self.grid

@@ -1,12 +1,14 @@
-"""From what a site looks like on the quadtree to how often such sites are safe.
+"""Calibrated probability of a safe landing at sites of the quadtree.
 
-The paper's limits tell which sites are eligible; they are no probability. Here the lander is also
-put on the mean ground under its legs, at every heading, and what the points of its footprint and of
-the zone tell is added: how far they reach, how they spread, what may stand between them unseen. All
-is dimensionless: slopes and heights count by the lander's limits. Weights on all but the first
-`FREE` are not negative, so that the probability never rises with slope, roughness, exceptions,
-their height, or the rocks that may stand unseen. It is a frequency where fits without one world
-agree and few rocks may stand unseen, as on the Gaussian DEM (`lunarsim.safety.calibration`).
+The limits of the paper decide which sites are eligible; they are not a probability. The probability
+uses two kinds of features. The lander is placed on the mean terrain under its legs at every
+heading. The points of its footprint and of the zone add their distances from the planes, their
+spread and the rocks that may stand undetected between them. All features are dimensionless: slopes
+and heights are relative to the limits of the lander. All weights except the first `FREE` are
+non-negative, so that the probability never increases with slope, roughness, exceptions, their
+height, or the number of undetected rocks. It is a calibrated frequency where the
+leave-one-world-out fits agree and few rocks may be undetected, as on the Gaussian DEM
+(`lunarsim.safety.calibration`).
 """
 
 from __future__ import annotations
@@ -20,12 +22,12 @@ from scipy import ndimage
 
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.quadtree.sites import Selection
-from lunarsim.onboard.hazards.quadtree.surface import (
-    Sampling,
-    rises,
-    sampling,
-    surface,
-    without_holes,
+from lunarsim.onboard.hazards.quadtree.terrain_raster import (
+    SamplingCoverage,
+    close_holes,
+    residual_heights,
+    sampling_coverage,
+    terrain_raster,
 )
 from lunarsim.onboard.hazards.quadtree.tree import QuadtreeMap
 from lunarsim.rocks.population import RockExpectation
@@ -45,89 +47,112 @@ from lunarsim.safety.unseen_rocks import HeightCurve, depth_curve, height_curve
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# See `ceiling`: from a share of the limit on, what chance is left.
-_LEFT_OF_SLOPE = np.array(
+# Upper bounds of the probability, see `ceiling`: value relative to the limit, and factor.
+_SLOPE_CEILING = np.array(
     [[0.93, 0.96, 1.0, 1.05, 1.15, 1.3, 1.6], [1.0, 0.75, 0.6, 0.4, 0.2, 0.1, 0.0]]
 )
-_LEFT_OF_PLANE = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
-_LEFT_OF_ROUGHNESS = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
-_LEFT_OF_TOP = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
-# In the domain at most so many hazards may be expected unseen in a footprint, and so many rocks, or
-# holes, under the pads that would tilt the lander over its limit. Counts of rocks are those of
-# `HeightCurve.missed`, three times and more those of the Gaussian DEM.
-MOST_HAZARDS = 0.1
-MOST_TILTING = 0.1
-MOST_SINKING = 0.03
-# Near it, with up to so many, fits to all other worlds were low enough; see `bound`.
-_NEAR = (1.0, 2.0, 1.0)
-# Nor is more of the ground deeper than the first of `_DEPTHS`: whether a pad bridges what gapes
-# there depends on widths that no share tells.
-MOST_SUNK = 0.016
-# A zone is 1.35 times as wide as the lander, and all that stands or gapes in it speaks against it:
-# what is called surely unsafe may be safe for the lander itself unless it is so by far.
+_PLANE_SLOPE_CEILING = np.array([[0.91, 0.95, 1.0, 1.05, 1.15], [1.0, 0.4, 0.2, 0.1, 0.0]])
+_ROUGHNESS_CEILING = np.array([[0.9, 1.0, 1.3, 1.6, 2.2, 3.0], [1.0, 0.9, 0.6, 0.35, 0.15, 0.0]])
+_RELIEF_CEILING = np.array([[0.9, 1.0, 1.3, 2.2, 4.0], [1.0, 0.94, 0.85, 0.7, 0.4]])
+# Limits of the domain: expected undetected hazards in a footprint, and expected undetected rocks
+# and holes under the pads that tilt the lander over its limit. Rocks are counted by
+# `HeightCurve.missed`, at least three times the count of the Gaussian DEM.
+MAX_EXPECTED_HAZARDS = 0.1
+MAX_EXPECTED_TILTING_ROCKS = 0.1
+MAX_EXPECTED_HOLES = 0.03
+# Limits near the domain, for the same numbers: there the fits to all other worlds were low enough,
+# see `bound`.
+_NEAR_DOMAIN_LIMITS = (1.0, 2.0, 1.0)
+# Maximum share of terrain deeper than the first of `_RELATIVE_DEPTHS`: whether a pad bridges a hole
+# depends on widths, which the share does not contain.
+MAX_DEEP_SHARE = 0.016
+# Threshold for claiming a site unsafe. The zone is 1.35 times as wide as the lander and counts all
+# hazards in it, so only very low probabilities are unsafe for the lander itself.
 HOPELESS = 0.01
-# Of means over cells of a decimetre nothing is surer than this.
-MOST = 0.99
-# Of the points in the worlds of the fit, over the roughness limit: more noise would excuse more of
-# what stands out of the ground.
-MOST_NOISE = 0.12
-# See `SiteEvidence.clear_of_pads`.
-_KNOWN = 1.5
-# The smoothest zones of a map are this share of all.
-_SMOOTHEST = 0.1
-# Cells on which the mean ground is judged, and the largest that count as seen, m.
-_GROUND_BAND = (0.4, 1.6)
-# Between these the regression may bend: shares of the limits, decades of ratios and of rocks.
-_SLOPES = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
-_HEIGHTS = np.array([0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0])
-_SPREADS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
-_RATIOS = np.array([-4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-_TIPS = np.array([-1.7, -1.4, -1.2, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.2, 0.5, 1.0])
-_ROCKS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
-_COVER = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
-_BENDS = (
-    _SLOPES, _HEIGHTS, _HEIGHTS, _HEIGHTS, _TIPS, _TIPS, _SLOPES, _SLOPES, _SPREADS, _SPREADS,
-    _RATIOS, _RATIOS, _HEIGHTS, _HEIGHTS, _ROCKS, _ROCKS,
-    _ROCKS,
-)  # fmt: skip
-# Heights, over the limit, above which the share of ground counts.
-_ABOVE = np.array([0.3, 0.6, 1.0, 1.6])
-_DEPTHS = np.array([0.6, 1.0])
-# Intercept, noise, density and its square: nothing is claimed for these.
+# Maximum probability: means over cells of a decimetre do not support more.
+MAX_PROBABILITY = 0.99
+# Maximum noise of the points in the fitted worlds, relative to the roughness limit: more noise
+# would explain more of the residual heights.
+MAX_NOISE_RATIO = 0.12
+# Factor on the minimum counted height in `SiteEvidence.clear_of_pads`.
+_COUNTED_HEIGHT_FACTOR = 1.5
+# Share of the smoothest zones of a map that estimates the noise.
+_SMOOTHEST_QUANTILE = 0.1
+# Cell sizes of the mean terrain: smallest, and largest that counts as observed, m.
+_TERRAIN_BAND_M = (0.4, 1.6)
+# Knots of the regression: values relative to the limits, and log10 of ratios and of rock numbers.
+_SLOPE_KNOTS = np.array([0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.6, 2.2])
+_HEIGHT_KNOTS = np.array(
+    [0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.3, 1.6, 2.2, 4.0]
+)
+_SPREAD_KNOTS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.5])
+_RATIO_KNOTS = np.array([-4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+_TILT_KNOTS = np.array([-1.7, -1.4, -1.2, -1.0, -0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.2, 0.5, 1.0])
+_ROCK_KNOTS = np.array([-5.0, -4.0, -3.0, -2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
+_SHARE_KNOTS = np.log10([1e-5, 1e-4, 3e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03, 0.06, 0.12])
+_KNOTS = (
+    _SLOPE_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _TILT_KNOTS,
+    _TILT_KNOTS,
+    _SLOPE_KNOTS,
+    _SLOPE_KNOTS,
+    _SPREAD_KNOTS,
+    _SPREAD_KNOTS,
+    _RATIO_KNOTS,
+    _RATIO_KNOTS,
+    _HEIGHT_KNOTS,
+    _HEIGHT_KNOTS,
+    _ROCK_KNOTS,
+    _ROCK_KNOTS,
+    _ROCK_KNOTS,
+)
+# Heights and depths, relative to the limit, at which the share of terrain is a feature.
+_RELATIVE_HEIGHTS = np.array([0.3, 0.6, 1.0, 1.6])
+_RELATIVE_DEPTHS = np.array([0.6, 1.0])
+# Intercept, noise, density and its square: their weights may have either sign.
 FREE = 4
-RISING = sum(len(knots) - 1 for knots in _BENDS) + (len(_ABOVE) + len(_DEPTHS)) * (len(_COVER) - 1)
+RISING = sum(len(knots) - 1 for knots in _KNOTS) + (
+    len(_RELATIVE_HEIGHTS) + len(_RELATIVE_DEPTHS)
+) * (len(_SHARE_KNOTS) - 1)
 COUNT = FREE + RISING
 
 
 @dataclass(frozen=True)
 class SiteEvidence:
-    """What the quadtree says of sites (n,); NaN where not judged.
+    """Features of sites (n,) on the quadtree; NaN where not evaluated.
 
     Attributes
     ----------
     slope, roughness
-        Of the lander on the mean ground, worst heading: tangent and height over its limits.
+        Slope (tangent) and roughness of the lander on the mean terrain at the worst heading,
+        relative to its limits.
     mesh_slope, fitted_slope
-        Of the mesh and of the zone's points, tangents over that of the limit.
+        Slopes (tangent) of the mesh and of the least-squares plane of the zone, relative to the
+        limit.
     mesh_spread, fitted_spread
-        Root mean square distance of the zone's points from these planes, over the limit.
-    ratio, near
-        Greatest exception ratio in the zone and in the footprint.
-    relief, top
-        How far a point reaches in the zone and in the footprint, over the limit.
-    density, thinnest
-        Points on a square metre of the zone, and where they are the thinnest in the footprint.
+        Root mean square distance of the points of the zone from these planes, relative to the
+        limit.
+    ratio, footprint_ratio
+        Maximum exception ratio in the zone and in the footprint.
+    relief, footprint_relief
+        Maximum distance of a point from its plane in the zone and in the footprint, relative to the
+        limit.
+    density, min_density
+        Points per square metre in the zone, and their minimum density in the footprint.
     curve
-        How high the ground stands, from the points and the mission's rock law.
+        Distribution of terrain heights, from the points and the rock law of the mission.
     holes
-        How deep it lies.
+        Distribution of terrain depths.
     doomed
-        Where the mean ground is over a limit with its holes filled too: whether legs stand in a
-        hole, beside it or over it, a decimetre decides, and ground above it does not hang on that.
+        True where the mean terrain exceeds a limit even with its holes filled. The filled terrain
+        is used because a decimetre decides whether a leg stands in, beside or over a hole.
     lander
         Geometry and limits.
     noise
-        Standard deviation of a point's height, m.
+        Standard deviation of the height of a point, m.
     """
 
     slope: Array
@@ -137,11 +162,11 @@ class SiteEvidence:
     mesh_spread: Array
     fitted_spread: Array
     ratio: Array
-    near: Array
+    footprint_ratio: Array
     relief: Array
-    top: Array
+    footprint_relief: Array
     density: Array
-    thinnest: Array
+    min_density: Array
     curve: HeightCurve
     holes: HeightCurve
     doomed: BoolArray
@@ -150,89 +175,121 @@ class SiteEvidence:
 
     @property
     def judged(self) -> BoolArray:
-        """Where the whole zone and footprint were seen (n,)."""
+        """Where the complete zone and footprint were observed (n,)."""
         needed = (
-            self.slope, self.roughness, self.mesh_slope, self.fitted_slope, self.mesh_spread,
-            self.fitted_spread, self.ratio, self.near, self.relief, self.top, self.density,
-            self.thinnest,
-        )  # fmt: skip
+            self.slope,
+            self.roughness,
+            self.mesh_slope,
+            self.fitted_slope,
+            self.mesh_spread,
+            self.fitted_spread,
+            self.ratio,
+            self.footprint_ratio,
+            self.relief,
+            self.footprint_relief,
+            self.density,
+            self.min_density,
+        )
         return np.asarray(np.logical_and.reduce([np.isfinite(a) for a in needed]))
 
     @property
     def in_domain(self) -> BoolArray:
-        """Where few enough rocks and holes can be unseen for the regression to hold (n,).
+        """Where the regression is calibrated: few rocks and holes can be undetected (n,).
 
-        Noise, the ground's own holes, and the lander's limit of the slope, must be within those of
-        the fit.
+        Noise, holes in the terrain and the slope limit of the lander must also be within the range
+        of the fit.
         """
-        return self._within(MOST_HAZARDS, MOST_TILTING, MOST_SINKING)
+        return self._within(MAX_EXPECTED_HAZARDS, MAX_EXPECTED_TILTING_ROCKS, MAX_EXPECTED_HOLES)
 
     @property
     def near_domain(self) -> BoolArray:
-        """Where they are few enough for the regression to be no more than cautious (n,)."""
-        return self._within(*_NEAR)
+        """Where undetected rocks are so few that the regression is conservative (n,)."""
+        return self._within(*_NEAR_DOMAIN_LIMITS)
 
-    def _within(self, hazards: float, tilting: float, sinking: float) -> BoolArray:
+    def _within(
+        self, hazards: float, expected_tilt_violations: float, expected_hole_violations: float
+    ) -> BoolArray:
         noise = self.noise / self.lander.roughness_limit
-        sunk = self.holes.at(_DEPTHS[0] * self.lander.roughness_limit)
+        sunk = self.holes.at(_RELATIVE_DEPTHS[0] * self.lander.roughness_limit)
         steep = self.lander.slope_limit
-        if not (noise <= MOST_NOISE and sunk < MOST_SUNK and STEEPEST[0] <= steep <= STEEPEST[1]):
+        if not (
+            noise <= MAX_NOISE_RATIO
+            and sunk < MAX_DEEP_SHARE
+            and STEEPEST[0] <= steep <= STEEPEST[1]
+        ):
             return np.zeros(len(self.slope), np.bool_)
         with np.errstate(invalid="ignore"):
-            few = (self.hazards() <= hazards) & (self.tilting() <= tilting)
-            few &= self.sinking() <= sinking
+            few = (self.hazards() <= hazards) & (
+                self.expected_tilt_violations() <= expected_tilt_violations
+            )
+            few &= self.expected_hole_violations() <= expected_hole_violations
         return np.asarray(self.judged & few)
 
-    def highest(self) -> Array:
-        """Return what is rough, by the mean ground or by a point (n,), over the limit."""
-        return np.maximum(self.roughness, self.top)
+    def max_roughness(self) -> Array:
+        """Return the larger of roughness and highest point over the limit (n,)."""
+        return np.maximum(self.roughness, self.footprint_relief)
 
-    def raised(self) -> tuple[Array, Array]:
-        """Return what of the highest point and of the spread is not noise (n,), over the limit."""
+    def denoised_relief(self) -> tuple[Array, Array]:
+        """Return highest point and spread without noise, over the limit (n,)."""
         noise = self.noise / self.lander.roughness_limit
         spread = np.sqrt(np.maximum(self.fitted_spread**2 - noise**2, 0.0))
-        return np.maximum(self.top - 3.0 * noise, 0.0), spread
+        return np.maximum(self.footprint_relief - 3.0 * noise, 0.0), spread
 
-    def tipping(self, height: Array) -> Array:
-        """Return how far a pad raised by a height (n,), over the limit, tilts the lander (n,).
+    def relative_tilt(self, height: Array) -> Array:
+        """Return the tilt due to a raised pad over the remaining slope (n,), as tangents.
 
-        Over what is left of the slope.
+        Parameters
+        ----------
+        height
+            Height of the pad (n,), relative to the roughness limit.
         """
         left = np.maximum(1.0 - self.slope, 0.02) * np.tan(self.lander.slope_limit)
         tilt = tilt_of(height * self.lander.roughness_limit, self.lander)
         return np.asarray((tilt + 2e-4) / left)
 
-    def tilting(self) -> Array:
-        """Return how many unseen rocks under the pads, at any heading, would tilt it too far."""
+    def expected_tilt_violations(self) -> Array:
+        """Return the expected undetected rocks under the pads that tilt too far (n,).
+
+        The pads may be at any heading.
+        """
         height = tilting_height(self.fitted_slope, self.lander)
-        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.thinnest))
+        return np.asarray(pad_ring_area(self.lander) * self.curve.missed(height, self.min_density))
 
     def clear_of_pads(self) -> Array:
-        """Return the chance that no gravel tilts the lander too far, however much (n,).
+        """Return the probability that no undetected gravel tilts the lander too far (n,).
 
-        As `lunarsim.safety.calibration.clear_of_pads`; 1 where only rocks would that are higher by
-        `_KNOWN` than the least of which the regression was told.
+        The gravel count is conservative, as in `lunarsim.safety.calibration.clear_of_pads`. The
+        result is 1 where only rocks higher than `_COUNTED_HEIGHT_FACTOR` times the minimum counted
+        height could tilt the lander.
         """
         height = least_tilting_height(self.fitted_slope, self.lander)
-        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.thinnest)
+        found = pad_ring_area(self.lander) * self.curve.careful.missed(height, self.min_density)
         left = np.where(height < self.curve.gravel_counted, UNCOUNTED, 1.0)
-        return np.where(height < _KNOWN * self.curve.counted, left * np.exp(-found), 1.0)
+        return np.where(
+            height < _COUNTED_HEIGHT_FACTOR * self.curve.counted, left * np.exp(-found), 1.0
+        )
 
-    def sinking(self) -> Array:
-        """Return how many unseen holes under the pads would tilt the lander too far."""
+    def expected_hole_violations(self) -> Array:
+        """Return the expected undetected holes under the pads that tilt too far (n,)."""
         height, width = tilting_height(self.fitted_slope, self.lander), self.lander.pad_diameter
-        found = self.holes.sunk(height, self.thinnest, width)
+        found = self.holes.sunk(height, self.min_density, width)
         return np.asarray(pad_ring_area(self.lander) * found)
 
-    def piercing(self) -> Array:
-        """Return how many unseen rocks in the footprint rise above what roughness is left."""
-        height = (1.0 - self.raised()[0]) * self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.thinnest))
+    def expected_roughness_violations(self) -> Array:
+        """Return the expected undetected rocks above the remaining roughness (n,).
+
+        The rocks are counted in the footprint.
+        """
+        height = (1.0 - self.denoised_relief()[0]) * self.lander.roughness_limit
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(height, self.min_density))
 
     def hazards(self) -> Array:
-        """Return how many unseen rocks in the footprint alone would be too high."""
+        """Return the expected undetected rocks above the roughness limit (n,).
+
+        The rocks are counted in the footprint.
+        """
         limit = self.lander.roughness_limit
-        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.thinnest))
+        return np.asarray(footprint_area(self.lander) * self.curve.missed(limit, self.min_density))
 
 
 def evidence_of(
@@ -243,74 +300,74 @@ def evidence_of(
     lander: Lander,
     rocks: RockExpectation,
 ) -> SiteEvidence:
-    """Return what a map and its sites say, for a lander on ground with such rocks expected.
+    """Return the features of the sites of a map.
 
     Parameters
     ----------
     quadtree, selection
-        The map, and what a thorough selector with the lander's footprint says of its sites.
+        Map, and its sites by a thorough selector with the footprint of the lander.
     zone
         Half side of the landing zones, m.
     noise
-        Standard deviation that is stated of a point's height, m. Where the points spread less, they
-        have less: noise that is not there would excuse what stands out of the ground.
+        Stated standard deviation of the height of a point, m. If the points spread less, the spread
+        is used, since overestimated noise would explain residual heights.
     lander, rocks
-        Geometry and limits, and what the mission expects.
+        Geometry and limits of the lander; rock population expected by the mission.
     """
     s = selection
-    risen = rises(quadtree)
-    steepest, limit = np.tan(lander.slope_limit), lander.roughness_limit
-    seen = sampling(quadtree)
-    height, grid = surface(quadtree, *_GROUND_BAND, seen)
+    heights = residual_heights(quadtree)
+    max_slope_tangent, limit = np.tan(lander.slope_limit), lander.roughness_limit
+    seen = sampling_coverage(quadtree)
+    height, grid = terrain_raster(quadtree, *_TERRAIN_BAND_M, seen)
     xy = s.position[:, :2]
-    slope, roughness = _worst_about(bounded_safety(height, grid, lander), xy)
-    solid = without_holes(height, grid.posting, lander.leg_radius)
-    own_slope, own_roughness = _worst_about(bounded_safety(solid, grid, lander), xy)
-    mesh_slope = np.tan(s.slope) / steepest
-    # The standard error of the slope over a square tells the spread about the plane. Points that
-    # span no plane have the mesh's.
+    slope, roughness = _max_about(bounded_safety(height, grid, lander), xy)
+    filled = close_holes(height, grid.posting, lander.leg_radius)
+    filled_slope, filled_roughness = _max_about(bounded_safety(filled, grid, lander), xy)
+    mesh_slope = np.tan(s.slope) / max_slope_tangent
+    # The standard error of the slope over a square yields the spread about the plane. If the points
+    # span no plane, that of the mesh is used.
     fitted_spread = s.slope_sigma * np.sqrt(np.maximum(s.points - 3.0, 0.0) / 6.0) * zone
-    spans = np.isfinite(s.fitted)
-    noise = min(noise, _least_spread(fitted_spread))
+    spans = np.isfinite(s.fitted_slope)
+    noise = min(noise, _min_spread(fitted_spread))
     return SiteEvidence(
-        np.tan(slope) / steepest,
+        np.tan(slope) / max_slope_tangent,
         roughness / limit,
         mesh_slope,
-        np.where(spans, np.tan(s.fitted) / steepest, mesh_slope),
+        np.where(spans, np.tan(s.fitted_slope) / max_slope_tangent, mesh_slope),
         s.roughness / limit,
         np.where(spans, fitted_spread, s.roughness) / limit,
         s.ratio,
-        s.near,
+        s.footprint_ratio,
         s.relief / limit,
-        s.top / limit,
+        s.footprint_relief / limit,
         np.nan_to_num(s.points, nan=0.0) / (2.0 * zone) ** 2,
-        _thinnest(seen, xy, lander),
-        height_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
-        depth_curve(risen, noise, limit, rocks.cover, rocks.height_ratio[0]),
-        (own_slope >= lander.slope_limit) | (own_roughness >= limit),
+        _min_footprint_density(seen, xy, lander),
+        height_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        depth_curve(heights, noise, limit, rocks.cover, rocks.height_ratio[0]),
+        (filled_slope >= lander.slope_limit) | (filled_roughness >= limit),
         lander,
         noise,
     )
 
 
-def _least_spread(spread: Array) -> float:
-    """Return how the points of a map's smoothest zones spread about their planes (n,), m."""
+def _min_spread(spread: Array) -> float:
+    """Return the spread of points about their planes in the smoothest zones, m."""
     spread = spread[np.isfinite(spread)]
-    return float(np.quantile(spread, _SMOOTHEST)) if len(spread) else np.inf
+    return float(np.quantile(spread, _SMOOTHEST_QUANTILE)) if len(spread) else np.inf
 
 
-def _thinnest(seen: Sampling, xy: Array, lander: Lander) -> Array:
-    """Return the least density of points about places (n, 2), 1/m^2, over the footprint."""
+def _min_footprint_density(seen: SamplingCoverage, xy: Array, lander: Lander) -> Array:
+    """Return the minimum point density in the footprint at places (n, 2), 1/m^2."""
     g = seen.grid
-    # What lies in the zone's corners is no part of a round footprint.
+    # A round footprint does not include the corners of the zone.
     reach = max(1, round(lander.leg_radius / g.posting))
-    least = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
+    minimum = ndimage.minimum_filter(seen.density, 2 * reach + 1, mode="nearest")
     row, col = g.cell(xy)
-    return np.asarray(least[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
+    return np.asarray(minimum[np.clip(row, 0, g.rows - 1), np.clip(col, 0, g.cols - 1)])
 
 
-def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
-    """Return the greatest slope and roughness of the four cells about places (n, 2); or NaN."""
+def _max_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
+    """Return the maximum slope and roughness of the four cells at places (n, 2)."""
     g = safety.grid
     row, col = g.cell(xy - 0.5 * g.posting)
     slope, rough = np.full(len(xy), -np.inf), np.full(len(xy), -np.inf)
@@ -323,28 +380,41 @@ def _worst_about(safety: SafetyMap, xy: Array) -> tuple[Array, Array]:
 
 
 def features(evidence: SiteEvidence, where: BoolArray) -> Array:
-    """Return what the probability is computed from, at sites chosen by a mask (m, `COUNT`)."""
+    """Return the regression features of sites selected by a mask (m, `COUNT`)."""
     n = int(np.count_nonzero(where))
     return np.column_stack((_free(evidence, where), columns(_terms(evidence, where), n)))
 
 
 def _terms(e: SiteEvidence, where: BoolArray) -> list[Term]:
-    """Return what speaks against sites (n,)."""
-    point, spread = e.raised()
+    """Return the features with non-negative weights, which indicate danger (n,)."""
+    point, spread = e.denoised_relief()
     values = (
-        e.slope, e.roughness, e.highest(), e.top + 2.0 * spread, np.log10(e.tipping(point)),
-        np.log10(e.tipping(spread)), e.mesh_slope, e.fitted_slope, e.mesh_spread, e.fitted_spread,
-        np.log10(np.maximum(e.ratio, 1e-4)), np.log10(np.maximum(e.near, 1e-4)), e.relief, e.top,
-        np.log10(e.tilting() + 1e-6), np.log10(e.piercing() + 1e-6), np.log10(e.sinking() + 1e-6),
-    )  # fmt: skip
-    shares = np.log10(e.curve.at(_ABOVE * e.lander.roughness_limit))
-    own = [Term(v[where], knots) for v, knots in zip(values, _BENDS, strict=True)]
-    depths = np.log10(e.holes.at(_DEPTHS * e.lander.roughness_limit))
-    return own + [Term(share, _COVER) for share in (*shares, *depths)]
+        e.slope,
+        e.roughness,
+        e.max_roughness(),
+        e.footprint_relief + 2.0 * spread,
+        np.log10(e.relative_tilt(point)),
+        np.log10(e.relative_tilt(spread)),
+        e.mesh_slope,
+        e.fitted_slope,
+        e.mesh_spread,
+        e.fitted_spread,
+        np.log10(np.maximum(e.ratio, 1e-4)),
+        np.log10(np.maximum(e.footprint_ratio, 1e-4)),
+        e.relief,
+        e.footprint_relief,
+        np.log10(e.expected_tilt_violations() + 1e-6),
+        np.log10(e.expected_roughness_violations() + 1e-6),
+        np.log10(e.expected_hole_violations() + 1e-6),
+    )
+    shares = np.log10(e.curve.at(_RELATIVE_HEIGHTS * e.lander.roughness_limit))
+    own = [Term(v[where], knots) for v, knots in zip(values, _KNOTS, strict=True)]
+    depths = np.log10(e.holes.at(_RELATIVE_DEPTHS * e.lander.roughness_limit))
+    return own + [Term(share, _SHARE_KNOTS) for share in (*shares, *depths)]
 
 
 def _free(e: SiteEvidence, where: BoolArray) -> Array:
-    """Return what says how well was measured (m, `FREE`)."""
+    """Return the features with unconstrained weights (m, `FREE`)."""
     density = np.log(np.maximum(e.density[where], 0.1) * e.lander.leg_radius**2)
     noise = np.full(len(density), np.log(e.noise / e.lander.roughness_limit + 1e-3))
     return np.column_stack([np.ones(len(density)), noise, density, density**2])
@@ -352,56 +422,59 @@ def _free(e: SiteEvidence, where: BoolArray) -> Array:
 
 @lru_cache(maxsize=1)
 def measured() -> Ensemble:
-    """Return the weights measured by `scenarios/lidar_maps/quadtree_calibration.py`."""
+    """Return the packaged weights from `scenarios/lidar_maps/quadtree_calibration.py`."""
     return Ensemble.packaged("lunarsim.onboard.hazards.quadtree", "calibration.json", COUNT, RISING)
 
 
 def site_safety(evidence: SiteEvidence, model: Ensemble | None = None) -> tuple[Array, BoolArray]:
-    """Return the probability that sites are safe (n,), and where it is a frequency (n,).
+    """Return the probability that sites are safe, and where it is calibrated (n,).
 
-    Where too many rocks may stand unseen, or it is not surely safe, no more than `bound`; 0 where
-    not judged.
+    Where the regression is not calibrated, or the site is not claimed safe, the probability is at
+    most `bound`. It is 0 where the site was not evaluated.
 
     Parameters
     ----------
     evidence
-        Of the sites.
+        Features of the sites.
     model
-        Left out: the packaged one.
+        Weights; default: the packaged ones.
     """
-    e, known = evidence, evidence.in_domain
-    p, claimed = np.zeros(len(e.slope)), known.copy()
+    e, in_domain = evidence, evidence.in_domain
+    p, is_calibrated = np.zeros(len(e.slope)), in_domain.copy()
     if e.judged.any():
-        seen, most = e.judged, ceiling(e)[e.judged]
-        odds = (model or measured()).judge(_free(e, seen), _terms(e, seen))
-        p[seen] = cautious(odds.low, most, bound(e)[seen], known[seen])
-        claimed[seen] &= odds.verdict(most, HOPELESS, e.doomed[seen]).agreed
-    return p, claimed
+        evaluated, upper = e.judged, ceiling(e)[e.judged]
+        odds = (model or measured()).judge(_free(e, evaluated), _terms(e, evaluated))
+        p[evaluated] = cautious(odds.low, upper, bound(e)[evaluated], in_domain[evaluated])
+        is_calibrated[evaluated] &= odds.verdict(upper, HOPELESS, e.doomed[evaluated]).agreed
+    return p, is_calibrated
 
 
 def ceiling(evidence: SiteEvidence) -> Array:
-    """Return what the probability cannot exceed, by what was seen (n,).
+    """Return the upper bound of the probability from single features (n,).
 
-    Sums of evidence let much that is good make up for one thing that is fatal. Of sites with a
-    slope or roughness near the limit or beyond it so few were safe in the worlds of the fit,
-    whatever else. Of none more than `MOST`.
+    In a sum of features, many favourable ones can outweigh one that is fatal. The bounds are the
+    share of safe sites in the fitted worlds for slopes or roughness near or beyond the limit, at
+    most `MAX_PROBABILITY`.
     """
     e = evidence
-    left = (
-        np.interp(e.slope, *_LEFT_OF_SLOPE),
-        np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_LEFT_OF_PLANE),
-        np.interp(np.maximum(e.roughness, e.mesh_spread), *_LEFT_OF_ROUGHNESS),
-        np.interp(e.top, *_LEFT_OF_TOP),
+    factors = (
+        np.interp(e.slope, *_SLOPE_CEILING),
+        np.interp(np.maximum(e.mesh_slope, e.fitted_slope), *_PLANE_SLOPE_CEILING),
+        np.interp(np.maximum(e.roughness, e.mesh_spread), *_ROUGHNESS_CEILING),
+        np.interp(e.footprint_relief, *_RELIEF_CEILING),
         e.clear_of_pads(),
     )
-    return np.asarray(MOST * np.nan_to_num(np.minimum.reduce(left), nan=0.0))
+    return np.asarray(MAX_PROBABILITY * np.nan_to_num(np.minimum.reduce(factors), nan=0.0))
 
 
 def bound(evidence: SiteEvidence) -> Array:
-    """Return what the probability cannot exceed outside the domain (n,).
+    """Return the upper bound of the probability outside the domain (n,).
 
-    The chance that no unseen rock stands there; near the domain, where the regression still tells
-    enough, 1.
+    It is the probability of no undetected rock. Near the domain, where the regression is still
+    informative, it is 1.
     """
-    none = np.nan_to_num(np.exp(-evidence.piercing() - evidence.tilting()), nan=0.0)
+    none = np.nan_to_num(
+        np.exp(-evidence.expected_roughness_violations() - evidence.expected_tilt_violations()),
+        nan=0.0,
+    )
     return np.asarray(np.where(evidence.near_domain, 1.0, none))

@@ -1,4 +1,4 @@
-"""Incremental selection of landing sites on a quadtree (quadtree paper, section 4)."""
+"""Incremental selection of landing sites on a quadtree (paper, section 4)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from lunarsim.errors import InputError
 from lunarsim.onboard.hazards.quadtree import _hazard_kernels as h
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
 from lunarsim.onboard.hazards.quadtree._tree_kernels import band
-from lunarsim.onboard.hazards.quadtree.mesh import GroundMesh
+from lunarsim.onboard.hazards.quadtree.mesh import TerrainMesh
 from lunarsim.onboard.hazards.quadtree.settings import InterestMap, SiteSettings
 from lunarsim.onboard.hazards.quadtree.tree import Nodes, QuadtreeMap
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Half side of the lander's footprint over that of the zone, if it is not given.
-_FOOTPRINT = 0.6
-# Meaning of a site's status.
+# Default half side of the lander's footprint, relative to that of the zone.
+_FOOTPRINT_ZONE_RATIO = 0.6
+# Meaning of `Selection.status`.
 STATUS = (
     "eligible",
     "no ground plane",
@@ -35,20 +35,20 @@ STATUS = (
 
 @dataclass(frozen=True)
 class Site:
-    """One site of the scoreboard.
+    """One ranked landing site.
 
     Attributes
     ----------
     position
         Centre of its cell at the mean elevation (3,), ENU, m.
     score
-        Eq. 9; 0 is the best.
+        Score by Eq. 9; 0 is the best.
     interest
-        In [0, 1].
+        Interest of the mission, in [0, 1].
     slope
-        rad.
+        Slope, rad.
     roughness
-        m (Eq. 8).
+        Roughness by Eq. 8, m.
     """
 
     position: Array
@@ -60,7 +60,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Selection:
-    """All sites as they stand; its arrays cannot be written to.
+    """All evaluated sites; its arrays are read-only.
 
     Attributes
     ----------
@@ -69,32 +69,32 @@ class Selection:
     position
         Centres at the mean elevation (n, 3), ENU, m.
     interest
-        (n,).
+        Interest of the mission (n,), in [0, 1].
     slope
-        (n,), rad; NaN without a ground plane.
+        Slope (n,), rad; NaN without a terrain plane.
     ratio
-        Greatest exception ratio in the zone and `margin` around it (n,); NaN where a cell of the
-        zone has too few points.
-    near
-        The same in the lander's footprint (n,).
+        Maximum exception ratio in the zone and `margin` around it (n,); NaN if a cell of the zone
+        has too few points.
+    footprint_ratio
+        The same in the footprint of the lander (n,).
     roughness
-        (n,), m; NaN where not evaluated.
+        Roughness (n,), m; NaN where not evaluated.
     relief
-        How far a point in the zone and `margin` around it reaches at most from the middle of the
-        points about it, or an exception from its ground plane (n,), m; NaN as for `ratio`.
-    top
-        The same in the lander's footprint (n,), m.
+        Maximum distance of a point in the zone and `margin` around it from the median plane of its
+        cell, or of an exception from the terrain plane (n,), m; NaN as for `ratio`.
+    footprint_relief
+        The same in the footprint of the lander (n,), m.
     points
-        In the zone (n,), without those that stand apart; NaN where not evaluated.
-    fitted, slope_sigma
-        Slope of the least-squares plane over the zone's points, and its standard error (n,), rad;
-        NaN where not evaluated.
+        Number of points in the zone (n,), without outliers in height; NaN where not evaluated.
+    fitted_slope, slope_sigma
+        Slope of the least-squares plane through the points of the zone, and its standard error
+        (n,), rad; NaN where not evaluated.
     status
         Index into `STATUS` (n,).
     score
-        Eq. 9 (n,); inf for sites that are not eligible.
+        Score by Eq. 9 (n,); inf for sites that are not eligible.
     ranked
-        The best, in order; empty if no site passes.
+        The best sites, best first; empty if no site is eligible.
     """
 
     nodes: Nodes
@@ -102,12 +102,12 @@ class Selection:
     interest: Array
     slope: Array
     ratio: Array
-    near: Array
+    footprint_ratio: Array
     roughness: Array
     relief: Array
-    top: Array
+    footprint_relief: Array
     points: Array
-    fitted: Array
+    fitted_slope: Array
     slope_sigma: Array
     status: NDArray[np.int8]
     score: Array
@@ -120,23 +120,23 @@ class Selection:
 
 
 class SiteSelector:
-    """Keeps planes, hazards and scores of a quadtree up to date.
+    """Incrementally update planes, hazards and scores of a quadtree.
 
-    Only what the points since the last call can have changed is evaluated again; the outcome is
-    that of a new selector on the same map, bit for bit.
+    Only the parts that new points can have changed are evaluated again. The result equals that of a
+    new selector on the same map, bit for bit.
 
     Parameters
     ----------
     quadtree
-        The map.
+        Map of the points.
     settings
-        Tolerances, weights, sizes of cells.
+        Tolerances, weights and cell sizes.
     interest
-        Left out: 1 everywhere.
+        Interest of the mission; default: 1 everywhere.
     thorough
-        Also find the roughness of sites that are rejected (for a probability of landing safely).
+        Evaluate the roughness of rejected sites too, as needed for a probability of a safe landing.
     footprint
-        Half side of what the lander covers, m; left out: 0.6 of that of the zone.
+        Half side of the footprint of the lander, m; default: 0.6 of that of the zone.
     """
 
     def __init__(
@@ -152,30 +152,33 @@ class SiteSelector:
         self.settings = settings or SiteSettings()
         self._interest = interest
         self._thorough = thorough
-        self.footprint = _FOOTPRINT * self.settings.zone if footprint is None else footprint
+        self.footprint = (
+            _FOOTPRINT_ZONE_RATIO * self.settings.zone if footprint is None else footprint
+        )
         s = self.settings
-        self.mesh = GroundMesh(quadtree, *s.mesh_band, s.density)
+        self.mesh = TerrainMesh(quadtree, *s.mesh_band, s.density)
         self._hazard = tuple(quadtree.depth_of(size) for size in s.hazard_band)
         self._site = tuple(quadtree.depth_of(size) for size in s.site_band)
-        squares = 1 << min(self._hazard[0] + h.FINER, quadtree.depths)
+        squares = 1 << min(self._hazard[0] + h.SQUARE_LEVELS, quadtree.depths)
         self._ratios, self._reliefs = (
             np.full((squares, squares), np.nan, np.float32) for _ in range(2)
         )
         self._version = 0
-        self._calls = 0
-        # A row a square of the smallest cells; what is never a site takes no memory.
-        self._seen = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
-        self._found = np.zeros((1 << 2 * self._site[0], 9))
+        self._visit = 0
+        # One row per square of the smallest cells; the memory of rows without a site is never
+        # touched.
+        self._visited = [np.zeros(1 << 2 * d[0], np.int32) for d in (self._hazard, self._site)]
+        self._results = np.zeros((1 << 2 * self._site[0], 9))
         self._status = np.full(1 << 2 * self._site[0], k.NO_PLANE, np.int8)
 
     @property
     def interest(self) -> InterestMap | None:
-        """What the mission is interested in; for another, make another selector."""
+        """Interest of the mission; fixed for one selector."""
         return self._interest
 
     @property
     def ratios(self) -> NDArray[np.float32]:
-        """Share of exceptions by squares over the map (rows, cols), from the south-west; read only.
+        """Share of exceptions per square (rows, cols), from the south-west; read-only.
 
         NaN where a cell has too few points or no plane.
         """
@@ -183,14 +186,14 @@ class SiteSelector:
 
     @property
     def reliefs(self) -> NDArray[np.float32]:
-        """How far points reach by squares, m, see `Selection.relief`; as `ratios`."""
+        """Maximum distance of points per square, m, as `Selection.relief`; read-only."""
         return _read_only(self._reliefs)
 
     @property
     def hazards(self) -> NDArray[np.float32]:
-        """Where hazards may reach, `margin` around where they were seen (rows, cols): 1, else 0.
+        """Hazards with `margin` around them (rows, cols): 1, else 0.
 
-        Squares as of `ratios`, NaN where those are.
+        Squares as in `ratios`, with NaN where that is NaN.
         """
         reach = int(np.ceil(self.settings.margin * len(self._ratios) / self.map.side - 1e-6))
         hazard = (self._ratios > self.settings.exception_limit).astype(np.float32)
@@ -199,13 +202,13 @@ class SiteSelector:
 
     @property
     def nbytes(self) -> int:
-        """Memory at most, bytes; only what is of sites is ever written to."""
+        """Maximum memory, bytes; rows without a site are never written."""
         rasters = self._ratios.nbytes + self._reliefs.nbytes
-        seen = sum(a.nbytes for a in self._seen)
-        return rasters + seen + self._found.nbytes + self._status.nbytes
+        seen = sum(a.nbytes for a in self._visited)
+        return rasters + seen + self._results.nbytes + self._status.nbytes
 
     def update(self) -> Selection:
-        """Follow the map and return all sites."""
+        """Process the changes of the map and return all sites."""
         if self.map.version > self._version:
             outlines = self.mesh.update(self._version)
             changed = self._update_hazards(outlines)
@@ -213,42 +216,49 @@ class SiteSelector:
             self._version = self.map.version
         return self._select()
 
-    # --- what changed ---------------------------------------------------------------------
+    # --- changes --------------------------------------------------------------------------
 
-    def _fresh(self, depth: int) -> IntArray:
+    def _updated_outlines(self, depth: int) -> IntArray:
         """Return the outlines of cells of a depth, or leaves above it, that got points."""
         tree = self.map.tree
         nodes = band(tree, depth, 0, self._version)
         return np.asarray(k.rectangles_of(tree, nodes))
 
     def _half_steps(self, depth: int) -> int:
-        """Return the side of cells of a depth in half sides of the least cells."""
+        """Return the side of cells of a depth in half sides of the smallest cells."""
         return 2 << (self.map.depths - depth)
 
     def _nodes_in(
         self, marked: NDArray[np.bool_], band: tuple[int, ...], seen: NDArray[np.int32]
     ) -> tuple[Nodes, IntArray]:
-        """Return the cells of a band in marked squares, and the outlines of squares without one."""
-        self._calls += 1
-        return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._calls)  # type: ignore[no-any-return]
+        """Return the cells of a band in marked squares, and outlines of empty squares."""
+        self._visit += 1
+        return k.marked_nodes(self.map.tree, marked, band[0], band[1], seen, self._visit)  # type: ignore[no-any-return]
 
     def _update_hazards(self, outlines: IntArray) -> IntArray:
-        """Search for hazards afresh where points or planes changed.
+        """Search for hazards where points or planes changed.
 
-        Returns the outlines (n, 4), in half steps, of cells where something else was found.
+        Returns the outlines (n, 4), in half steps, of cells whose result changed.
         """
         s, tree = self.settings, self.map.tree
         wide = 1 << self._hazard[0]
         square = self._half_steps(self._hazard[0])
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
-        finer = 2 * (1 << self.map.depths) // len(self._ratios)
-        # What a cell should hold is told by squares beyond its edge: all but the last half step.
-        k.mark(self._fresh(self._hazard[1]), h.REACH * finer - 1, square, wide, marked)
-        nodes, empty = self._nodes_in(marked, self._hazard, self._seen[0])
+        square_side = 2 * (1 << self.map.depths) // len(self._ratios)
+        # The expected number of points in a cell depends on squares beyond its edge: grow by all
+        # but the last half step.
+        k.mark(
+            self._updated_outlines(self._hazard[1]),
+            h.NEIGHBOUR_SQUARES * square_side - 1,
+            square,
+            wide,
+            marked,
+        )
+        nodes, empty = self._nodes_in(marked, self._hazard, self._visited[0])
         rasters = (self._ratios, self._reliefs)
-        cleared = h.clear(empty, finer, *rasters)
-        changed = h.judge_cells(
+        cleared = h.blank_squares(empty, square_side, *rasters)
+        changed = h.evaluate_cells(
             tree, nodes, self.mesh.arrays, s.roughness_limit, s.density, *rasters
         )
         return np.concatenate((empty[cleared], k.rectangles_of(tree, nodes[changed])))
@@ -260,10 +270,10 @@ class SiteSelector:
         zone = int(np.ceil((s.zone + s.margin) / (0.5 * self.map.least)))
         marked = np.zeros((wide, wide), np.bool_)
         k.mark(outlines, 0, square, wide, marked)
-        for rectangles in (self._fresh(self._site[1]), changed):
+        for rectangles in (self._updated_outlines(self._site[1]), changed):
             k.mark(rectangles, zone, square, wide, marked)
-        nodes, _ = self._nodes_in(marked, self._site, self._seen[1])
-        k.judge_sites(
+        nodes, _ = self._nodes_in(marked, self._site, self._visited[1])
+        k.evaluate_sites(
             tree,
             nodes,
             self._site[0],
@@ -272,7 +282,7 @@ class SiteSelector:
             (np.cos(s.slope_limit), s.exception_limit, s.zone, self.footprint, s.margin),
             s.roughness == "printed",
             self._thorough,
-            self._found,
+            self._results,
             self._status,
         )
 
@@ -286,11 +296,11 @@ class SiteSelector:
     def _select(self) -> Selection:
         s = self.settings
         nodes = self.map.band(*s.site_band)
-        place = k.places_of(self.map.tree, nodes, self._site[0])
-        found, status = self._found[place], self._status[place]
+        place = k.raster_indices(self.map.tree, nodes, self._site[0])
+        found, status = self._results[place], self._status[place]
         cosine, roughness = found[:, k.COSINE], found[:, k.ROUGHNESS]
         interest = self._interest_of(nodes)
-        # The mission's word comes first, but what is known of the ground stays known.
+        # The interest of the mission takes precedence, but the terrain status remains known.
         planned = (status != k.NO_PLANE) & (status != k.OFF_MAP)
         status = np.where(planned & (interest <= 0.0), np.int8(k.NO_INTEREST), status)
         score = (
@@ -309,16 +319,37 @@ class SiteSelector:
                 float(slope[i]),
                 float(roughness[i]),
             )
-            for i in best_apart(score, position[:, :2], s.count, s.separation)
+            for i in select_separated(score, position[:, :2], s.count, s.separation)
         )
-        ratio, near, relief, top, points, fitted, sigma = (
+        ratio, footprint_ratio, relief, footprint_relief, points, fitted_slope, sigma = (
             found[:, c].copy()
-            for c in (k.RATIO, k.NEAR, k.RELIEF, k.TOP, k.POINTS, k.FITTED, k.SIGMA)
+            for c in (
+                k.RATIO,
+                k.FOOTPRINT_RATIO,
+                k.RELIEF,
+                k.FOOTPRINT_RELIEF,
+                k.POINT_COUNT,
+                k.FITTED_SLOPE,
+                k.SLOPE_SIGMA,
+            )
         )
         return Selection(
-            nodes, position, interest, slope, ratio, near, roughness.copy(), relief, top, points,
-            fitted, sigma, status, score, ranked,
-        )  # fmt: skip
+            nodes,
+            position,
+            interest,
+            slope,
+            ratio,
+            footprint_ratio,
+            roughness.copy(),
+            relief,
+            footprint_relief,
+            points,
+            fitted_slope,
+            sigma,
+            status,
+            score,
+            ranked,
+        )
 
 
 def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -327,18 +358,29 @@ def _read_only(array: NDArray[np.float32]) -> NDArray[np.float32]:
     return view
 
 
-def best_apart(score: Array, xy: Array, count: int, separation: float) -> list[int]:
-    """Return the places of the least finite scores whose points (n, 2) keep a distance (m).
+def select_separated(score: Array, xy: Array, count: int, separation: float) -> list[int]:
+    """Return the indices of the lowest finite scores with a minimum separation.
+
+    Parameters
+    ----------
+    score
+        Scores (n,).
+    xy
+        Positions (n, 2), m.
+    count
+        Maximum number of indices.
+    separation
+        Minimum distance between chosen positions, m.
 
     Raises
     ------
     InputError
-        If a score is NaN, or there are not as many points as scores.
+        If a score is NaN, or if the numbers of positions and scores differ.
     """
     if np.shape(xy) != (len(score), 2):
-        raise InputError("sites.xy", np.shape(xy), f"places of shape ({len(score)}, 2)")
+        raise InputError("sites.xy", np.shape(xy), f"must have shape ({len(score)}, 2)")
     if np.isnan(score).any():
-        raise InputError("sites.score", "NaN", "numbers; inf for what is not to be chosen")
+        raise InputError("sites.score", "NaN", "must be a number", "Use inf to exclude a site.")
     chosen: list[int] = []
     for i in np.argsort(score, kind="stable"):
         if len(chosen) == count or not np.isfinite(score[i]):

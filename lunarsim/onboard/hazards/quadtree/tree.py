@@ -1,4 +1,4 @@
-"""Variable-resolution map: a quadtree of measured points (quadtree paper, section 3)."""
+"""Variable-resolution map: a quadtree of measured points (paper, section 3)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ Array = NDArray[np.float64]
 Nodes = NDArray[np.int32]
 
 # float32 coordinates resolve 1/16,777,216 of the side; deeper trees would fall below it.
-_DEEPEST = 16
-# Farthest height from the map's elevation, m: float32 resolves 1 mm there.
-_HIGHEST = 10_000.0
-# A batch is sorted in so many parts, none smaller than this: what sorting takes is little beside
-# what the map does, and points that came together still lie together.
-_PARTS, _PART = 8, 1 << 18
+_MAX_DEPTH = 16
+# Maximum height from the elevation of the map, m: float32 resolves 1 mm there.
+_MAX_HEIGHT_M = 10_000.0
+# Maximum number of parts in which a batch is sorted, and minimum size of a part. Sorting then takes
+# little time, and points that came together remain together.
+_MAX_SORT_PARTS, _MIN_SORT_PART_POINTS = 8, 1 << 18
 
 
 @dataclass(frozen=True)
-class Inserted:
-    """What became of a batch of points.
+class InsertionCounts:
+    """Counts of the points of a batch.
 
     Attributes
     ----------
     added, outside, missing
-        Points taken in, off the map (to a side, or by more than 10 km in height), and with a
-        coordinate that is NaN.
+        Points added, points off the map (laterally, or by more than 10 km in height), and points
+        with a NaN coordinate.
     """
 
     added: int
@@ -41,47 +41,49 @@ class Inserted:
 
 
 class QuadtreeMap:
-    """A square that divides where measurements are dense.
+    """Square map that is refined where measurements are dense.
 
-    A cell whose points number `split_count` or more has four children, down to the least size.
-    Sums that give mean and variance of the elevation are kept at every level, and every cell knows
-    the batch that last reached it, so that users of the map can ask for what has changed. Points
-    that stand apart in height from all others of their cell (a return off a bird) stay on the map
-    and count, but are in no sum.
+    A cell with `split_count` points or more has four children, down to the minimum cell size. Sums
+    for mean and variance of the elevation are kept at every level. Every cell records the last
+    batch that reached it, so that users of the map can query changes. Outliers, which are separated
+    in height from all other points of their cell (a return from a bird), remain on the map and are
+    counted, but are in no sum.
 
     Parameters
     ----------
     centre
-        Middle of the square (2,) or (3,), ENU, m; a third number is the elevation from which
-        heights are counted inside, so that float32 resolves them.
+        Centre of the square (2,) or (3,), ENU, m. The third component is the internal reference of
+        heights, so that float32 resolves them.
     side
-        Least side of the square, m; it becomes a power of two times `least`.
+        Minimum side of the square, m; it is increased to a power of two times `least`.
     least
-        Side of the least cells, m.
+        Side of the smallest cells, m.
     split_count
-        Points at which a cell divides.
+        Number of points at which a cell splits.
     """
 
     def __init__(
         self, centre: ArrayLike, side: float, least: float = 0.1, *, split_count: int = 8
     ) -> None:
         if not (np.isfinite(least) and least > 0.0):
-            raise InputError("quadtree.least_m", least, "a positive length in metres")
+            raise InputError("quadtree.least_m", least, "must be positive, in metres")
         if not (np.isfinite(side) and side >= least):
-            raise InputError("quadtree.side_m", side, f"at least one cell of {least} m")
+            raise InputError("quadtree.side_m", side, f"must be at least one cell of {least} m")
         if split_count < 2:
-            raise InputError("quadtree.split_count", split_count, "2 or more")
+            raise InputError("quadtree.split_count", split_count, "must be 2 or more")
         depths = max(1, int(np.ceil(np.log2(side / least) - 1e-9)))
-        if depths > _DEEPEST:
+        if depths > _MAX_DEPTH:
             raise InputError(
-                "quadtree.least_m", least, f"at least {side / 2**_DEEPEST:g} m for {side:g} m"
+                "quadtree.least_m",
+                least,
+                f"must be at least {side / 2**_MAX_DEPTH:g} m for a side of {side:g} m",
             )
-        middle = np.zeros(3)
+        centre_enu = np.zeros(3)
         given = np.asarray(centre, dtype=np.float64)
-        middle[: given.size] = given
-        if not np.isfinite(middle).all():
-            raise InputError("quadtree.centre", middle.tolist(), "finite coordinates")
-        self.centre = middle
+        centre_enu[: given.size] = given
+        if not np.isfinite(centre_enu).all():
+            raise InputError("quadtree.centre", centre_enu.tolist(), "must be finite")
+        self.centre = centre_enu
         self.least = float(least)
         self.depths = depths
         self.side = least * 2.0**depths
@@ -107,42 +109,47 @@ class QuadtreeMap:
             *(np.empty(capacity, np.int32) for _ in range(3)),
         )
 
-    # --- taking in ------------------------------------------------------------------------
+    # --- insertion ------------------------------------------------------------------------
 
-    def insert(self, points: ArrayLike) -> Inserted:
-        """Add points (n, 3), ENU, m; those off the map or with NaN are counted and left out.
+    def insert(self, points: ArrayLike) -> InsertionCounts:
+        """Add points (n, 3), ENU, m; ignore and count those off the map or with NaN.
 
         Raises
         ------
         InputError
-            If the array has another shape, holds an infinity, or if most of what lies over the map
-            is farther than 10 km from its elevation: then that is wrong.
+            If the array has another shape or contains an infinity, or if most points over the map
+            are farther than 10 km from its elevation, which is then wrong.
         """
-        points = _checked(points)
+        points = _check_points(points)
         added = outside = missing = high = 0
-        part = max(_PART, -(-len(points) // _PARTS))
+        part = max(_MIN_SORT_PART_POINTS, -(-len(points) // _MAX_SORT_PARTS))
         for first in range(0, len(points), part):
-            xyz, key, *left_out = _insertion_kernels.place(
-                points[first : first + part], self.centre, self.tree.half, self.depths, _HIGHEST
+            xyz, key, *left_out = _insertion_kernels.sort_points(
+                points[first : first + part],
+                self.centre,
+                self.tree.half,
+                self.depths,
+                _MAX_HEIGHT_M,
             )
             outside, missing, high = (
                 a + b for a, b in zip((outside, missing, high), left_out, strict=True)
             )
             if left_out[2] > len(xyz):
                 raise InputError(
-                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} points",
-                    f"heights within {_HIGHEST:g} m of the map's elevation of {self.centre[2]:g} m",
+                    "quadtree.points", f"{left_out[2]} of {left_out[2] + len(xyz)} farther",
+                    f"most heights must be within {_MAX_HEIGHT_M:g} m of the map "
+                    f"elevation {self.centre[2]:g} m",
                 )  # fmt: skip
-            self._enter(xyz, key)
+            self._insert_sorted(xyz, key)
             added += len(xyz)
-        return Inserted(added, int(outside + high), int(missing))
+        return InsertionCounts(added, int(outside + high), int(missing))
 
-    def _enter(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
+    def _insert_sorted(self, xyz: NDArray[np.float32], key: NDArray[np.uint32]) -> None:
         """Insert points (n, 3) sorted by their keys (n,)."""
         base = self._points
         if not len(xyz):
             return
-        self._make_room(points=base + len(xyz))
+        self._reserve(points=base + len(xyz))
         self.tree.xyz[base : base + len(xyz)] = xyz
         self._points += len(xyz)
         at = 0
@@ -154,40 +161,40 @@ class QuadtreeMap:
             self._used = (used[0], used[1], used[2])
             if at == len(key):
                 break
-            self._make_room(
+            self._reserve(
                 nodes=len(self.tree.child) * 3 // 2 + 65_536,
                 runs=len(self.tree.start) * 3 // 2 + 65_536,
                 sums=len(self.tree.sums) * 3 // 2 + 16_384,
             )
 
-    def _make_room(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
-        """Enlarge arrays to hold what is asked for; points grow by half so that few are copied."""
+    def _reserve(self, *, points: int = 0, nodes: int = 0, runs: int = 0, sums: int = 0) -> None:
+        """Enlarge arrays if needed; the point arrays grow by half to limit copying."""
         t = self.tree
         if points > len(t.xyz):
-            t = _with_room(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
+            t = _enlarge_arrays(t, _POINT_ARRAYS, max(points, len(t.xyz) * 3 // 2), self._points)
         if nodes > len(t.child):
-            t = _with_room(t, _NODE_ARRAYS, nodes, self._used[0])
+            t = _enlarge_arrays(t, _NODE_ARRAYS, nodes, self._used[0])
         if runs > len(t.start):
-            t = _with_room(t, _RUN_ARRAYS, runs, self._used[1])
+            t = _enlarge_arrays(t, _RUN_ARRAYS, runs, self._used[1])
         if sums > len(t.sums):
-            t = _with_room(t, ("sums",), sums, self._used[2])
+            t = _enlarge_arrays(t, ("sums",), sums, self._used[2])
         self.tree = t
 
     # --- size -----------------------------------------------------------------------------
 
     @property
     def count(self) -> int:
-        """Points in the map."""
+        """Number of points in the map."""
         return self._points
 
     @property
     def cells(self) -> int:
-        """Cells of all sizes."""
+        """Number of cells of all sizes."""
         return self._used[0]
 
     @property
     def nbytes(self) -> int:
-        """Memory in use, bytes; the arrays keep room for up to half as much again."""
+        """Memory in use, bytes; the arrays reserve up to half as much again."""
         used = zip(
             (_POINT_ARRAYS, _NODE_ARRAYS, _RUN_ARRAYS, ("sums",)),
             (self._points, *self._used),
@@ -199,7 +206,7 @@ class QuadtreeMap:
 
     @property
     def points(self) -> Array:
-        """All points in the order of their coming, sorted within a batch (n, 3), ENU, m."""
+        """All points in order of their batches, sorted within a batch (n, 3), ENU, m."""
         return np.asarray(self.tree.xyz[: self._points] + self.centre)
 
     # --- cells ----------------------------------------------------------------------------
@@ -209,20 +216,20 @@ class QuadtreeMap:
         return int(np.clip(np.ceil(np.log2(self.side / size) - 1e-9), 0, self.depths))
 
     def band(self, smallest: float, largest: float, *, since: int = 0) -> Nodes:
-        """Return the smallest cells within a band of sizes (Figure 3), along the Z-order curve.
+        """Return the smallest cells within a size band (Figure 3), in Z-order.
 
         Parameters
         ----------
         smallest, largest
             Sides of the cells, m.
         since
-            Only cells that got points after this version of the map.
+            Return only cells that got points after this version of the map.
         """
         low, high = self.depth_of(smallest), self.depth_of(largest)
         return np.asarray(k.band(self.tree, low, high, since))
 
     def cell_at(self, xy: ArrayLike, smallest: float = 0.0, largest: float = np.inf) -> int:
-        """Return the smallest cell within a band of sizes that holds a point (2,); -1 for none."""
+        """Return the smallest cell within a size band at a point (2,); -1 for none."""
         low = self.depth_of(smallest) if smallest > 0.0 else self.depths
         high = self.depth_of(largest) if np.isfinite(largest) else 0
         x, y = np.asarray(xy, dtype=np.float64)[:2] - self.centre[:2]
@@ -247,20 +254,17 @@ class QuadtreeMap:
         return np.asarray(self.side / 2.0 ** self.tree.depth[nodes])
 
     def number(self, nodes: Nodes) -> NDArray[np.int32]:
-        """Return how many points cells hold (n,)."""
+        """Return the number of points in cells (n,)."""
         return np.asarray(self.tree.count[nodes])
 
     def elevation(self, nodes: Nodes) -> Array:
-        """Return the mean elevation of cells (n,), m, without points that stand apart.
-
-        NaN in empty ones.
-        """
+        """Return the mean elevation of cells (n,), m, without outliers; NaN if empty."""
         return np.asarray(self._moments(nodes)[:, 1] + self.centre[2])
 
     def variance(self, nodes: Nodes) -> Array:
-        """Return the variance of the elevations in cells (n,), m^2; NaN in empty ones.
+        """Return the variance of elevations in cells (n,), m^2; NaN if empty.
 
-        Without points that stand apart.
+        Outliers are excluded.
         """
         return np.asarray(self._moments(nodes)[:, 2])
 
@@ -268,42 +272,44 @@ class QuadtreeMap:
         return np.asarray(_sum_kernels.moments(self.tree, np.asarray(nodes, np.int64)))
 
     @property
-    def apart(self) -> NDArray[np.bool_]:
-        """Which points stand apart in height from their cell (n,), in the order of `points`."""
-        return np.asarray(self.tree.apart[: self._points].copy())
+    def is_outlier(self) -> NDArray[np.bool_]:
+        """Which points are outliers in height (n,), in the order of `points`."""
+        return np.asarray(self.tree.is_outlier[: self._points].copy())
 
 
-_POINT_ARRAYS = ("xyz", "apart")
+_POINT_ARRAYS = ("xyz", "is_outlier")
 _NODE_ARRAYS = ("child", "depth", "column", "row", "count", "stamp", "head", "slot")
 _RUN_ARRAYS = ("start", "length", "following")
 
 
-def _checked(points: ArrayLike) -> Array:
-    """Return points as an array (n, 3); raise InputError if they are none, or not finite or NaN."""
+def _check_points(points: ArrayLike) -> Array:
+    """Return points as an array (n, 3); raise InputError if they are invalid."""
     if np.iscomplexobj(points):
-        raise InputError("quadtree.points", "complex numbers", "real coordinates in metres")
+        raise InputError("quadtree.points", "complex numbers", "must be real coordinates in metres")
     if np.asarray(points).dtype.kind not in "fiuO":
-        told = "real coordinates in metres"
-        raise InputError("quadtree.points", str(np.asarray(points).dtype), told)
+        problem = "must be real coordinates in metres"
+        raise InputError("quadtree.points", str(np.asarray(points).dtype), problem)
     if isinstance(points, np.ma.MaskedArray):
         points = np.ma.filled(points.astype(np.float64), np.nan)
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError("quadtree.points", points.shape, "an array of shape (n, 3)")
+        raise InputError("quadtree.points", points.shape, "must have shape (n, 3)")
     infinite = np.flatnonzero(np.isinf(points).any(axis=1))
     if infinite.size:
         raise InputError(
-            "quadtree.points", points[infinite[0]].tolist(), "finite coordinates, or NaN for none"
+            "quadtree.points",
+            points[infinite[0]].tolist(),
+            "must be finite, or NaN for a missing point",
         )
     return points
 
 
-def _with_room(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
-    arrays: dict[str, Any] = {name: _enlarged(getattr(tree, name), size, used) for name in names}
+def _enlarge_arrays(tree: k.Tree, names: tuple[str, ...], size: int, used: int) -> k.Tree:
+    arrays: dict[str, Any] = {name: _enlarge(getattr(tree, name), size, used) for name in names}
     return tree._replace(**arrays)
 
 
-def _enlarged(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
+def _enlarge(array: NDArray[np.generic], size: int, used: int) -> NDArray[np.generic]:
     out = np.empty((size, *array.shape[1:]), array.dtype)
     out[:used] = array[:used]
     return out

@@ -1,8 +1,8 @@
-"""Shadow-based hazard detection: rocks seen by their shadows, tracked in an EKF, mapped.
+"""Shadow-based hazard detection: rocks are detected by their shadows and tracked.
 
-The system of the shadow EKF paper: `detect_rocks` finds rocks in an image, `RockFilter` tracks
-them together with the lander, `RockTracker` decides which are the same and which are gone,
-`ProbabilityMap` turns them into a map, and `ShadowMapper` joins the four for the closed loop.
+This is the system of the shadow EKF paper. `detect_rocks` detects rocks in an image, `RockFilter`
+estimates them together with the lander's state, `RockTracker` associates detections and adds or
+removes rocks, `ProbabilityMap` computes the map, and `ShadowMapper` combines the four.
 """
 
 from lunarsim.onboard.hazards.shadows.mapper import ShadowMapper

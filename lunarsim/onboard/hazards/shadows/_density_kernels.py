@@ -1,4 +1,4 @@
-"""Compiled part of the evidence: how many rocks may stand where, as looks have it."""
+"""Compiled density of rocks that may exist given the observations."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import numpy as np
 
 from lunarsim._jit import kernel, prange
 
-# A lit look takes back what a dark one said if it is sharper by the first factor; one that shows so
-# many pixels of a rock of the size, if by the last. Sharpness is that of a mean rock: low ones may
-# show less to the later look than to the dark one.
+# A lit observation overrules a dark one if it is sharper by the first factor, or, if it shows a
+# rock of the size with the given number of pixels, by the last factor. Sharpness is that of a mean
+# rock; low ones may appear smaller in the later observation than in the dark one.
 _SURER, _PLAIN, _PLAIN_SURER = np.float32(1.5), np.float32(5.0), np.float32(1.15)
 
 
 @kernel(parallel=True)
 def mark_possible(possible, lit, dark, radius):
-    """Write where the sharpest looks do not rule out a rock of a radius, m (rows, cols).
+    """Write where the sharpest observations do not exclude a rock (rows, cols).
 
-    `lit` and `dark` are the sharpness, pixels for a metre of radius, of the sharpest look at lit
-    and at dark ground (rows, cols); 0: none.
+    `lit` and `dark` are the sharpness of the sharpest observation on lit and on dark ground, q in
+    pixels per metre of radius (rows, cols); 0: none.
     """
     rows, cols = lit.shape
     plain = _PLAIN / np.float32(radius)
@@ -29,7 +29,7 @@ def mark_possible(possible, lit, dark, radius):
 
 @kernel()
 def count_crowded(lit, possible, explained):
-    """Return at how many places a rock may be that is not tracked, and how many were looked at."""
+    """Return the numbers of cells with a possible untracked rock and observed."""
     crowded = looked = 0
     for i in range(lit.shape[0]):
         for j in range(lit.shape[1]):
@@ -40,7 +40,7 @@ def count_crowded(lit, possible, explained):
 
 @kernel()
 def _missed(sharpness, radius, number, line, least):
-    """Return how many rocks a square metre a look at lit ground misses."""
+    """Return the density of rocks missed by an observation of lit ground, 1/m^2."""
     start, slope, floor = line
     total = 0.0
     for k in range(len(radius)):
@@ -51,24 +51,24 @@ def _missed(sharpness, radius, number, line, least):
 
 @kernel(parallel=True)
 def fill(density, lit, possible, explained, radius, number, line, least, hidden, crowded):
-    """Write how many rocks a square metre may be there and are not tracked (rows, cols).
+    """Write the density of possible untracked rocks (rows, cols), 1/m^2.
 
     Parameters
     ----------
     density
-        (rows, cols).
+        Result (rows, cols).
     lit
-        Sharpness of the sharpest look at lit ground, pixels for a metre of radius (rows, cols).
+        Sharpness of the sharpest observation on lit ground, q in pixels per metre of radius.
     possible, explained
         Where a rock may be in the dark, and where a tracked rock explains that (rows, cols).
     radius, number
-        Of the rocks (n,), m, and how many are expected on a square metre (n,).
+        Radii of the rocks (n,), m, and their expected number per area (n,), 1/m^2.
     line
-        Rate at which they are missed where ground is lit: at no pixel, its slope, the least.
+        Miss rate on lit ground: value at q = 0, slope, minimum.
     least
-        The least rate besides.
+        Further lower bound of the miss rate.
     hidden, crowded
-        What the density is in dark that is explained, and in other dark.
+        Density where dark ground is explained, and on other dark ground.
     """
     rows, cols = lit.shape
     for i in prange(rows):

@@ -1,4 +1,4 @@
-"""Compiled part of the evidence for clear ground: whether a shadow would fall on lit ground."""
+"""Compiled evidence for clear terrain: whether a shadow would fall on lit ground."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from lunarsim.onboard.hazards.shadows._lit_tile_kernels import (
     tile_at,
 )
 
-# Columns of a node of the coarse grid before those of the core's points.
+# Columns of a coarse node before those of the core points.
 SHARPNESS, EAST, NORTH, HEIGHT, REACH, POINTS = 0, 1, 2, 3, 4, 5
-# Of so many steps up and down heights are asked one by one.
+# Up to this number of steps, heights are tested one by one.
 _FEW_STEPS = 4
 
 
 @kernel()
 def _along_sensor(coarse, position, axes):
-    """Return nodes of the coarse grid as the camera has them (rows, cols, columns)."""
+    """Return the coarse nodes in sensor axes (rows, cols, columns)."""
     rows, cols, width = coarse.shape
     points = (width - POINTS) // 2
     out = np.empty((rows, cols, CORE + 3 * points))
@@ -57,7 +57,7 @@ def _along_sensor(coarse, position, axes):
 
 @kernel()
 def _row_of_nodes(nodes, i, every):
-    """Return what lies between the rows of nodes on row i of the places (cols, columns)."""
+    """Return the nodes interpolated to row i of the positions (cols, columns)."""
     first = min(i // every, nodes.shape[0] - 2)
     share = i / every - first
     out = np.empty(nodes.shape[1:])
@@ -70,16 +70,16 @@ def _row_of_nodes(nodes, i, every):
 
 @kernel(allocates=False)
 def _between(out, nodes, first, share):
-    """Write what lies at a share of the way from one node of a row to the next."""
+    """Write the values interpolated between two nodes of a row."""
     for k in range(len(out)):
         out[k] = nodes[first, k] + share * (nodes[first + 1, k] - nodes[first, k])
 
 
 @kernel(exact=True)
 def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
-    """Tell whether all points of all cores are in view, and write which pixels they are.
+    """Write the pixels of all core points; return whether all are in view.
 
-    Nothing branches before the end, so that several points are worked out at once.
+    The loop has no branch before the end, so that it can be vectorised.
     """
     fx, fy, cx, cy = lens
     points = len(at)
@@ -98,10 +98,10 @@ def _pixels_of_core(at, here, by, up, radius, lens, high, wide):
 
 @kernel(allocates=False)
 def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
-    """Return how many points of the darkest core are dark, and how many of these are explained.
+    """Return the number of dark points of the darkest core, and of explained ones.
 
-    -1 if one of any core is out of view. Dark is what may be the shadow of so large a rock. The
-    ground is taken to be higher by so much; `up` is the vertical along the sensor's axes.
+    -1 if a point of any core is out of view. A point is dark if it may be in the shadow of a rock
+    of this size. The ground is raised by `by`; `up` is the vertical in sensor axes.
     """
     if not _pixels_of_core(at, here, by, up, radius, lens, high, wide):
         return -1, 0
@@ -113,7 +113,7 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
             of = shadow_of[at[k]]
             dark += abs(of) >= radius
             explained += -of >= radius
-        # Of two as dark the one that is not explained counts.
+        # Of two equally dark cores, the less explained one counts.
         if dark > most or (dark == most and explained < of_most):
             most, of_most = dark, explained
     return most, of_most
@@ -121,18 +121,18 @@ def _dark_points(at, here, by, up, cores, radius, lens, high, wide, shadow_of):
 
 @kernel(allocates=False)
 def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shadow_of, blocks):
-    """Tell whether any of a shadow's core may be dark if the ground is higher or lower.
+    """Return whether a part of the core may be dark if the ground is higher or lower.
 
-    By up to the reach of the place, which moves it aside on level ground. Steps are about a rock's
-    radius. What is the shadow of a rock that is tracked is that of none that stands here.
+    The height varies by up to the reach of the position, which displaces it laterally on horizontal
+    ground, in steps of about a rock's radius. The shadow of a tracked rock belongs to no rock here.
     """
     reach, e, n, h = here[FAR], here[E], here[N], here[H]
     lateral = reach * np.sqrt(e * e + n * n) / max(-h, 1e-9)
-    # So too if it is no number.
+    # NaN also returns True.
     if not lateral < (MOST_STEPS + 0.5) * radius:
         return True
     steps = int(lateral / radius + 0.5)
-    # Of many heights as many at once as show nothing dark; where one is too many half as many.
+    # Test many heights at once as long as they show nothing dark, otherwise half as many.
     step, many = -steps, steps if steps > _FEW_STEPS else 1
     while step <= steps:
         last = min(step + many - 1, steps)
@@ -158,11 +158,7 @@ def _dark_elsewhere(at, here, extent, up, cores, radius, lens, high, wide, shado
 
 @kernel()
 def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide, high):
-    """Tell whether the middle of a shadow's core may be in view from the square at node (i, j).
-
-    Between the nodes it lies in the hull of those at the four, and so does its picture: not if all
-    of them are behind the camera, or in front of it and beyond the same edge.
-    """
+    """Return whether the centre of a shadow's core may be in view from a node square."""
     behind = left = right = above = below = 0
     for a in range(i, i + 2):
         for b in range(j, j + 2):
@@ -185,7 +181,7 @@ def _middle_may_show(coarse, i, j, radius, position, axes, fx, fy, cx, cy, wide,
 
 @kernel(parallel=True)
 def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
-    """Tell of each square of the coarse grid and size whether it need be looked at."""
+    """Return which node squares and sizes need evaluation."""
     rows, cols = coarse.shape[0] - 1, coarse.shape[1] - 1
     out = np.empty((rows, cols, len(radii)), np.bool_)
     for i in prange(rows):
@@ -199,7 +195,7 @@ def _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high):
 
 @kernel(parallel=True)
 def _shadow_of(labels, largest):
-    """Return of each pixel, row after row, what `largest` says of its patch."""
+    """Return the value of `largest` for each pixel, row by row."""
     high, wide = labels.shape
     out = np.empty(high * wide, largest.dtype)
     for row in prange(high):
@@ -213,7 +209,7 @@ def _look_along(
     i, lit, dark, explained, radii, nodes, in_view, clear, every, up, lens, shape, shadow_of,
     blocks, least, gain, cores,
 ):  # fmt: skip
-    """Note row i of the places, see `look`."""
+    """Record row i of the positions, see `look`."""
     sizes, _, cols = lit.shape
     high, wide = np.int32(shape[0]), np.int32(shape[1])
     row = _row_of_nodes(nodes, i, every)
@@ -228,7 +224,7 @@ def _look_along(
         if not sharpness > 0.0:
             continue
         tile_col = tile_at(j, uj, every)
-        # Before any size asks for it nothing is worked out.
+        # Computed when the first size needs it.
         known, extent = False, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for s in range(sizes):
             if not in_view[vi, uj, s]:
@@ -262,37 +258,36 @@ def look(
     lit, dark, explained, radii, coarse, every, position, axes, fx, fy, cx, cy, labels, largest,
     least, gain, cores,
 ):  # fmt: skip
-    """Note for every place and size of rock whether its shadow would fall on lit ground.
+    """Record where the shadow of a rock of each size would fall on lit ground.
 
-    On lit ground it falls if it does so however high the ground may be; what is dark only at
-    another height is noted neither as lit nor as dark.
+    It falls on lit ground if it does so at all possible terrain heights. Ground that is dark only
+    at another height is recorded neither as lit nor as dark.
 
     Parameters
     ----------
     lit, dark
-        Sharpness of the sharpest look in which it would fall on lit ground, or on dark
-        (sizes, rows, cols); raised.
+        Sharpness of the sharpest observation on lit and on dark ground (sizes, rows, cols);
+        updated.
     explained
-        Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
+        Whether that dark ground was the shadow of a tracked rock (sizes, rows, cols); updated.
     radii
-        Of the rocks (sizes,), m.
+        Radii of the rocks (sizes,), m.
     coarse
-        At every `every`-th place, in between it is linear: sharpness of this look, east and north
-        of the place, elevation of the ground and by how much it may be higher or lower, and east
-        and north of the points of the cores for a rock whose half axis is 1, core after core.
+        Nodes at every `every`-th position, linear in between: sharpness of this observation, east
+        and north, terrain height and its possible error, and east and north of the points of the
+        cores for a half axis of 1, core by core.
     position, axes, fx, fy, cx, cy
-        Of the camera, as `View` has them.
+        Camera parameters as in `View`.
     labels
         Dark patch of each pixel (height, width), 0 where the image is lit.
     largest
-        Radius of the largest rock that each patch may be the shadow of, m; negative if it is that
-        of a rock that is tracked.
+        Radius of the largest rock that may cast each patch, m; negative for tracked rocks.
     least
-        Points that must be dark for a rock to be possible.
+        Minimum number of dark points for a rock to be possible.
     gain
-        Factor by which a look must be sharper than those before to be taken.
+        Minimum ratio of sharpness to that of earlier observations.
     cores
-        How many there are: shadows that a rock of the size may throw, each of as many points.
+        Number of cores, which are possible shadows of a rock of the size with equally many points.
     """
     high, wide = labels.shape
     in_view = _squares_in_view(coarse, radii, position, axes, fx, fy, cx, cy, wide, high)

@@ -1,9 +1,8 @@
-"""Compiled search for ground about which a picture is lit far and wide, tile by tile.
+"""Compiled search for tiles of terrain about which an image is lit.
 
-Where nothing dark lies in the box of a picture that holds all points of all shadows of a tile's
-places, their shadows would fall on lit ground, whichever place is asked. The box is that of
-interval arithmetic: between the nodes all that is told of places is linear east and north, so it
-lies between the least and greatest of a tile's corners.
+If nothing dark lies in the image box that contains all core points of a tile's positions, all their
+shadows would fall on lit ground. The box follows from interval arithmetic: values between nodes are
+bilinear, so they lie between minimum and maximum of the tile's corners.
 """
 
 from __future__ import annotations
@@ -15,23 +14,23 @@ from lunarsim._jit import kernel, prange
 # Columns of a node as the camera has it: sharpness, reach, the place off the camera, east, north,
 # up, the same along the sensor's axes, and along these the core's points, x of all, then y, then z.
 SHARP, FAR, E, N, H, X, Y, Z, CORE = range(9)
-# Ground that may show farther aside than so many radii of a rock is not searched for it.
+# Maximum lateral shift of the terrain in the image, in radii of a rock, that is searched.
 MOST_STEPS = 16
-# Sides of a tile, places, and of a block of pixels, whose largest rock is worked out once.
+# Sides of a tile, positions, and of a block of pixels with a common largest rock.
 _TILE, _BLOCK = 8, 4
-# Boxes of so many pixels are asked pixel by pixel.
+# Boxes of up to this many pixels are tested pixel by pixel.
 _FEW = 48
-# What rounding may move a point of the picture by, pixels.
+# Bound of the rounding error of image points, pixels.
 ROUNDING = 0.01
-# Rows that lie side by side are worked on so many parts from each other.
+# Number of parts over which neighbouring rows are distributed.
 _SPREAD = 16
 
 
 @kernel()
 def spread(rows):
-    """Return numbers of rows so ordered that threads which take a part each share the work alike.
+    """Return row numbers in an order that balances the work of the threads.
 
-    What a picture shows of the ground lies in some rows; each part has rows of everywhere.
+    Terrain in view lies in some of the rows only, so each part gets rows from everywhere.
     """
     order = np.empty(rows, np.int64)
     n = 0
@@ -44,9 +43,9 @@ def spread(rows):
 
 @kernel(parallel=True)
 def largest_of_blocks(shadow_of, high, wide):
-    """Return the largest rock that a shadow in each block of pixels may be of (rows, cols), m.
+    """Return the largest rock whose shadow each pixel block may be (rows, cols), m.
 
-    `shadow_of` is the radius told of each pixel, row after row, see `look`.
+    `shadow_of` is the radius for each pixel, row by row, see `look`.
     """
     rows, cols = (high + _BLOCK - 1) // _BLOCK, (wide + _BLOCK - 1) // _BLOCK
     out = np.empty((rows, cols), np.float32)
@@ -62,24 +61,24 @@ def largest_of_blocks(shadow_of, high, wide):
 
 @kernel(exact=True)
 def tiles_of(every):
-    """Return into how many tiles the side of a square of nodes is cut, `every` places long."""
+    """Return the number of tiles along a node square of `every` positions."""
     return max(1, every // _TILE)
 
 
 @kernel(exact=True)
 def tile_at(place, node, every):
-    """Return the tile, along one side of all squares, of a place behind a node."""
+    """Return the tile, along one side of all squares, that contains a position."""
     tiles = tiles_of(every)
     return node * tiles + min((place - node * every) * tiles // every, tiles - 1)
 
 
 @kernel(allocates=False)
 def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
-    """Write the least and greatest of all columns in a tile of the square at node (i, j)."""
+    """Write minimum and maximum of all columns in a tile of the square at node (i, j)."""
     tiles = tiles_of(every)
     low[:], high[:] = np.inf, -np.inf
     for a in range(2):
-        # A tile begins with the first place that belongs to it.
+        # A tile begins with its first position.
         v = min(-(-(tile_row + a) * every // tiles) / every, 1.0)
         for b in range(2):
             u = min(-(-(tile_col + b) * every // tiles) / every, 1.0)
@@ -95,20 +94,20 @@ def _corners(low, high, nodes, i, j, every, tile_row, tile_col):
 
 @kernel(exact=True)
 def _extent(low, high, first, points):
-    """Return between which coordinates all points of a tile's cores lie, along one axis."""
+    """Return the range of all points of a tile's cores along one axis."""
     least, most, none = np.inf, -np.inf, 0.0
     for k in range(first, first + points):
         least, most = min(least, low[k]), max(most, high[k])
-        # A minimum may pass by what is no number: nothing lies within bounds that are none.
+        # `min` and `max` may skip NaN; adding it makes the bounds NaN, and no test succeeds.
         none += 0.0 * low[k]
     return least + none, most + none
 
 
 @kernel(exact=True)
 def extents(low, high):
-    """Return between which coordinates all points of a tile's cores lie: x, y and z.
+    """Return the ranges of all core points of a tile: x, y and z in sensor axes.
 
-    For a rock whose half axis is 1, from its place, along the sensor's axes.
+    They hold for a half axis of 1, relative to the position.
     """
     points = (len(low) - CORE) // 3
     x0, x1 = _extent(low, high, CORE, points)
@@ -119,7 +118,7 @@ def extents(low, high):
 
 @kernel(exact=True)
 def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
-    """Return between which coordinates all points lie, raised between two heights."""
+    """Return the range of all points along an axis for a range of heights."""
     one, other = least * up, most * up
     first = low[at] + radius * extent_low + min(one, other)
     return first, high[at] + radius * extent_high + max(one, other)
@@ -127,7 +126,7 @@ def _axis(low, high, at, extent_low, extent_high, radius, least, most, up):
 
 @kernel(exact=True)
 def _pixels(low, high, near, far, focal, centre):
-    """Return between which pixels what lies between two coordinates and depths is seen."""
+    """Return the pixel range for a range of coordinates and depths."""
     least = focal * (low / near if low < 0.0 else low / far) + centre - ROUNDING
     most = focal * (high / near if high > 0.0 else high / far) + centre + ROUNDING
     return least, most
@@ -135,9 +134,9 @@ def _pixels(low, high, near, far, focal, centre):
 
 @kernel(exact=True)
 def _nothing_dark(first_row, last_row, first_col, last_col, radius, wide, shadow_of, blocks):
-    """Tell whether no pixel of a box may be the shadow of so large a rock.
+    """Return whether no pixel of a box may be in the shadow of a rock of this size.
 
-    Of many pixels it is asked block by block, and more may be taken for dark.
+    Large boxes are tested by blocks, which is conservative.
     """
     if (last_row - first_row + 1) * (last_col - first_col + 1) <= _FEW:
         for row in range(first_row, last_row + 1):
@@ -154,10 +153,7 @@ def _nothing_dark(first_row, last_row, first_col, last_col, radius, wide, shadow
 
 @kernel(exact=True)
 def lit_within(low, high, extent, least, most, up, radius, lens, high_px, wide, shadow_of, blocks):
-    """Tell whether nothing dark enough lies where cores show that are raised between two heights.
-
-    And all of that is in view. `extent` is that of `extents`.
-    """
+    """Return whether cores between two heights are in view and on lit pixels."""
     fx, fy, cx, cy = lens
     near, far = _axis(low, high, Z, extent[4], extent[5], radius, least, most, up[2])
     if not near > 0.0:
@@ -176,10 +172,9 @@ def lit_within(low, high, extent, least, most, up, radius, lens, high_px, wide, 
 
 @kernel(allocates=False, inner=True)
 def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, blocks):
-    """Tell whether nothing dark enough lies where shadows of a tile's places may fall.
+    """Return whether all shadows of a tile's positions are in view and on lit pixels.
 
-    However high the ground may be there; and all of that is in view, and searched, see
-    `_dark_elsewhere`.
+    This holds for all possible terrain heights, within the search limit of `_dark_elsewhere`.
     """
     by = max(abs(low[FAR]), abs(high[FAR]))
     east, north = max(abs(low[E]), abs(high[E])), max(abs(low[N]), abs(high[N]))
@@ -193,27 +188,27 @@ def all_lit(low, high, extent, up, radius, lens, high_px, wide, shadow_of, block
 
 @kernel(parallel=True)
 def lit_tiles(nodes, every, radii, up, lens, height, width, shadow_of, blocks):
-    """Tell of which tiles and sizes of rocks all shadows would fall on lit ground.
+    """Return the tiles and rock sizes whose shadows would all fall on lit ground.
 
     Parameters
     ----------
     nodes
-        As the camera has them (rows, cols, columns).
+        Nodes in sensor axes (rows, cols, columns).
     every
-        Places from node to node.
+        Positions between nodes.
     radii
-        Of the rocks (sizes,), m.
+        Radii of the rocks (sizes,), m.
     up
-        The vertical along the sensor's axes (3,).
+        Vertical in sensor axes (3,).
     lens, height, width
-        fx, fy, cx, cy, and the size of the picture, pixels.
+        fx, fy, cx, cy, and size of the image, pixels.
     shadow_of, blocks
-        See `largest_of_blocks`, which gives the latter.
+        See `largest_of_blocks`, which returns the latter.
 
     Returns
     -------
     lit
-        (tile rows, tile cols, sizes); see `tile_at`.
+        Whether all is lit (tile rows, tile cols, sizes); see `tile_at`.
     """
     tiles = tiles_of(every)
     rows, cols = (nodes.shape[0] - 1) * tiles, (nodes.shape[1] - 1) * tiles

@@ -1,4 +1,4 @@
-"""Compiled parts of the probability map: one rock's reach, and painting all rocks."""
+"""Compiled probability map: profile of one rock, and accumulation over rocks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from lunarsim._jit import kernel, prange
 
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
-# Deviations beyond which a place is covered for certain, and from which on the distance from a
-# rock's centre is taken as normal: to 6e-4 in the probability.
+# Standard deviations beyond which a point is certainly covered, and from which the distance to the
+# centre is taken as normal (error 6e-4 in probability).
 _CERTAIN, _FAR = 5.5, 5.0
-# Rows that one thread paints.
+# Number of rows per thread.
 _BAND = 64
 
 
@@ -47,8 +47,8 @@ def _rice(d, sigma, mean, spread, node, weight):
         return 1.0
     low = max(d - 7.0 * sigma, 0.0)
     high = d + 7.0 * sigma
-    # The radius cuts the distances within a few of its deviations: panels meet there. Beyond the
-    # last no rock reaches.
+    # The integrand changes near the radius, so panels meet there. The last panel ends where no rock
+    # reaches.
     total = 0.0
     left = low
     for panel in range(3):
@@ -98,7 +98,7 @@ def paint(clear, x0, y0, posting, xy, reach, profile, weight):
             scale = last / r
             for i in range(i0, i1 + 1):
                 dy = y0 + i * posting - xy[j, 1]
-                # What of the row lies within reach.
+                # Part of the row within reach.
                 half = math.sqrt(max(r * r - dy * dy, 0.0))
                 c0 = max(math.ceil((xy[j, 0] - half - x0) / posting), 0)
                 c1 = min(math.floor((xy[j, 0] + half - x0) / posting), cols - 1)

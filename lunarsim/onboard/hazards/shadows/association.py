@@ -1,4 +1,4 @@
-"""Which detection belongs to which tracked rock."""
+"""Associate detections with tracked rocks."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lunarsim.onboard.navigation.planar import largest_eigenvalue, squared_dista
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Chi-squared of pixel and radius, 3 degrees of freedom, at 99.9 %.
+# 99.9 % quantile of chi-squared with 3 degrees of freedom (pixel and radius).
 GATE = 16.27
-# By as much must a rival's squared distance be greater for a pair to be sure.
-_RIVAL = 6.0
+# Minimum margin of the squared distance of the next candidate for an unambiguous pair.
+_MIN_RIVAL_MARGIN = 6.0
 
 
 def associate(
@@ -32,26 +32,28 @@ def associate(
     tracked_variance: Array,
     gate: float = GATE,
 ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pair detections with rocks so that the sum of squared Mahalanobis distances is least.
+    """Pair detections with rocks at the minimum sum of squared Mahalanobis distances.
 
-    A detection that is left alone costs `gate`, so no pair lies farther apart than that.
+    An unpaired detection costs `gate`, so no pair has a larger distance.
 
     Parameters
     ----------
     pixel, pixel_covariance, radius, radius_variance
-        Detections (d, 2), (d, 2, 2), (d,), (d,).
+        Detections (d, 2), (d, 2, 2), (d,), (d,); pixels and m.
     predicted, predicted_covariance, tracked_radius, tracked_variance
-        Rocks (t, 2), (t, 2, 2), (t,), (t,).
+        Rocks (t, 2), (t, 2, 2), (t,), (t,); pixels and m.
+    gate
+        Maximum squared distance of a pair.
 
     Returns
     -------
     detection, rock
-        The pairs (p,), by rising detection.
-    sure
-        Whether each pair has no rival (p,): no other detection in the rock's gate that is nearly
-        as near, nor another rock in the detection's.
-    close
-        Whether a detection lies in the gate of some rock (d,), its own or another's.
+        Indices of the pairs (p,), ascending by detection.
+    is_unambiguous
+        Whether each pair has no rival (p,): no other detection in the rock's gate at nearly the
+        same distance, nor another rock in the detection's.
+    is_gated
+        Whether a detection lies in the gate of any rock (d,).
     """
     none = np.empty(0, np.int64)
     d, t = len(pixel), len(predicted)
@@ -67,15 +69,15 @@ def associate(
     distance += (radius[i] - tracked_radius[j]) ** 2 / (radius_variance[i] + tracked_variance[j])
     inside = distance < gate
     i, j, distance = i[inside], j[inside], distance[inside]
-    close = np.zeros(d, bool)
-    close[i] = True
-    detection, rock = _cheapest_pairs(i, j, distance, d, t, gate)
+    is_gated = np.zeros(d, bool)
+    is_gated[i] = True
+    detection, rock = _optimal_pairs(i, j, distance, d, t, gate)
     own = np.full(d, -1)
     own[detection] = rock
     mate = np.full(t, -1)
     mate[rock] = detection
-    sure = _has_no_rival(i, j, distance, own, mate)
-    return detection, rock, sure[detection], close
+    is_unambiguous = _is_unambiguous(i, j, distance, own, mate)
+    return detection, rock, is_unambiguous[detection], is_gated
 
 
 def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Index]:
@@ -85,15 +87,15 @@ def _neighbours(points: Array, others: Array, reach: Array) -> tuple[Index, Inde
     return i, np.fromiter(chain.from_iterable(near), np.int64, i.size)
 
 
-def _cheapest_pairs(
-    i: Index, j: Index, distance: Array, d: int, t: int, alone: float
+def _optimal_pairs(
+    i: Index, j: Index, distance: Array, d: int, t: int, unpaired_cost: float
 ) -> tuple[Index, Index]:
-    """Return which of the pairs (i, j) of d and t make the least sum; one alone costs `alone`."""
-    # One column a detection for "none of the rocks"; weights must not be 0, an absent entry.
+    """Return the pairs of minimum total cost, including unpaired detections."""
+    # One column per detection stands for "unpaired"; weights must not be 0, which means absent.
     each = np.arange(d)
     cost = csr_array(
         (
-            np.concatenate((distance, np.full(d, alone))) + 1.0,
+            np.concatenate((distance, np.full(d, unpaired_cost))) + 1.0,
             (np.concatenate((i, each)), np.concatenate((j, t + each))),
         ),
         shape=(d, t + d),
@@ -103,10 +105,10 @@ def _cheapest_pairs(
     return np.asarray(rows[paired], np.int64), np.asarray(column[paired], np.int64)
 
 
-def _has_no_rival(
+def _is_unambiguous(
     i: Index, j: Index, distance: Array, own: Index, mate: Index
 ) -> NDArray[np.bool_]:
-    """Tell which detections (d,) are by far nearer to their rock than any rival of the pair.
+    """Return which detections (d,) are much closer to their rock than any rival.
 
     `own` is the rock of each detection (d,) and `mate` the detection of each rock (t,), -1 for
     none.
@@ -114,9 +116,9 @@ def _has_no_rival(
     cost = np.full(len(own), np.inf)
     is_pair = own[i] == j
     cost[i[is_pair]] = distance[is_pair]
-    # A rival: the same detection with another rock, or the same rock with another detection.
+    # A rival is the same detection with another rock, or the same rock with another detection.
     rival = np.full(len(own), np.inf)
     np.minimum.at(rival, i[~is_pair], distance[~is_pair])
     matched = ~is_pair & (mate[j] >= 0)
     np.minimum.at(rival, mate[j[matched]], distance[matched])
-    return np.asarray(rival > cost + _RIVAL)
+    return np.asarray(rival > cost + _MIN_RIVAL_MARGIN)

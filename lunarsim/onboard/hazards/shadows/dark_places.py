@@ -1,4 +1,4 @@
-"""Where a picture is dark anyway: no rock is missing there."""
+"""Test whether an image is dark where the shadow of a rock is expected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-def in_the_dark(
+def is_dark_at_patch(
     rocks: RockFilter,
     index: Index,
     unit: ShadowPatch,
@@ -24,18 +24,18 @@ def in_the_dark(
     sun: Array,
     plane: GroundPlane,
 ) -> NDArray[np.bool_]:
-    """Return whether a picture is dark where the patch of each rock (n,) should be.
+    """Return whether an image is dark where the patch of each rock (n,) is expected.
 
     Parameters
     ----------
     rocks, index
-        The filter that tracks them, and which (n,).
+        Filter of the rocks, and indices (n,).
     unit
-        The patches of rocks of radius 1 there.
+        Patches of rocks of radius 1 there.
     seen, camera
-        What was found in the picture, and what took it.
+        Detections in the image, and the camera model.
     sun, plane
-        Direction towards the Sun (3,), ENU, and the ground along which shadows fall.
+        Direction towards the Sun (3,), ENU, and the plane on which shadows fall.
     """
     s = np.array([sun[0], sun[1]]) / np.hypot(sun[0], sun[1])
     offset = np.stack((unit.along, unit.side), -1) @ np.array([[s[0], s[1]], [-s[1], s[0]]])

@@ -1,17 +1,17 @@
-"""What pictures say of rocks that are not tracked: where one could still stand.
+"""Evidence about untracked rocks: where images exclude a rock.
 
-A rock that stands at a place darkens the ground behind it. If a picture shows that ground lit,
-there is no rock of that size at the place, whatever became of detections and tracks. If it is
-dark, there may be one, be it that its shadow runs into another's, that it was read as too small or
-too ragged, or that the terrain is in its own shadow: the place is not seen. This is asked for
-every place and some sizes of rocks, of the shadow that even a low rock of the size would cast.
+A rock darkens the ground behind it. If an image shows this ground lit, there is no rock of that
+size, whatever was detected or tracked. If the ground is dark, a rock is possible: its shadow may
+merge with another, its size or shape may be misjudged, or the terrain may be in its own shadow.
+The position then counts as not observed. This is evaluated for every position and several sizes,
+with the shadow that even a low rock of this size would cast.
 
-Rocks that are not tracked are then a Poisson field: as many a square metre as the law of sizes
-expects, times the rate at which they are missed where their shadow would fall on lit ground, and
-crowded together where it would fall on dark ground, since there they must all be. The
-probability that none reaches into a disc follows from the field's integral over the disc.
+Untracked rocks are a Poisson field. Where their shadow would fall on lit ground, the density is
+that of the size law times the miss rate. Where it would fall on dark ground, all remaining rocks
+of the size are concentrated. The probability that no rock reaches into a disc follows from the
+integral of the density over the disc.
 
-What is seen is noted for places of the ground, which slide through the local frame as rocks do.
+Evidence is stored by position on the terrain; positions move in the local frame as rocks do.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from lunarsim.grid import Grid
 from lunarsim.models.pinhole import View
 from lunarsim.onboard.hazards.shadows import _density_kernels as density
 from lunarsim.onboard.hazards.shadows import _evidence_kernels as kernels
-from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.footprints import mean_over_discs
-from lunarsim.onboard.hazards.shadows.sliding import Slide
-from lunarsim.onboard.perception.along_plane import along
+from lunarsim.onboard.hazards.shadows.map_motion import MapMotion
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
+from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
@@ -39,57 +39,56 @@ from lunarsim.onboard.perception.shape_mixture import LOW, ShapeMixture
 Array = NDArray[np.float64]
 Heights = Callable[[Array], Array]
 
-# Places at which the shadow of a rock and the height of the ground are worked out, m apart.
-_COARSE = 4.0
-# Points of a shadow's core: the middle, and these shares of its length and width off it.
-_ALONG, _ACROSS = 0.25, 0.2
-# Radius of the disc of a rock over its longer half axis, by which it is a hazard: of a round rock,
-# and of long ones.
-_SHARES = (1.0, 0.7)
-# As many of the five must be dark for a rock to be possible.
-_DARK = 4
-# A look counts if it is sharper than those before by this factor.
-_SHARPER = 1.03
-# The ground is taken to be higher or lower by so many standard deviations; at most by so much, m.
-_REACH, _FAR = 2.0, 1e3
-# Rocks of a size cannot be crowded into less than this many of their own areas.
-_CROWD = 2.0
-# A place is seen if the least rock there would be missed no more often than this.
-_MISSED = 0.25
-# Nothing is seen where more of the rocks than this show nothing dark under such a Sun.
-_BARE = 0.02
-# Rocks on a square metre, for none of a size.
-_NONE = 1e-30
-# Greatest ratio of the sizes that one test stands for, and tests at most: of the last one's sizes,
-# nearly three times the least and more, there are few.
-_STEP, _TESTS = 1.4, 4
+# Spacing of the nodes at which shadows and terrain heights are computed, m.
+_NODE_SPACING_M = 4.0
+# Test points of a shadow's core: its centre, and points at these fractions of length and width.
+_CORE_LENGTH_FRACTION, _CORE_WIDTH_FRACTION = 0.25, 0.2
+# Ratio of the radius of a rock's disc to its longer half axis, for round and for elongated rocks.
+_RADIUS_RATIOS = (1.0, 0.7)
+# Minimum number of dark test points, of five, for a rock to be possible.
+_MIN_DARK_POINTS = 4
+# Minimum gain in sharpness over earlier observations.
+_MIN_SHARPNESS_GAIN = 1.03
+# Number of standard deviations of the terrain height to test, and maximum height error, m.
+_HEIGHT_SIGMAS, _MAX_HEIGHT_ERROR_M = 2.0, 1e3
+# Rocks of a size cannot be concentrated on less than this multiple of their own area.
+_MIN_AREA_PER_ROCK = 2.0
+# A position is observed if the smallest hazard there is missed at most at this rate.
+_MAX_MISS_RATE = 0.25
+# Nothing is observed if more than this fraction of the rocks has no shadow under this Sun.
+_MAX_SHADOWLESS_FRACTION = 0.02
+# Minimum density that replaces zero, 1/m^2.
+_MIN_DENSITY = 1e-30
+# Maximum size ratio within one class, and maximum number of classes. The last class has few rocks:
+# its sizes start at nearly three times the minimum.
+_SIZE_CLASS_RATIO, _MAX_SIZE_CLASSES = 1.4, 4
 
 
 class ClearEvidence:
-    """For each place, the sharpest looks at where the shadow of a rock there would fall.
+    """Sharpest observations of the shadow position of a rock at each position.
 
     Parameters
     ----------
     grid
-        The places, as they are noted.
+        Grid of the stored positions.
     model
-        What rocks look like: how many pixels their shadows have.
+        Shadow model, which gives the number of pixels of a shadow.
     diameters
-        Of the rocks (n,), rising, m.
+        Diameters of the rocks (n,), ascending, m.
     number
-        Of rocks of these sizes that are expected on a square metre (n,).
+        Expected number of rocks of these sizes per area (n,), 1/m^2.
     rates
-        How often the place of a rock is given as free of it.
+        Detection rates, including that of positions falsely declared free.
 
     Attributes
     ----------
     lit, dark
-        Sharpness, pixels of q for a metre of radius, of the sharpest look in which the shadow of a
-        rock would fall on lit ground, and on dark (sizes, rows, cols); 0: none.
+        Sharpness (q in pixels per metre of radius) of the sharpest observation in which the shadow
+        would fall on lit ground, and on dark ground (sizes, rows, cols); 0: none.
     explained
-        Whether that dark ground was the shadow of a rock that is tracked (sizes, rows, cols).
-    slide
-        Where the places lie in the local frame by now.
+        Whether that dark ground was the shadow of a tracked rock (sizes, rows, cols).
+    motion
+        Motion of the stored positions in the local frame.
     """
 
     def __init__(
@@ -101,16 +100,16 @@ class ClearEvidence:
         rates: DetectionRates,
     ) -> None:
         self.grid = grid
-        self.slide = Slide(np.array(grid.centre))
+        self.motion = MapMotion(np.array(grid.centre))
         self.model = model
-        # The shadow of a low rock lies within that of any higher one.
-        self._low = ShadowModel(model.elevation, LOW)
+        # The shadow of a low rock lies within that of a higher one.
+        self._low_rocks = ShadowModel(model.elevation, LOW)
         self.rates = rates
         self._radius = 0.5 * diameters
-        self._number = np.maximum(number, _NONE)
-        # One test for sizes within a factor.
-        step = np.log(diameters / diameters[0]) / np.log(_STEP)
-        first = np.minimum((step + 1e-9).astype(int), _TESTS - 1)
+        self._number = np.maximum(number, _MIN_DENSITY)
+        # Sizes within a ratio share one test.
+        step = np.log(diameters / diameters[0]) / np.log(_SIZE_CLASS_RATIO)
+        first = np.minimum((step + 1e-9).astype(int), _MAX_SIZE_CLASSES - 1)
         self._class = np.unique(first, return_inverse=True)[1]
         classes = int(self._class.max()) + 1
         self._tested = np.array([self._radius[self._class == s][0] for s in range(classes)])
@@ -119,18 +118,18 @@ class ClearEvidence:
         self.explained = np.zeros(self.lit.shape, np.bool_)
 
     def forget(self) -> None:
-        """Take back all that was seen."""
+        """Discard all evidence."""
         self.lit[:] = 0.0
         self.dark[:] = 0.0
-        self.slide.forget()
+        self.motion.forget()
 
     def recentre(self, off: Array) -> Array:
-        """Lay the places about a point that is off (2,), m, to whole places; what was seen stays.
+        """Shift the grid by an offset (2,), m, rounded to cells; evidence is kept.
 
         Returns
         -------
         by
-            How far they were moved (2,), m.
+            Shift applied (2,), m.
         """
         g = self.grid
         cols, rows = (int(v) for v in np.rint(np.asarray(off) / g.posting))
@@ -152,114 +151,121 @@ class ClearEvidence:
         seen: Detections,
         heights: Heights,
         explained: NDArray[np.bool_] | None = None,
-        place_sigma: Heights | None = None,
+        position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
         blur: float = 0.0,
     ) -> None:
-        """Take in a picture.
+        """Add the evidence of an image.
 
-        One that shows no shadow of any rock has not shown that it can: it says nothing.
+        An image without rock shadows has not proven that they are visible, so it is ignored.
 
         Parameters
         ----------
         view
-            Where it was taken from.
+            View of the image.
         sun
             Direction towards the Sun (3,), ENU.
         seen
-            Its dark patches, and what rocks they may be the shadows of.
+            Dark patches, and the rocks that may cast them.
         heights
-            Gives the elevation (n,) of the ground at points (n, 2), m.
+            Returns the terrain height (n,) at points (n, 2), m.
         explained
-            Which of its rocks are tracked (rocks,); left out: none.
-        place_sigma
-            Gives how well points (n, 2) are known from the camera, 1 sigma an axis (n,), m. Where
-            that is no better than the radius of the least rock, what is seen belongs elsewhere, and
-            nothing is taken in. Left out: places are known.
+            Which detections are tracked rocks (rocks,); default: none.
+        position_sigma
+            Returns the error of points (n, 2) relative to the camera, 1 sigma per axis (n,), m.
+            Where it exceeds the radius of the smallest hazard, nothing is recorded. Default: no
+            error.
         plane
-            Along which shadows fall at every place; left out: level ground.
+            Plane on which shadows fall; default: horizontal.
         height_sigma
-            Of `heights` (n,), m: what is lit must be so twice that higher and lower. Left out: 0.
+            Returns the error of `heights` (n,), m; lit ground must be lit within two sigma above
+            and below. Default: 0.
         blur
-            Point spread of the camera, 1 sigma, pixels; left out: at most that of the rates.
+            Point spread of the camera, 1 sigma, pixels; default: at most that of the rates.
         """
         if len(seen) == 0:
             return
         every, xy = self._nodes()
-        height = _asked(heights, xy)
+        height = _evaluate(heights, xy)
         place = np.dstack((xy, height))
         focal = float(np.sqrt(view.fx * view.fy))
-        azimuth, depression, pixel = aspect(place, view.position, focal, sun, plane)
-        model, low = along(self.model, plane, sun), along(self._low, plane, sun)
+        azimuth, depression, pixel = viewing_geometry(place, view.position, focal, sun, plane)
+        model, low_rocks = (
+            model_on_plane(self.model, plane, sun),
+            model_on_plane(self._low_rocks, plane, sun),
+        )
         sharpness = model.visible_pixels(1.0, azimuth, depression, pixel * self.rates.wider(blur))
         view, place = plane.view(view), plane.points(place)
-        shown = (view.position[2] > place[..., 2]) & self._placed(xy, place_sigma)
-        sharpness = np.where(shown, sharpness, 0.0)
-        largest = seen.largest if explained is None else _marked(seen, explained)
-        reach = np.zeros(height.shape) if height_sigma is None else _asked(height_sigma, xy)
-        core = _cores(model, low, azimuth, depression, sun)
-        coarse = np.dstack((sharpness, place, np.minimum(_REACH * reach, _FAR), *core))
+        is_visible = (view.position[2] > place[..., 2]) & self._is_position_known(
+            xy, position_sigma
+        )
+        sharpness = np.where(is_visible, sharpness, 0.0)
+        largest = seen.largest if explained is None else _mark_explained(seen, explained)
+        reach = np.zeros(height.shape) if height_sigma is None else _evaluate(height_sigma, xy)
+        core = _cores(model, low_rocks, azimuth, depression, sun)
+        coarse = np.dstack(
+            (sharpness, place, np.minimum(_HEIGHT_SIGMAS * reach, _MAX_HEIGHT_ERROR_M), *core)
+        )
         kernels.look(
             self.lit, self.dark, self.explained, self._tested, coarse, every, view.position,
             np.ascontiguousarray(view.into.T), view.fx, view.fy, view.cx, view.cy, seen.labels,
-            largest, _DARK, _SHARPER, len(_SHARES),
+            largest, _MIN_DARK_POINTS, _MIN_SHARPNESS_GAIN, len(_RADIUS_RATIOS),
         )  # fmt: skip
 
-    def _placed(self, xy: Array, place_sigma: Heights | None) -> NDArray[np.bool_]:
-        """Return where points (rows, cols, 2) are known as well as the least rock is large."""
-        if place_sigma is None:
+    def _is_position_known(self, xy: Array, position_sigma: Heights | None) -> NDArray[np.bool_]:
+        """Return where positions (rows, cols, 2) are accurate to the smallest radius."""
+        if position_sigma is None:
             return np.ones(xy.shape[:2], np.bool_)
-        return np.asarray(_asked(place_sigma, xy) <= self._radius[0])
+        return np.asarray(_evaluate(position_sigma, xy) <= self._radius[0])
 
     def _nodes(self) -> tuple[int, Array]:
-        """Return of how many places one is a node, and where nodes lie now (rows, cols, 2), m."""
+        """Return the spacing of nodes in cells, and their positions (rows, cols, 2), m."""
         g = self.grid
-        every = max(1, round(_COARSE / g.posting))
+        every = max(1, round(_NODE_SPACING_M / g.posting))
         x = g.x0 + every * g.posting * np.arange(-(-g.cols // every) + 1)
         y = g.y0 + every * g.posting * np.arange(-(-g.rows // every) + 1)
-        return every, self.slide.now(np.stack(np.meshgrid(x, y), -1))
+        return every, self.motion.now(np.stack(np.meshgrid(x, y), -1))
 
     def _possible(self, test: int) -> NDArray[np.bool_]:
-        """Return where the sharpest look does not rule out a rock (rows, cols)."""
+        """Return where the sharpest observation does not exclude a rock (rows, cols)."""
         possible = np.empty(self.grid.shape, np.bool_)
         density.mark_possible(possible, self.lit[test], self.dark[test], self._tested[test])
         return possible
 
     def _density(self, test: int) -> NDArray[np.float32]:
-        """Return rocks a square metre that may be there and are not tracked (rows, cols)."""
+        """Return the density of untracked rocks (rows, cols), 1/m^2."""
         mine = self._class == test
         radius, number = self._radius[mine], self._number[mine]
         possible, explained = self._possible(test), self.explained[test]
-        # All rocks of the size that are not tracked are where one is possible. The shadow of a rock
-        # that is tracked may hide another, no more probably than any ground.
+        # All untracked rocks of the size are where one is possible. Behind the shadow of a tracked
+        # rock, another rock is as probable as anywhere.
         crowded, looked = density.count_crowded(self.lit[test], possible, explained)
-        least = _CROWD * float((number * np.pi * radius**2).sum())
+        least = _MIN_AREA_PER_ROCK * float((number * np.pi * radius**2).sum())
         hidden = float(number.sum())
         out = np.empty(self.grid.shape, np.float32)
         density.fill(
             out, self.lit[test], possible, explained, radius, number, self.rates.cleared,
-            self.model.bare, hidden, hidden / max(crowded / max(looked, 1), least),
+            self.model.shadowless_fraction, hidden, hidden / max(crowded / max(looked, 1), least),
         )  # fmt: skip
         return out
 
     @property
     def tested(self) -> Array:
-        """Least diameter of the rocks that each test stands for (sizes,), rising, m."""
+        """Minimum diameter of the rocks of each size class (sizes,), ascending, m."""
         return np.asarray(2.0 * self._tested)
 
     def ratios(self) -> NDArray[np.float32]:
-        """Return rocks that may be there and are not tracked over those expected unseen.
+        """Return the ratio of untracked rocks to those expected without observation.
 
-        Below 1 where the ground was seen lit, and 1 where there was no look, or a tracked rock's
-        shadow may hide one. Where it is dark and no rock that is tracked throws the shadow, the
-        rocks stand crowded that are not tracked: of all that are expected, the share that so sharp
-        a look misses; never below 1.
+        It is below 1 where the ground was observed lit, and 1 without an observation or where the
+        shadow of a tracked rock may hide a rock. On other dark ground the untracked rocks are
+        concentrated: all expected rocks times the miss rate at this sharpness; never below 1.
 
         Returns
         -------
         ratio
-            (sizes, rows, cols).
+            Ratio (sizes, rows, cols).
         """
         out = np.ones(self.lit.shape, np.float32)
         for s in range(len(out)):
@@ -267,30 +273,32 @@ class ClearEvidence:
             number = np.float32(self._number[self._class == s].sum())
             out[s][looked] = self._density(s)[looked] / number
             crowded = self._possible(s) & ~self.explained[s]
-            out[s][crowded] = np.maximum(out[s] * self._untracked(s), np.float32(1.0))[crowded]
+            out[s][crowded] = np.maximum(out[s] * self._miss_fraction(s), np.float32(1.0))[crowded]
         return out
 
-    def _untracked(self, test: int) -> NDArray[np.float32]:
-        """Return the share of rocks that the sharpest look at dark ground misses (rows, cols)."""
+    def _miss_fraction(self, test: int) -> NDArray[np.float32]:
+        """Return the miss rate of the sharpest dark observation (rows, cols)."""
         mine = self._class == test
         dark = self.dark[test]
         table = np.linspace(0.0, max(float(dark.max()), 1e-6), 257)
         missed = self.rates.false_negative(self._radius[mine][:, None] * table)
-        share = np.maximum(self._number[mine] @ missed / self._number[mine].sum(), self.model.bare)
+        share = np.maximum(
+            self._number[mine] @ missed / self._number[mine].sum(), self.model.shadowless_fraction
+        )
         return np.asarray(np.interp(dark, table, share), np.float32)
 
     def expected(self, footprint: float = 0.0) -> NDArray[np.float32]:
-        """Return how many rocks that are not tracked reach into a disc about each place.
+        """Return the expected number of untracked rocks that reach into a disc.
 
         Parameters
         ----------
         footprint
-            Radius of the disc, m; 0: rocks that cover the place.
+            Radius of the disc, m; 0: rocks that cover the position.
 
         Returns
         -------
         number
-            (rows, cols).
+            Expected number about each position (rows, cols).
         """
         total = np.zeros(self.grid.shape, np.float32)
         for s in range(len(self._tested)):
@@ -305,20 +313,20 @@ class ClearEvidence:
         return total
 
     def unseen(self, footprint: float = 0.0) -> float:
-        """Return what `expected` is of places of which nothing was noted."""
+        """Return the value of `expected` without any observation."""
         return float(np.pi * self._number @ (footprint + self._radius) ** 2)
 
     def expected_found(self, beyond: int = 0) -> float:
-        """Return how many rocks should have been found where there was a look.
+        """Return the number of rocks that should have been detected where observed.
 
-        Without so many places along each edge.
+        `beyond` cells along each edge are excluded.
         """
         total = 0.0
         inner = slice(beyond, -beyond or None)
         for s in range(len(self._tested)):
             mine = self._class == s
             sharpest = np.maximum(self.lit[s], self.dark[s])[inner, inner]
-            # To a tenth; counting is faster than sorting.
+            # Sharpness is rounded to a tenth, because counting is faster than sorting.
             tenths = np.bincount(np.rint(sharpest[sharpest > 0.0] * np.float32(10.0)).astype(int))
             held = np.flatnonzero(tenths)
             levels, counts = held.astype(np.float32) / np.float32(10.0), tenths[held]
@@ -327,47 +335,53 @@ class ClearEvidence:
         return total * self.grid.posting**2
 
     def seen(self) -> NDArray[np.bool_]:
-        """Return whether a rock of the least size would have shown (rows, cols)."""
-        if self.model.bare > _BARE:
+        """Return whether a rock of the smallest size would have been visible (rows, cols)."""
+        if self.model.shadowless_fraction > _MAX_SHADOWLESS_FRACTION:
             return np.zeros(self.grid.shape, np.bool_)
         missed = self.rates.false_clear(self._radius[0] * self.lit[0])
-        return np.asarray((missed < _MISSED) & ~self._possible(0))
+        return np.asarray((missed < _MAX_MISS_RATE) & ~self._possible(0))
 
 
-def _asked(given: Heights, xy: Array) -> Array:
-    """Return what a function gives for points (rows, cols, 2)."""
+def _evaluate(given: Heights, xy: Array) -> Array:
+    """Return the values of a function at points (rows, cols, 2)."""
     return given(xy.reshape(-1, 2)).reshape(xy.shape[:2])
 
 
 def _cores(
     model: ShadowModel | ShapeMixture,
-    low: ShadowModel,
+    low_rocks: ShadowModel,
     azimuth: Array,
     depression: Array,
     sun: Array,
 ) -> list[Array]:
-    """Return east and north of five points of the shadow's core, in half axes, one after other.
+    """Return east and north of five test points of the shadow's core, for each core.
 
-    Of round rocks, then of long ones, whose discs are smaller.
-    Ground that rises away from the Sun cuts the shadow short: the core is that of what falls on
-    ground as steep as slopes are here, which is dark on any that is less so.
+    The unit is the longer half axis; the first core is of round rocks, the second of elongated
+    ones, whose discs are smaller. Terrain that rises away from the Sun shortens the shadow. The
+    core is that on terrain as steep as the slopes here; it is also dark on flatter terrain.
     """
-    unit = low.patch(azimuth, depression)
+    unit = low_rocks.patch(azimuth, depression)
     s = sun[:2] / np.hypot(sun[0], sun[1])
     height = np.tan(model.elevation)
     length = unit.length * height / (height + model.slope)
     middle = unit.along + 0.5 * (unit.length - length)
     points = []
-    cross = ((0.0, 0.0), (_ALONG, 0.0), (-_ALONG, 0.0), (0.0, _ACROSS), (0.0, -_ACROSS))
-    for share, (a, b) in product(_SHARES, cross):
+    cross = (
+        (0.0, 0.0),
+        (_CORE_LENGTH_FRACTION, 0.0),
+        (-_CORE_LENGTH_FRACTION, 0.0),
+        (0.0, _CORE_WIDTH_FRACTION),
+        (0.0, -_CORE_WIDTH_FRACTION),
+    )
+    for share, (a, b) in product(_RADIUS_RATIOS, cross):
         along, side = share * (middle + a * length), share * (unit.side + b * unit.width)
         points += [along * s[0] - side * s[1], along * s[1] + side * s[0]]
     return points
 
 
-def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return `Detections.largest`, negative for the patches of rocks that are tracked."""
-    # What holds several shadows is not explained by one rock.
+def _mark_explained(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return `Detections.largest`, negative for the patches of tracked rocks."""
+    # A patch of several merged shadows is not explained by one rock.
     label = seen.label[explained]
     label = label[np.isfinite(seen.largest[label])]
     largest = seen.largest.copy()
@@ -376,5 +390,5 @@ def _marked(seen: Detections, explained: NDArray[np.bool_]) -> NDArray[np.float3
 
 
 def _overlap(by: int, count: int) -> slice:
-    """Return which of so many places in a row lie on the row moved back by some."""
+    """Return the slice of cells that remain within the grid after a shift."""
     return slice(max(-by, 0), max(min(count, count - by), 0))

@@ -1,4 +1,4 @@
-"""What holds for single places, taken over the disc that a lander stands on."""
+"""Aggregate values of single cells over the footprint of the lander."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Share of a footprint that must have been seen. What rocks throw into the dark never is: without
-# some allowance no ground near a rock would count, and the rest counts as the rock law has it.
-LEAST_SEEN = 0.9
-# A cell's side is cut into so many parts to find how much of it lies in a disc.
-_PARTS = 8
+# Minimum observed fraction of a footprint. Terrain in the shadow of a rock is never observed, so
+# without an allowance no cell near a rock would count; the remainder has the prior probability.
+MIN_OBSERVED_FRACTION = 0.9
+# Subdivisions of a cell's side to compute its fraction within a disc.
+_SUBDIVISIONS = 8
 
 
 def mean_over_discs(layer: NDArray[Any], radius: float, outside: float) -> NDArray[np.float32]:
     """Return the mean of a layer over the disc about each cell (rows, cols).
 
-    Cells at the rim count by the part of them that lies in the disc.
+    Cells at the rim count with their fraction within the disc.
 
     Parameters
     ----------
     layer
-        (rows, cols).
+        Layer (rows, cols).
     radius
-        Of the disc, cells.
+        Radius of the disc, cells.
     outside
-        What the layer is beyond its edge.
+        Value of the layer beyond its edge.
     """
     half = max(int(np.ceil(radius - 0.5)), 0)
-    at = (np.arange((2 * half + 1) * _PARTS) + 0.5) / _PARTS - half - 0.5
+    at = (np.arange((2 * half + 1) * _SUBDIVISIONS) + 0.5) / _SUBDIVISIONS - half - 0.5
     inside = (at[:, None] ** 2 + at**2 < radius**2).astype(np.float32)
     side = 2 * half + 1
-    disc = inside.reshape(side, _PARTS, side, _PARTS).sum((1, 3))
+    disc = inside.reshape(side, _SUBDIVISIONS, side, _SUBDIVISIONS).sum((1, 3))
     disc /= max(float(disc.sum()), 1.0)
     wide = cv2.copyMakeBorder(
         np.asarray(layer, np.float32) - np.float32(outside),
@@ -47,14 +47,14 @@ def mean_over_discs(layer: NDArray[Any], radius: float, outside: float) -> NDArr
 
 
 def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """Tell about which cells the whole of a footprint has been seen (rows, cols).
+    """Return the cells about which a complete footprint was observed (rows, cols).
 
     Parameters
     ----------
     seen
-        Which cells have been (rows, cols); beyond the edge nothing has.
+        Observed cells (rows, cols); none beyond the edge.
     radius
-        Of the footprint, cells; 0: the cell alone.
+        Radius of the footprint, cells; 0: the cell itself.
     """
     if radius <= 0.0:
         return seen
@@ -63,4 +63,4 @@ def footprint_seen(seen: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     whole = np.zeros_like(seen)
     if 2 * half < min(seen.shape):
         whole[half : seen.shape[0] - half, half : seen.shape[1] - half] = True
-    return np.asarray(whole & seen & (share >= LEAST_SEEN))
+    return np.asarray(whole & seen & (share >= MIN_OBSERVED_FRACTION))

@@ -1,4 +1,4 @@
-"""Errors in the picture as errors on the ground."""
+"""Convert image errors to errors on the ground."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 def ground_covariance(
     points: Array, pixel_covariance: Array, rocks: RockFilter, camera: CameraModel
 ) -> Array:
-    """Return covariances of pixels (n, 2, 2) at points (n, 3) of the ground (n, 2, 2), m^2."""
+    """Return pixel covariances (n, 2, 2) as ground covariances at points (n, 3), m^2."""
     if len(points) == 0:
         return np.empty((0, 2, 2))
     back = inverse(rocks.sight(camera, points).by_rock[:, :, :2])
@@ -23,7 +23,10 @@ def ground_covariance(
 
 
 def ground_spread(points: Array, look: Array, rocks: RockFilter, camera: CameraModel) -> Array:
-    """Return how well looks show points (n, 3), 1 sigma along the worse way (n,), m; NaN: not."""
+    """Return the error at points (n, 3), 1 sigma along the worst axis (n,), m.
+
+    NaN where a point is not visible.
+    """
     with np.errstate(invalid="ignore"):
         return np.asarray(
             np.sqrt(largest_eigenvalue(ground_covariance(points, look, rocks, camera)))

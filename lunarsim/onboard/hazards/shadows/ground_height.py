@@ -1,9 +1,8 @@
-"""How well the height of the ground is known between the rocks that are tracked.
+"""Error of the terrain height between tracked rocks.
 
-Rocks hold the map to the ground: their own places are known. Ground between them is as high as they
-tell, and by how much it may be higher or lower grows with the way to them and with how far the
-heights of neighbours differ. Seen from the side, a place whose height is off by a metre shows a
-metre and more beside itself.
+The map is tied to the terrain by the rocks, whose positions are known. Terrain heights between them
+are interpolated. The error grows with the distance to the rocks and with the height differences of
+neighbours. Seen from the side, a height error of 1 m displaces a point by 1 m or more.
 """
 
 from __future__ import annotations
@@ -17,43 +16,42 @@ from lunarsim.onboard.navigation.wandering_ground import NEIGHBOURS
 
 Array = NDArray[np.float64]
 
-# Each rock is compared with so many others near by.
-_PAIRS = 3
-# What is known of relief beforehand counts as much as ways between rocks of so many metres.
-_BEFORE = 10.0
+# Number of neighbours with which each rock is compared.
+_NEIGHBOUR_PAIRS = 3
+# Weight of the prior, as a total distance between rocks, m.
+_PRIOR_WEIGHT_M = 10.0
 
 
-def relief_growth(rocks: RockFilter) -> float:
-    """Return by how much the variance of heights grows with a metre between them, m^2/m.
+def height_variance_growth(rocks: RockFilter) -> float:
+    """Return the growth of the height variance per metre of distance, m^2/m.
 
-    The mean over neighbours of the squared difference of their heights, each taken with what it
-    errs by: rocks of which no picture has told the height yet say what was known before. Of no more
-    than one rock that is all.
+    It is the mean squared height difference of neighbours per distance, including the height errors
+    of the rocks; without measured heights these represent the prior. With fewer than two rocks the
+    prior is returned.
     """
-    before = rocks.expected_growth
+    prior = rocks.expected_growth
     if rocks.count < 2:
-        return before
-    others = np.arange(2, min(_PAIRS, rocks.count - 1) + 2)
-    way, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
+        return prior
+    others = np.arange(2, min(_NEIGHBOUR_PAIRS, rocks.count - 1) + 2)
+    distance, near = cKDTree(rocks.xy).query(rocks.xy, k=others)
     height = rocks.xyz[:, 2]
     rise = np.square(height[:, None] - height[near]) + rocks.rise_variance(near)
-    return float((before * _BEFORE + rise.sum()) / (_BEFORE + way.sum()))
+    return float((prior * _PRIOR_WEIGHT_M + rise.sum()) / (_PRIOR_WEIGHT_M + distance.sum()))
 
 
 def height_sigma(rocks: RockFilter, xy: Array) -> Array:
-    """Return how well the ground's height below the lander is known at points (n, 2).
+    """Return the error of the terrain height relative to the lander at points (n, 2).
 
-    As the best of the nearest rocks tells: by what its own height errs and what the ground may rise
-    on the way from it.
+    It is that of the best of the nearest rocks: its own height error plus the growth with distance.
 
     Returns
     -------
     sigma
-        1 sigma (n,), m; infinite if no rock is tracked.
+        1 sigma (n,), m; infinite without tracked rocks.
     """
     if rocks.count == 0:
         return np.full(len(xy), np.inf)
     nearest = np.arange(1, min(NEIGHBOURS, rocks.count) + 1)
-    way, near = cKDTree(rocks.xy).query(xy, k=nearest)
+    distance, near = cKDTree(rocks.xy).query(xy, k=nearest)
     own = rocks.relative_covariance()[:, 2, 2]
-    return np.asarray(np.sqrt((own[near] + relief_growth(rocks) * way).min(axis=1)))
+    return np.asarray(np.sqrt((own[near] + height_variance_growth(rocks) * distance).min(axis=1)))

@@ -1,4 +1,4 @@
-"""The shadow mapper as a scenario chooses it."""
+"""Shadow mapper as a part of a scenario."""
 
 from __future__ import annotations
 
@@ -21,67 +21,65 @@ from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
 from lunarsim.onboard.navigation.estimate import Navigation
 from lunarsim.onboard.navigation.kinds import RockNavigation
 from lunarsim.onboard.navigation.navigator import Navigator
-from lunarsim.onboard.perception.health import HealthSettings, PictureHealth, SunProof
+from lunarsim.onboard.perception.health import HealthSettings, PictureHealth, SunConfirmation
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.parts.quantity import quantity
 from lunarsim.rocks.population import RockExpectation
 
-# Point spread of a camera of which nothing is known, pixels.
+# Point spread of a camera without a known one, pixels.
 _BLUR = HealthSettings().blur_sigma
 
 
 @dataclass(frozen=True)
 class ShadowMapping:
-    """Rocks by their shadows, tracked, as a map of the probability of hazard.
+    """Settings of the shadow mapper.
 
     Attributes
     ----------
     sensor
-        Whose pictures it maps.
+        Camera whose images are mapped.
     sensors
-        Names of several cameras whose pictures it maps, in place of `sensor`.
+        Several cameras whose images are mapped, instead of `sensor`.
     posting, size
-        Of the map, m.
+        Cell size and side of the map, m.
     hazard_diameter
-        Least diameter of a hazard, m.
+        Minimum diameter of a hazard, m.
     interval
-        Between two evaluations of the map, s.
+        Time between two evaluations of the map, s.
     look_interval
-        Least time between two pictures of a camera of which it is noted what ground they show lit,
-        s; each corrects the rocks.
+        Minimum time between two images of a camera whose lit terrain is recorded, s; every image
+        corrects the rocks.
     shapes
-        Of the rocks by which shadows are read: inferred from them, as the mission expects them, or
+        Shapes of the shadow model: inferred from the shadows, as the mission expects ("told"), or
         the paper's half spheres.
     ground
-        Name of a mapper of elevations: rocks stand on the ground that it maps, and shadows are
-        measured along its plane; empty: level ground.
+        Elevation mapper: rocks stand on its terrain, and shadows fall on its plane; empty:
+        horizontal ground.
     form
-        Of the probability that a tracked rock covers a place, see `cover_probability`.
+        Form of the probability that a rock covers a point, see `cover_probability`.
 
     Raises
     ------
     InputError
-        If a camera is named twice, or `sensor` is none of several.
+        If a camera is named twice, or `sensor` is not one of `sensors`.
     """
 
-    sensor: str = quantity("camera", help="whose pictures it maps")
-    sensors: tuple[str, ...] = quantity((), help="several cameras, in place of sensor")
-    posting: float = quantity(0.2, "m", gt=0, help="side of a cell of the map")
-    size: float = quantity(100.0, "m", gt=0, help="side of the square about the target")
-    hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="least diameter of a hazard")
-    interval: float = quantity(1.0, "s", gt=0, help="between two evaluations of the map")
+    sensor: str = quantity("camera", help="Camera whose images are mapped")
+    sensors: tuple[str, ...] = quantity((), help="Several cameras, instead of sensor")
+    posting: float = quantity(0.2, "m", gt=0, help="Cell size of the map")
+    size: float = quantity(100.0, "m", gt=0, help="Side of the square map about the target")
+    hazard_diameter: float = quantity(0.5, "m", gt=0, lt=4, help="Minimum diameter of a hazard")
+    interval: float = quantity(1.0, "s", gt=0, help="Time between two evaluations of the map")
     look_interval: float = quantity(
-        0.4, "s", ge=0, le=10, help="least time between pictures that tell of clear ground"
+        0.4, "s", ge=0, le=10, help="Minimum time between images recorded as clear terrain"
     )
     shapes: Literal["inferred", "told", "hemisphere"] = quantity(
-        "inferred", help="rocks by which shadows are read; the paper's are half spheres"
+        "inferred", help="Rock shapes of the shadow model (paper: hemisphere)"
     )
-    ground: str = quantity(
-        "", help="mapper of elevations whose ground rocks stand on; left out: level ground"
-    )
+    ground: str = quantity("", help="Elevation mapper of the terrain; omitted: horizontal ground")
     form: Literal["rice", "gaussian"] = quantity(
-        "rice", help="of the probability that a rock covers a place; the paper's is gaussian"
+        "rice", help="Form of the cover probability (paper: gaussian)"
     )
 
     takes: ClassVar[type] = Picture
@@ -90,22 +88,24 @@ class ShadowMapping:
 
     def __post_init__(self) -> None:
         if len(set(self.sensors)) < len(self.sensors):
-            raise InputError("sensors", self.sensors, "each camera once")
+            raise InputError("sensors", self.sensors, "must name each camera once")
         if self.sensors and self.sensor not in ("camera", *self.sensors):
-            raise InputError("sensor", self.sensor, f"left out, or one of sensors, {self.sensors}")
+            raise InputError(
+                "sensor", self.sensor, f"must be omitted or one of sensors, {self.sensors}"
+            )
 
     def check_ground(self, parts: Mapping[str, Any]) -> None:
-        """Refuse a mapper of the ground that there is not, or that publishes no elevations.
+        """Check that `ground` names a mapper that publishes elevations.
 
         Parameters
         ----------
         parts
-            Those of all mappers, by name.
+            All mapper parts by name.
 
         Raises
         ------
         InputError
-            Naming the field.
+            If it does not.
         """
         if not self.ground:
             return
@@ -126,15 +126,15 @@ class ShadowMapping:
         briefing, navigation
             As for all mappers.
         mappers
-            Those that were built before.
+            Mappers built before.
 
         Raises
         ------
         InputError
-            If the Sun is too low or too high for shadows, or the map too small or too coarse.
+            If the Sun is too low or too high for shadows, or the map is too small or too coarse.
         """
         if not isinstance(navigation, Navigator) or navigation.rocks is None:
-            raise InputError("navigation.kind", type(navigation).__name__, "rocks")
+            raise InputError("navigation.kind", type(navigation).__name__, 'must be "rocks"')
         lander = briefing.lander
         grid = map_grid(briefing.target, self.size, self.posting, lander)
         elevation = float(np.arcsin(np.clip(briefing.sun[2], -1.0, 1.0)))
@@ -149,7 +149,7 @@ class ShadowMapping:
         prior = HazardPrior(briefing.rocks.cover, self.hazard_diameter)
         probability = ProbabilityMap(grid, model, prior, ground=rocks.ground, form=self.form)
         reach = lander.leg_radius + 0.5 * lander.pad_diameter
-        proof = SunProof()
+        proof = SunConfirmation()
         return ShadowMapper(
             tracker, probability, briefing.sun, reach, interval=self.interval,
             look_interval=self.look_interval,
@@ -158,14 +158,14 @@ class ShadowMapping:
         )  # fmt: skip
 
     def _model(self, elevation: float, rocks: RockExpectation) -> ShadowModel | ShapeMixture:
-        """Return what shadows are read by, the Sun at an elevation, rad."""
+        """Return the shadow model for a Sun elevation, rad."""
         if self.shapes == "inferred":
             return ShapeMixture(elevation, rocks.shape)
         return ShadowModel(elevation, rocks.model() if self.shapes == "told" else None)
 
 
-def _health_of(briefing: Briefing, camera: str, sun: SunProof) -> PictureHealth:
-    """Return what judges the pictures of a camera, by its own point spread."""
+def _health_of(briefing: Briefing, camera: str, sun: SunConfirmation) -> PictureHealth:
+    """Return the quality check of a camera, with its own point spread."""
     known = briefing.instruments.get(camera)
     blur = known.blur_sigma if isinstance(known, CameraInstrument) else _BLUR
     return PictureHealth(HealthSettings(blur_sigma=blur), sun)

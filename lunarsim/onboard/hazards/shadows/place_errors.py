@@ -1,10 +1,10 @@
-"""How well places between tracked rocks are known from the lander.
+"""Error of positions between tracked rocks, relative to the lander.
 
-What a picture shows of the ground is noted of places that move as the rocks do, by what these move
-in the mean (`lunarsim.onboard.hazards.shadows.sliding`). So a place errs from the lander as the
-mean of the rocks about does: by what they share with each other but not with the lander, and by a
-share of what each of them errs by itself. Where one of them is known badly the mean is; the median
-of what they err by, each by itself, bounds the error too.
+Evidence from images is stored at positions that follow the mean motion of the rocks
+(`lunarsim.onboard.hazards.shadows.map_motion`). The error of a position is thus that of the mean of
+the nearby rocks: the error that they share with each other but not with the lander, plus a
+fraction of their individual errors. A single inaccurate rock increases it. The median of the
+individual errors is another upper bound.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from lunarsim.onboard.navigation.rock_filter import RockFilter
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# How many rocks about a place tell how well it is known.
-_ABOUT = 8
+# Number of nearby rocks that determine the error.
+_NEIGHBOUR_COUNT = 8
 
 
-def place_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
-    """Return how well places (n, 2) are known from the lander, 1 sigma an axis (n,), m.
+def position_sigma(rocks: RockFilter, xy: Array, enough: float = 0.0) -> Array:
+    """Return the error of positions (n, 2) from the lander, 1 sigma per axis (n,), m.
 
-    Infinite if no rock is tracked: from picture to picture the lander's own place and attitude then
-    err by more than a rock.
+    It is infinite without tracked rocks, because the navigation error between images then exceeds
+    the size of a rock.
 
     Parameters
     ----------
     rocks
-        The filter that tracks them.
+        Filter of the rocks.
     xy
-        East and north of the places, m.
+        Positions (n, 2), east and north, m.
     enough
-        Where the median is no more than this, m, that is given without asking for the mean.
+        If the median is at most this value, m, it is returned without computing the mean.
     """
     if rocks.count == 0:
         return np.full(len(xy), np.inf)
-    own = np.sqrt(0.5 * np.trace(rocks.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
-    near = cKDTree(rocks.xy).query(xy, k=np.arange(1, min(_ABOUT, rocks.count) + 1))[1]
-    sigma = np.asarray(np.median(own[near], axis=1))
-    vague = sigma > enough
-    sigma[vague] = np.minimum(sigma[vague], _mean_sigma(rocks, near[vague]))
+    rock_sigma = np.sqrt(0.5 * np.trace(rocks.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
+    near = cKDTree(rocks.xy).query(xy, k=np.arange(1, min(_NEIGHBOUR_COUNT, rocks.count) + 1))[1]
+    sigma = np.asarray(np.median(rock_sigma[near], axis=1))
+    is_uncertain = sigma > enough
+    sigma[is_uncertain] = np.minimum(sigma[is_uncertain], _mean_sigma(rocks, near[is_uncertain]))
     return sigma
 
 
 def _mean_sigma(rocks: RockFilter, near: Index) -> Array:
-    """Return how well the mean place of rocks (n, k) is known from the lander, 1 sigma (n,), m."""
+    """Return the error of the mean position of rocks (n, k), 1 sigma (n,), m."""
     p, places = rocks.state.for_rows(), rocks.places()
     variance = np.zeros(len(near))
     for axis in range(2):

@@ -1,22 +1,22 @@
-"""Whether as many rocks were found as ground like this should have."""
+"""Test whether the number of rocks found is plausible."""
 
 from __future__ import annotations
 
 from scipy.special import pdtr
 
-# Fewer than this share of those that should have been found, and fewer than chance explains, are
-# too few.
-_FEW, _RARE = 0.25, 1e-6
+# The number is too low if it is below this fraction of the expected number and its probability is
+# below this value.
+_MIN_FOUND_FRACTION, _MAX_CHANCE = 0.25, 1e-6
 
 
 def too_few(found: int, expected: float) -> bool:
-    """Tell whether far fewer rocks were found than should have been.
+    """Return whether far fewer rocks were found than expected.
 
-    Either the ground has fewer, or they do not show.
+    Either the terrain has fewer rocks, or they are not detected.
 
     Parameters
     ----------
     found, expected
         Numbers of rocks.
     """
-    return bool(found < _FEW * expected and pdtr(found, expected) < _RARE)
+    return bool(found < _MIN_FOUND_FRACTION * expected and pdtr(found, expected) < _MAX_CHANCE)

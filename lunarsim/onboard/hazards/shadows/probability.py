@@ -1,4 +1,4 @@
-"""How probable it is that a rock covers a place (shadow EKF paper, Eqs. 16-22)."""
+"""Probability that a rock covers a point (shadow EKF paper, Eqs. 16-22)."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _RAYLEIGH_VARIANCE = 2.0 - 0.5 * np.pi
 
 
 def checked_form(form: str) -> Form:
-    """Return the name of a form.
+    """Return the name of a form after checking it.
 
     Raises
     ------
     InputError
-        If there is none of that name.
+        If the form is unknown.
     """
     for known in get_args(Form):
         if form == known:
             return known  # type: ignore[no-any-return]
-    raise InputError("form", form, " or ".join(get_args(Form)))
+    raise InputError("form", form, f"must be {' or '.join(get_args(Form))}")
 
 
 def cover_probability(
@@ -39,32 +39,32 @@ def cover_probability(
     radius_sigma: ArrayLike,
     form: Form = "rice",
 ) -> Array:
-    """Return the probability that rocks cover points at given distances from their estimates.
+    """Return the probability that rocks cover points at given distances.
 
     Parameters
     ----------
     distance
-        From the estimated centre (n, m), m.
+        Distance from the estimated centre (n, m), m.
     location_sigma
-        Standard deviation of the centre an axis (n,), m.
+        Standard deviation of the centre per axis (n,), m.
     radius, radius_sigma
         Estimated radius and its standard deviation (n,), m.
     form
-        "rice": the distance to the true centre has Rice's distribution, the radius a normal one;
-        exact for a round rock with equal errors an axis. "gaussian": the paper's Eqs. 17-21: the
-        error of the centre, a Rayleigh variable, is replaced by a normal one of its mean and
-        variance and added to the radius, as if the rock were always displaced towards the
-        point; cut at 0.
+        "rice": the distance to the true centre has a Rice distribution, the radius a normal one;
+        exact for a round rock with equal errors per axis. "gaussian": Eqs. 17-21 of the paper: the
+        error of the centre, a Rayleigh variable, is replaced by a normal one with its mean and
+        variance and added to the radius, as if the rock were always displaced towards the point;
+        truncated at 0.
 
     Returns
     -------
     p
-        (n, m).
+        Probability (n, m).
 
     Raises
     ------
     InputError
-        For another form.
+        If the form is unknown.
     """
     form = checked_form(form)
     d = np.asarray(distance, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The map of the probability of hazard (shadow EKF paper, Eqs. 12-23)."""
+"""Map of the probability of hazard (shadow EKF paper, Eqs. 12-23)."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
-from lunarsim.onboard.perception.sun_direction import throws_shadows, unit_vector
+from lunarsim.onboard.perception.sun_direction import has_usable_shadows, unit_vector
 from lunarsim.rocks.laws import golombek_cover, golombek_exponent
 
 Array = NDArray[np.float64]
 
-# What has been seen is remembered for squares of this side, and so far beyond the map, m, since it
-# slides with the rocks.
-_BLOCK, _MARGIN = 0.25, 2.0
-_SIZES = 24
-_DISTANCES = 65
-# A rock's reach ends where its probability is below this.
-_TAIL = 3.9
+# Cell size of the stored evidence, and its margin beyond the map, m, because it moves with the
+# rocks.
+_BLOCK_SIZE_M, _MARGIN_M = 0.25, 2.0
+_SIZE_CLASSES = 24
+_PROFILE_POINTS = 65
+# A rock's reach ends at this many standard deviations.
+_TAIL_SIGMAS = 3.9
 
 
 @dataclass(frozen=True)
 class HazardPrior:
-    """Rocks that are expected before any is seen.
+    """Rocks expected before any observation.
 
     Attributes
     ----------
     cover
-        Share k of the ground under rocks of any size (Golombek).
+        Fraction k of the terrain covered by rocks of any size (Golombek).
     least_diameter
-        Of a rock that is a hazard, m.
+        Minimum diameter of a rock that is a hazard, m.
     largest_diameter
-        m.
+        Maximum diameter of a rock, m.
     """
 
     cover: float = 0.05
@@ -58,33 +58,33 @@ class HazardPrior:
 
     def __post_init__(self) -> None:
         check_types("prior", self)
-        golombek_cover(1.0, self.cover)  # refuses a cover that is no fraction
+        golombek_cover(1.0, self.cover)  # raises for a cover that is not a fraction
         if not 0.0 < self.least_diameter < self.largest_diameter < np.inf:
             raise InputError(
                 "prior.least_diameter", self.least_diameter,
-                f"more than 0, less than {self.largest_diameter} m",
+                f"must be between 0 and {self.largest_diameter} m",
             )  # fmt: skip
 
 
 class ProbabilityMap:
-    """Probability of hazard over a grid, from tracked rocks and from what each place was seen with.
+    """Probability of hazard on a grid, from tracked rocks and clear terrain.
 
-    Eq. 23 adds three probabilities, and a sum over rocks can exceed 1. Here the events are taken
-    as independent and the probability that none happens is multiplied up, which is a proper
+    Eq. 23 adds three probabilities, and a sum over rocks can exceed 1. Here the events are
+    independent, and the probabilities that none occurs are multiplied. The result is a proper
     probability, never above the sum, and equal to it where both are small.
 
     Parameters
     ----------
     grid
-        Places the cells.
-    prior
-        Rocks that are expected.
+        Grid of the map.
     model, rates
-        What rocks look like, and how often they are missed.
+        Shadow model, and rates of missed and false detections.
+    prior
+        Expected rocks.
     ground
-        Elevation of the plane that the next look is taken to show, m.
+        Terrain height for the next image, m.
     form
-        Of `cover_probability`.
+        See `cover_probability`.
     """
 
     def __init__(
@@ -103,31 +103,33 @@ class ProbabilityMap:
         self.rates = rates or DetectionRates()
         self.ground = float(ground)
         self.form: Form = checked_form(form)
-        every = max(1, round(_BLOCK / grid.posting))
-        beyond = round(_MARGIN / (every * grid.posting))
-        first = (0.5 * (every - 1) - beyond * every) * grid.posting
+        every = max(1, round(_BLOCK_SIZE_M / grid.posting))
+        margin_blocks = round(_MARGIN_M / (every * grid.posting))
+        first = (0.5 * (every - 1) - margin_blocks * every) * grid.posting
         blocks = Grid(
             grid.x0 + first, grid.y0 + first, every * grid.posting,
-            -(-grid.rows // every) + 2 * beyond, -(-grid.cols // every) + 2 * beyond,
+            -(-grid.rows // every) + 2 * margin_blocks, -(-grid.cols // every) + 2 * margin_blocks,
         )  # fmt: skip
-        self._every, self._beyond = every, beyond
-        edges = np.geomspace(self.prior.least_diameter, self.prior.largest_diameter, _SIZES + 1)
+        self._every, self._margin_blocks = every, margin_blocks
+        edges = np.geomspace(
+            self.prior.least_diameter, self.prior.largest_diameter, _SIZE_CLASSES + 1
+        )
         sizes = np.sqrt(edges[1:] * edges[:-1])
         cover = golombek_cover(edges, self.prior.cover)
         self.evidence = ClearEvidence(
             blocks, model, sizes, (cover[:-1] - cover[1:]) / (0.25 * np.pi * sizes**2), self.rates,
         )  # fmt: skip
 
-    # --- what has been seen ---------------------------------------------------------------
+    # --- Evidence -------------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Take back all that was seen: rocks that were mapped there are no longer tracked."""
+        """Discard all evidence, because rocks mapped there are no longer tracked."""
         self.evidence.forget()
 
     def recentre(self, centre: Array) -> None:
-        """Lay the map about another point (2,) or (3,), m; what was seen stays where it is.
+        """Centre the map at another point (2,) or (3,), m; evidence keeps its position.
 
-        To whole blocks, so that none is cut.
+        The shift is rounded to evidence cells.
         """
         self.grid = self.grid.moved(self.evidence.recentre(centre[:2] - self.grid.centre))
 
@@ -138,70 +140,65 @@ class ProbabilityMap:
         seen: Detections,
         heights: Heights | None = None,
         explained: NDArray[np.bool_] | None = None,
-        place_sigma: Heights | None = None,
+        position_sigma: Heights | None = None,
         plane: GroundPlane = LEVEL,
         height_sigma: Heights | None = None,
         blur: float = 0.0,
     ) -> None:
-        """Note where the picture shows that no rock stands, see `ClearEvidence`.
+        """Record where an image excludes rocks, see `ClearEvidence.see`.
 
-        `heights` gives the elevation of the ground; left out: `ground` everywhere. `explained`
-        tells which of the rocks seen are tracked, `place_sigma` how well places are known (n,), m;
-        left out: exactly. Shadows fall along `plane`; left out: level ground. `height_sigma` gives
-        what `heights` errs by (n,), m; left out: nothing. `blur` is the camera's point spread,
-        1 sigma, pixels; left out: at most that of the rates. Under a Sun that throws no shadows to
-        see rocks by (`throws_shadows`) nothing is seen.
+        The default of `heights` is `ground` everywhere. If the Sun casts no usable shadows
+        (`has_usable_shadows`), nothing is recorded.
 
         Raises
         ------
         InputError
-            If the Sun's direction is no unit vector.
+            If the Sun direction is not a unit vector.
         """
-        if not throws_shadows(unit_vector(sun)):
+        if not has_usable_shadows(unit_vector(sun)):
             return
         level = heights or (lambda xy: np.full(len(xy), self.ground))
-        self.evidence.see(view, sun, seen, level, explained, place_sigma, plane, height_sigma, blur)
+        self.evidence.see(
+            view, sun, seen, level, explained, position_sigma, plane, height_sigma, blur
+        )
 
     def residual(self, footprint: float) -> Array:
-        """Return the probability that a rock that is not tracked reaches in (rows, cols).
+        """Return the probability that an untracked rock reaches in (rows, cols).
 
-        Eqs. 13-15 in one: each size by the rocks of it that are expected and by the rate at which
-        they are missed, which is 1 below the resolution. For a footprint of a given radius (m)
-        those count whose outline reaches into it.
+        Combines Eqs. 13-15: each size has its expected number and its miss rate, which is 1 below
+        the resolution. Rocks whose outline reaches into the footprint count.
 
         Parameters
         ----------
         footprint
-            As for `probability`.
+            Radius of the footprint, m; see `probability`.
         """
         unseen = self.evidence.unseen(footprint)
         expected = self._fine(self.evidence.expected(footprint), unseen).astype(np.float64)
-        # Rocks do not lie one on the other, but several may reach into a footprint.
+        # Rocks do not overlap, but several may reach into one footprint.
         return np.minimum(expected, 1.0) if footprint == 0.0 else -np.expm1(-expected)
 
     def follow(self, xy: Array, by: Array) -> None:
-        """Let what was seen slide with the rocks, see `Slide.follow`.
+        """Move the evidence with the rocks, see `MapMotion.follow`.
 
         Parameters
         ----------
         xy, by
-            Where tracked rocks stand now and by how far they were moved (n, 2), m.
+            Positions of tracked rocks, and their motion (n, 2), m.
         """
-        self.evidence.slide.follow(xy, by)
+        self.evidence.motion.follow(xy, by)
 
     def _fine(self, blocks: NDArray[Any], outside: float) -> NDArray[Any]:
-        """Return the map's cells (rows, cols) from blocks of noted places.
-
-        `outside` is what cells are that lie on none.
-        """
-        if self.evidence.slide.still:
-            inner = slice(self._beyond, -self._beyond or None)
+        """Return evidence cells resampled to the map (rows, cols); `outside` elsewhere."""
+        if self.evidence.motion.still:
+            inner = slice(self._margin_blocks, -self._margin_blocks or None)
             fine = np.repeat(np.repeat(blocks[inner, inner], self._every, 0), self._every, 1)
             return fine[: self.grid.rows, : self.grid.cols]
-        # Column and row of the block under the first cell, the next one and the one above.
+        # Column and row of the evidence cell under the first map cell, the next one and the one
+        # above.
         own, cell = self.evidence.grid, self.grid.posting
         start = np.array([self.grid.x0, self.grid.y0])
-        at = self.evidence.slide.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
+        at = self.evidence.motion.noted(start + cell * np.array([[0, 0], [1, 0], [0, 1]]))
         zero, right, up = (at - [own.x0, own.y0]) / own.posting
         matrix = np.column_stack((right - zero, up - zero, zero))
         layer = blocks.astype(np.uint8) if blocks.dtype == np.bool_ else blocks
@@ -214,31 +211,31 @@ class ProbabilityMap:
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """Whether a rock of the least hazardous size would have shown (rows, cols)."""
+        """Whether a rock of the smallest hazardous size would be visible (rows, cols)."""
         return self._fine(self.evidence.seen(), 0.0)
 
-    # --- the map --------------------------------------------------------------------------
+    # --- Map ------------------------------------------------------------------------------
 
     def probability(
         self, tracker: RockTracker, footprint: float = 0.0, residual: Array | None = None
     ) -> NDArray[np.float32]:
         """Return the probability of hazard (rows, cols).
 
-        Where nothing was seen it is that of the rock law, which says nothing of the place: ground
-        is clear where the probability is small and it was `observed`.
+        Unobserved cells have the probability of the size law. A cell is clear only if the
+        probability is small and the cell is `observed`.
 
         Parameters
         ----------
         tracker
-            The rocks.
+            Tracked rocks.
         footprint
-            0 for that of a point to be under a rock (the paper's); else the radius, m, of a disc
-            into which a rock must not reach.
+            0: probability that a rock covers the point (the paper's). Else: radius of the disc that
+            must be free of rocks, m.
         residual
-            What `residual` is for this footprint (rows, cols); left out: it is worked out.
+            Result of `residual` for this footprint (rows, cols); default: computed.
         """
         clear = 1.0 - (self.residual(footprint) if residual is None else residual)
-        self._paint(clear, footprint, rocks_of(tracker))
+        self._paint(clear, footprint, rock_tracks(tracker))
         return (1.0 - clear).astype(np.float32)
 
     def clear_of(self, rocks: RockTracks, footprint: float) -> Array:
@@ -247,9 +244,9 @@ class ProbabilityMap:
         Parameters
         ----------
         rocks
-            The rocks.
+            Tracked rocks.
         footprint
-            As for `probability`.
+            See `probability`.
         """
         clear = np.ones(self.grid.shape)
         self._paint(clear, footprint, rocks)
@@ -258,16 +255,18 @@ class ProbabilityMap:
     def _paint(self, clear: Array, footprint: float, rocks: RockTracks) -> None:
         """Multiply the probability that cells are clear (rows, cols) by that of each rock."""
         model, radius = self.model, rocks.radius
-        # Rocks are no discs, and the filter's errors shrink as if every look were a new draw of
-        # the shape: what many looks do not average out is put back here.
+        # The filter treats the shape error of each observation as independent. The part that does
+        # not average out is added here.
         variance = rocks.radius_variance + (model.radius_sigma * radius) ** 2
         sigma = np.hypot(rocks.sigma, model.centre_sigma * radius)
-        # Small rocks are the more numerous, so a rock is likelier to be smaller than it looks
-        # than larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
+        # Small rocks are more numerous, so a rock is more probably smaller than estimated than
+        # larger: Golombek's dN/dr has the logarithmic slope -2 q - 2 / r.
         slope = 2.0 * golombek_exponent(self.prior.cover) + 2.0 / np.maximum(radius, 0.05)
         radius = np.maximum(radius - np.minimum(variance * slope, 0.5 * radius), 0.01)
-        # A rock counts by the probability that it is long enough to matter.
-        large = model.as_long_as(0.5 * self.prior.least_diameter, radius, np.sqrt(variance))
+        # A rock counts with the probability that it is large enough to be a hazard.
+        large = model.probability_longer_than(
+            0.5 * self.prior.least_diameter, radius, np.sqrt(variance)
+        )
         at = np.flatnonzero(large * rocks.existence > 1e-4)
         if at.size == 0:
             return
@@ -275,8 +274,8 @@ class ProbabilityMap:
         r, sigma = radius[at], sigma[at]
         spread = np.sqrt(outline**2 * variance[at] + (r * rough) ** 2)
         mean = outline * r + footprint
-        reach = mean + 1.5 * sigma + _TAIL * np.hypot(sigma, spread)
-        distance = np.linspace(0.0, 1.0, _DISTANCES) * reach[:, None]
+        reach = mean + 1.5 * sigma + _TAIL_SIGMAS * np.hypot(sigma, spread)
+        distance = np.linspace(0.0, 1.0, _PROFILE_POINTS) * reach[:, None]
         profile = cover_probability(distance, sigma, mean, spread, self.form)
         kernels.paint(
             clear, self.grid.x0, self.grid.y0, self.grid.posting, rocks.xy[at], reach, profile,
@@ -290,10 +289,7 @@ class ProbabilityMap:
     def hazard_map(
         self, tracker: RockTracker, footprint: float, residual: Array | None = None
     ) -> HazardMap:
-        """Return the map for a lander whose footprint has the given radius (m).
-
-        See `probability`.
-        """
+        """Return the hazard map for a footprint radius (m), see `probability`."""
         p = self.probability(tracker, footprint, residual)
         observed = footprint_seen(self.observed, footprint / self.grid.posting)
         return HazardMap(
@@ -304,18 +300,18 @@ class ProbabilityMap:
         )
 
     def expected_rocks(self) -> float:
-        """Return how many rocks that are hazards should have been found on the map."""
-        return self.evidence.expected_found(self._beyond)
+        """Return the number of hazardous rocks that should have been found on the map."""
+        return self.evidence.expected_found(self._margin_blocks)
 
 
-def rocks_of(tracker: RockTracker) -> RockTracks:
-    """Return the rocks that are tracked, and after them what may be one."""
-    f, vague = tracker.filter, tracker.tentative
+def rock_tracks(tracker: RockTracker) -> RockTracks:
+    """Return the tracked rocks, followed by the tentative ones."""
+    f, tentative = tracker.filter, tracker.tentative
     own = np.sqrt(0.5 * np.trace(f.relative_covariance()[:, :2, :2], axis1=1, axis2=2))
     return RockTracks(
-        np.concatenate((f.xy, vague.xy)),
-        np.concatenate((own, vague.sigma)),
-        np.concatenate((f.radius, vague.radius)),
-        np.concatenate((f.radius_variance, vague.radius_variance)),
-        np.concatenate((tracker.existence, vague.existence)),
+        np.concatenate((f.xy, tentative.xy)),
+        np.concatenate((own, tentative.sigma)),
+        np.concatenate((f.radius, tentative.radius)),
+        np.concatenate((f.radius_variance, tentative.radius_variance)),
+        np.concatenate((tracker.existence, tentative.existence)),
     )

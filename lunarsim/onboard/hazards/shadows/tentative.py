@@ -1,4 +1,4 @@
-"""What one image showed that is not tracked, and may be a rock if the next shows it too."""
+"""Detections of one image that may be rocks if the next image confirms them."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Tentative:
-    """Detections of the last image that belong to no rock and are too vague to begin one.
+class TentativeRocks:
+    """Untracked detections of the last image that are too inaccurate to start a track.
 
     Attributes
     ----------
     xy
         Centres (n, 2), m.
     sigma
-        Of the centres, the root of the mean variance of the two axes (n,), m.
+        Position error, root of the mean variance of both axes (n,), m.
     radius, radius_variance
-        m (n,), m^2.
+        Radius (n,), m, and its variance, m^2.
     existence
         Probability that each is a rock (n,).
     """
@@ -33,7 +33,7 @@ class Tentative:
     existence: Array
 
     @classmethod
-    def none(cls) -> Tentative:
+    def none(cls) -> TentativeRocks:
         """Return no detections."""
         empty = np.empty(0)
         return cls(np.empty((0, 2)), empty, empty, empty, empty)

@@ -1,4 +1,4 @@
-"""From detections to tracked rocks: association, birth, merging, splitting, pruning."""
+"""Track rocks: association, birth, merging, splitting and deletion."""
 
 from __future__ import annotations
 
@@ -9,76 +9,78 @@ from scipy.spatial import cKDTree
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
 from lunarsim.models.camera import CameraModel
-from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.association import associate
-from lunarsim.onboard.hazards.shadows.dark_places import in_the_dark
+from lunarsim.onboard.hazards.shadows.dark_places import is_dark_at_patch
 from lunarsim.onboard.hazards.shadows.ground_errors import ground_covariance, ground_spread
-from lunarsim.onboard.hazards.shadows.tentative import Tentative
+from lunarsim.onboard.hazards.shadows.tentative import TentativeRocks
 from lunarsim.onboard.hazards.shadows.tracker_settings import TrackerSettings
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.error_state import Outcome
 from lunarsim.onboard.navigation.picture_watch import Remedy
 from lunarsim.onboard.navigation.planar import positive, squared_distance
 from lunarsim.onboard.navigation.rock_filter import RockFilter
 from lunarsim.onboard.navigation.rock_sight import Sight
-from lunarsim.onboard.perception.along_plane import along
+from lunarsim.onboard.perception.along_plane import model_on_plane
 from lunarsim.onboard.perception.detection_rates import DetectionRates
 from lunarsim.onboard.perception.detector import Detections
 from lunarsim.onboard.perception.ground_plane import LEVEL, GroundPlane
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.onboard.perception.shape_mixture import ShapeMixture
 from lunarsim.onboard.perception.sun_direction import (
-    look_stretch,
-    shadow_stretch,
+    observation_scatter_factor,
+    shadow_length_ratio,
     unit_vector,
 )
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# A second look at the same shadow is no independent one: what it may add to the odds.
-_MOST_EVIDENCE = 3.0
-_MISS = 0.6
-_GONE = 0.05
-# From this probability and number of images on a rock should be seen again.
-_SURE, _SURE_HITS = 0.9, 5
-# Of so many rocks, found in more images than so many, an image must show more than this share.
-_SEEN_ROCKS, _SEEN_HITS, _SEEN_SHARE = 3.0, 2, 0.35
-# A rock that turns out smaller than this share of the least radius is let go.
-_SHRUNK = 0.85
-# A second look that shows a place so many times worse than a first one may is none.
-_VAGUE = 4.0
-# Chi-squared with 2 degrees of freedom at 99.7 %.
-_AGREEMENT = 11.6
+# Observations of the same shadow are not independent: limits of the factor by which one image
+# changes the odds of existence, and existence below which a rock is deleted.
+_MAX_ODDS_FACTOR = 3.0
+_MIN_MISS_FACTOR = 0.6
+_MIN_EXISTENCE = 0.05
+# Existence and number of images from which a rock is expected in every image.
+_ESTABLISHED_EXISTENCE, _ESTABLISHED_HITS = 0.9, 5
+# Minimum number of expected rocks, minimum images in which each was found, and minimum fraction of
+# them that an image must show.
+_MIN_EXPECTED_ROCKS, _MIN_PREVIOUS_HITS, _MIN_DETECTED_FRACTION = 3.0, 2, 0.35
+# A rock is deleted below this fraction of the minimum radius.
+_DROP_RADIUS_RATIO = 0.85
+# Maximum ratio of the position error of the second observation to that allowed for the first.
+_MAX_SIGMA_RATIO = 4.0
+# 99.7 % quantile of chi-squared with 2 degrees of freedom.
+_CHI2_2DOF_997 = 11.6
 
 
 class RockTracker:
-    """The rocks of one filter, with the probability that each is one.
+    """Tracks the rocks of one filter, with the probability that each exists.
 
     Parameters
     ----------
     rocks
-        The filter; the tracker alone adds and removes its rocks.
+        Filter; only the tracker adds and removes its rocks.
     model, rates
-        What rocks look like, and how often they are missed or made up.
+        Shadow model, and rates of missed and false detections.
     settings
         See `TrackerSettings`.
 
     Attributes
     ----------
     existence
-        Probability that each rock is one (n,).
+        Probability that each rock exists (n,).
     hits
-        Images in which each was found (n,).
+        Number of images in which each was found (n,).
     corrected
-        When the place of each was last corrected (n,), s; -inf: never.
+        Time of the last position update of each (n,), s; -inf: never.
     tentative
-        What was seen in the last image and is not tracked.
+        Detections of the last image that are not tracked.
     explained
-        Which of the detections of the last image are rocks that are surely there (d,).
+        Detections of the last image that are confirmed rocks (d,).
     as_expected
-        Whether the last image in which some were due showed enough of the rocks seen before.
+        Whether the last image with enough expected rocks showed enough of them.
     renewals
-        How often all rocks were let go, since they could not be explained.
+        Number of times that all rocks were dropped because images contradicted them.
     """
 
     def __init__(
@@ -94,130 +96,149 @@ class RockTracker:
         self.settings = settings or TrackerSettings()
         self.existence = np.empty(0)
         self.hits = np.empty(0, np.int64)
-        self.tentative = Tentative.none()
+        self.tentative = TentativeRocks.none()
         self.explained = np.zeros(0, np.bool_)
         self.as_expected = True
         self.renewals = 0
         self.corrected = np.empty(0)
         self._established = np.empty(0, bool)
-        # Rocks that were seen once: by the look for which they were chosen.
-        self._young = np.empty(0, bool)
-        # Where rocks stood when their motion was last asked for; NaN for those begun since.
-        self._stood = np.empty((0, 2))
-        self._longer = 1.0
+        # Rocks seen only in the image that started their track.
+        self._seen_once = np.empty(0, bool)
+        # Positions at the last call of `moved`; NaN for rocks added since.
+        self._last_positions = np.empty((0, 2))
+        self._scatter_factor = 1.0
         self._time: float | None = None
 
     @property
-    def _now(self) -> float:
+    def _last_time(self) -> float:
         return -np.inf if self._time is None else self._time
 
     def add_known(
         self, xy: ArrayLike, sigma: ArrayLike, radius: ArrayLike, radius_sigma: ArrayLike
     ) -> None:
-        """Begin with rocks known beforehand.
+        """Add rocks known in advance.
 
         Parameters
         ----------
         xy, sigma
-            Centres (n, 2) and their standard deviation an axis (n,), m.
+            Centres (n, 2) and their standard deviation per axis (n,), m.
         radius, radius_sigma
-            m (n,).
+            Radius and its standard deviation (n,), m.
         """
         xy = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
         n = len(xy)
         arrays = [np.broadcast_to(np.asarray(v, float), n) for v in (sigma, radius, radius_sigma)]
         if not all(np.isfinite(a).all() and (a > 0.0).all() for a in arrays):
-            raise InputError("rocks.known", "sigma or radius", "positive numbers")
+            raise InputError("rocks.known", "sigma or radius", "must be positive and finite")
         self.filter.add_known(xy, arrays[0], arrays[1], arrays[2] ** 2)
         self.existence = np.concatenate((self.existence, np.full(n, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(n, np.int64)))
         self.corrected = np.concatenate((self.corrected, np.full(n, -np.inf)))
         self._established = np.concatenate((self._established, np.zeros(n, bool)))
-        self._young = np.concatenate((self._young, np.zeros(n, bool)))
-        self._stood = np.concatenate((self._stood, np.full((n, 2), np.nan)))
+        self._seen_once = np.concatenate((self._seen_once, np.zeros(n, bool)))
+        self._last_positions = np.concatenate((self._last_positions, np.full((n, 2), np.nan)))
 
     def update(
         self, seen: Detections, camera: CameraModel, sun: Array, time: float,
         plane: GroundPlane = LEVEL,
     ) -> Outcome:  # fmt: skip
-        """Take in what one image shows, shadows along a plane; return what came of the places.
+        """Process the detections of one image; return the outcome of the position update.
+
+        Parameters
+        ----------
+        seen
+            Detections.
+        camera
+            Camera model.
+        sun
+            Direction towards the Sun (3,), ENU.
+        time
+            Time of the image, s.
+        plane
+            Plane on which shadows fall.
 
         Raises
         ------
         InputError
-            If time runs backwards.
+            If the image is older than the last one.
         """
         s = self.settings
-        self._pass_time(camera, plane.direction(unit_vector(sun)), time)
+        self._propagate(camera, plane.direction(unit_vector(sun)), time)
         radius_variance = seen.radius_sigma**2 + (s.radius_doubt * seen.radius) ** 2
         points = self.filter.ground_points(camera, seen.pixel, s.region)
-        parted = self._split(seen, points, camera, radius_variance)
+        split_count = self._split(seen, points, camera, radius_variance)
         sight = self.filter.sight(camera)
         view = _in_view(sight, camera)
         at = np.flatnonzero(view)
         in_view = len(at)
         large = self.filter.count > s.large
         self.filter.rest(~view & large)
-        # Rocks that rest stay behind until they are seen again.
-        self._stood[~view & large] = np.nan
-        d, rock, sure, close = self._paired(seen, sight, at, radius_variance)
-        # What has just been begun by a look is not seen by the same look once more.
-        known = self.filter.count - parted
-        at, again = at[at < known], rock < known
-        d, rock, sure = d[again], rock[again], sure[again]
+        # Resting rocks do not move until they are seen again.
+        self._last_positions[~view & large] = np.nan
+        d, rock, sure, close = self._associate(seen, sight, at, radius_variance)
+        # Rocks just added by splitting must not be updated with the same image.
+        known = self.filter.count - split_count
+        at, is_old = at[at < known], rock < known
+        d, rock, sure = d[is_old], rock[is_old], sure[is_old]
         self.hits[rock] += 1
         use = np.flatnonzero(sure)
-        use = use[self._agreeing(seen, sight, d[use], rock[use])]
-        young = self._young[rock[use]]
-        second, use = use[young], use[~young]
+        use = use[self._consistent_pairs(seen, sight, d[use], rock[use])]
+        is_seen_once = self._seen_once[rock[use]]
+        second, use = use[is_seen_once], use[~is_seen_once]
         order = use[np.argsort(self.corrected[rock[use]], kind="stable")]
-        turn, later = np.split(order, [s.most_updates // 2 if large else s.most_updates])
-        self.filter.update_radii(
-            rock[later], seen.radius[d[later]], radius_variance[d[later]], s.radius_floor
+        position_update, radius_only = np.split(
+            order, [s.most_updates // 2 if large else s.most_updates]
         )
-        a, b = d[turn], rock[turn]
+        self.filter.update_radii(
+            rock[radius_only],
+            seen.radius[d[radius_only]],
+            radius_variance[d[radius_only]],
+            s.radius_floor,
+        )
+        a, b = d[position_update], rock[position_update]
         self.corrected[b] = time
         found = self.filter.update_rocks(
             b, sight, seen.pixel[a], seen.look_covariance[a], seen.radius[a], radius_variance[a],
             s.common_pixels, s.radius_floor, s.most_off,
         )  # fmt: skip
-        self._begin_anew(rock[second], d[second], seen, camera, radius_variance)
-        expected = self._judge(rock, at, seen, d, camera, sun, plane)
+        self._reinitialize(rock[second], d[second], seen, camera, radius_variance)
+        expected = self._update_existence(rock, at, seen, d, camera, sun, plane)
         self.explained = np.zeros(len(seen), np.bool_)
-        self.explained[d] = self._surely_there(rock, in_view)
-        if not self._explained(found, expected, time):
+        self.explained[d] = self._is_confirmed(rock, in_view)
+        if not self._passes_monitors(found, expected, time):
             self.renew()
             self.explained[:] = False
         points = self.filter.ground_points(camera, seen.pixel, s.region)
         begins = seen.radius >= (s.landmark_radius if in_view < s.few else s.least_radius)
         born = self._birth(~close & begins, seen, points, camera, radius_variance)
         on_ground = ground_covariance(points, seen.pixel_covariance, self.filter, camera)
-        self._keep_tentative(~close & ~born, seen, points, on_ground, radius_variance)
+        self._store_tentative(~close & ~born, seen, points, on_ground, radius_variance)
         self._merge()
-        self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _GONE)))
+        self._drop(np.flatnonzero(self._too_small(in_view) | (self.existence < _MIN_EXISTENCE)))
         return found
 
-    def _surely_there(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
-        """Return which rocks (n,) explain what is dark, with so many of them in view.
+    def _is_confirmed(self, rock: Index, in_view: int) -> NDArray[np.bool_]:
+        """Return which rocks (n,) explain dark patches, given the number in view.
 
-        What a landmark throws may be the shadow of a hazard that was read as one.
+        The patch of a rock below the minimum radius may be the shadow of a hazard with a wrong
+        radius.
         """
         s = self.settings
-        least = s.least_radius * (1.0 if in_view < s.few else _SHRUNK)
-        return (self.existence[rock] > _SURE) & (self.filter.radius[rock] >= least)
+        least = s.least_radius * (1.0 if in_view < s.few else _DROP_RADIUS_RATIO)
+        return (self.existence[rock] > _ESTABLISHED_EXISTENCE) & (self.filter.radius[rock] >= least)
 
     def _too_small(self, in_view: int) -> NDArray[np.bool_]:
-        """Return which rocks (n,) need not be tracked, with so many of them in view."""
+        """Return which rocks (n,) need not be tracked, given the number in view."""
         s = self.settings
         least = s.landmark_radius if in_view < 2 * s.few else s.least_radius
-        return self.filter.radius < _SHRUNK * least
+        return self.filter.radius < _DROP_RADIUS_RATIO * least
 
-    def _paired(
+    def _associate(
         self, seen: Detections, sight: Sight, at: Index, radius_variance: Array
     ) -> tuple[Index, Index, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which detections are which of the rocks at `at`, of which it is sure.
+        """Return pairs of detections and rocks, and whether they are unambiguous.
 
-        And which detections (d,) lie close to a rock.
+        The last result tells which detections (d,) lie in the gate of a rock.
         """
         covariance = self.filter.innovation_covariance(sight)[at]
         d, j, sure, close = associate(
@@ -227,18 +248,21 @@ class RockTracker:
         )  # fmt: skip
         return d, at[j], sure, close
 
-    def _pass_time(self, camera: CameraModel, sun: Array, time: float) -> None:
-        """Let rocks wander since the last image; the Sun (3,) is that over level ground alike."""
+    def _propagate(self, camera: CameraModel, sun: Array, time: float) -> None:
+        """Add process noise since the last image; `sun` (3,) is relative to the plane."""
         s = self.settings
-        if not self._now <= time < np.inf:
+        if not self._last_time <= time < np.inf:
             raise InputError(
-                "picture.time", time, f"at least {self._time} s: time does not run backwards"
+                "picture.time", time, f"must not be before the last image at {self._time} s"
             )
         if not np.hypot(*sun[:2]) > 0.0:
-            raise InputError("sun", sun, "a direction off the zenith, by which shadows fall")
-        # Under a low Sun looks are vague along it alone: they begin rocks from as far as under 20
-        # deg. What the model of shadows has wrong along it grows as the shadows do.
-        self._longer, longer = look_stretch(sun), shadow_stretch(sun)
+            raise InputError(
+                "sun", sun, "must not point to the zenith, where shadows have no direction"
+            )
+        # Under a low Sun, observations are less accurate along it only, so the limit for new rocks
+        # scales with the scatter. The error of the shadow model along the Sun grows with the shadow
+        # length.
+        self._scatter_factor, longer = observation_scatter_factor(sun), shadow_length_ratio(sun)
         if self._time is not None:
             self.filter.widen(s.radius_wander, time - self._time)
         self._time = time
@@ -249,54 +273,56 @@ class RockTracker:
         )  # fmt: skip
 
     def large_rocks(self, diameter: float, grid: Grid) -> int:
-        """Return how many rocks on a grid are likelier than not to be there and so large (m)."""
+        """Return the number of probable rocks on a grid with at least a diameter (m)."""
         f = self.filter
         there = (self.existence > 0.5) & (2.0 * f.radius >= diameter)
         return int(np.count_nonzero(there & grid.contains(f.xy)))
 
     def moved(self) -> tuple[Array, Array]:
-        """Return where rocks stand (n, 2) and how far they were moved since last asked (n, 2), m.
+        """Return positions of rocks and their motion since the last call (n, 2), m.
 
-        NaN for rocks begun since.
+        The motion is NaN for rocks added since.
         """
         stand = self.filter.xy.copy()
-        by, self._stood = stand - self._stood, stand
+        by, self._last_positions = stand - self._last_positions, stand
         return stand, by
 
     def renew(self) -> None:
-        """Let all rocks go, to begin anew with those that are seen from where the lander is."""
+        """Drop all rocks, to start again with those visible from the current state."""
         self._drop(np.arange(self.filter.count))
-        self.tentative = Tentative.none()
+        self.tentative = TentativeRocks.none()
         self.as_expected = True
         self.renewals += 1
 
-    def _explained(self, found: Outcome, expected: Outcome, time: float) -> bool:
-        """Watch what came of an image; return whether the rocks can be kept."""
+    def _passes_monitors(self, found: Outcome, expected: Outcome, time: float) -> bool:
+        """Update the innovation monitors; return whether the rocks can be kept."""
         remedies = [
             self.filter.judge("places", time, found),
             self.filter.judge("expected", time, expected),
         ]
         return Remedy.RENEW not in remedies
 
-    def _agreeing(self, seen: Detections, sight: Sight, d: Index, rock: Index) -> NDArray[np.bool_]:
-        """Return which pairs (p,) are off by what most pairs are off by.
+    def _consistent_pairs(
+        self, seen: Detections, sight: Sight, d: Index, rock: Index
+    ) -> NDArray[np.bool_]:
+        """Return which pairs (p,) have the offset that most pairs have in common.
 
-        An error of the lander's pose moves all rocks of an image together, so a wrong pair shows
-        against the others even where its own gate is wide.
+        A pose error moves all rocks of an image together, so a wrong pair differs from the others
+        even if its own gate is wide.
         """
         if len(d) < 4:
             return np.ones(len(d), bool)
         off = seen.pixel[d] - sight.pixel[rock]
         off = off - np.median(off, axis=0)
         own = sight.by_rock[rock]
-        # Rocks' errors less what they share with the lander's position.
+        # Errors of the rocks minus the part common with the lander's position.
         s = seen.look_covariance[d] + own @ self.filter.relative_covariance()[rock] @ np.swapaxes(
             own, 1, 2
         )
         s = s + self.settings.common_pixels**2 * np.eye(2)
-        return np.asarray(squared_distance(off, s) < _AGREEMENT)
+        return np.asarray(squared_distance(off, s) < _CHI2_2DOF_997)
 
-    def _judge(
+    def _update_existence(
         self,
         hit: Index,
         view: Index,
@@ -306,53 +332,55 @@ class RockTracker:
         sun: Array,
         plane: GroundPlane,
     ) -> Outcome:
-        """Change the odds that each rock in view is one, by Bayes.
+        """Update the existence of each rock in view by Bayes' rule.
 
         Returns
         -------
         expected
-            Whether as many were found as should have been, of those that were sure once: "taken"
-            if so; of no degrees of freedom if there were too few.
+            Outcome whether enough of the established rocks were found; zero degrees of freedom if
+            too few were expected.
         """
         odds = self.existence / (1.0 - self.existence)
         false = self.rates.false_positive(seen.q[d])
-        odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MOST_EVIDENCE)
+        odds[hit] *= np.clip((1.0 - false) / false, 1.0, _MAX_ODDS_FACTOR)
         lost = np.setdiff1d(view, hit)
         eye, focal = self.filter.inertial.position, float(np.sqrt(camera.fx * camera.fy))
-        azimuth, depression, pixel = aspect(self.filter.xyz[lost], eye, focal, sun, plane)
-        model = along(self.model, plane, sun)
+        azimuth, depression, pixel = viewing_geometry(self.filter.xyz[lost], eye, focal, sun, plane)
+        model = model_on_plane(self.model, plane, sun)
         miss = self.rates.false_negative(
             model.visible_pixels(self.filter.radius[lost], azimuth, depression, pixel)
         )
-        # A rock whose shadow runs into another's is no missing rock.
+        # A rock whose shadow merges with another is not missing.
         unit = model.patch(azimuth, depression)
-        miss[in_the_dark(self.filter, lost, unit, seen, camera, sun, plane)] = 1.0
-        self._established |= (self.existence > _SURE) & (self.hits >= _SURE_HITS)
-        # A few rocks tell that this image is not of the place; more that the map is not.
-        seen_before = (self.existence > _SURE) & (self.hits > _SEEN_HITS)
+        miss[is_dark_at_patch(self.filter, lost, unit, seen, camera, sun, plane)] = 1.0
+        self._established |= (self.existence > _ESTABLISHED_EXISTENCE) & (
+            self.hits >= _ESTABLISHED_HITS
+        )
+        # A few rocks suffice to reject this image; more are needed to reject the map.
+        seen_before = (self.existence > _ESTABLISHED_EXISTENCE) & (self.hits > _MIN_PREVIOUS_HITS)
         shown = float(np.count_nonzero(seen_before[hit]))
         hidden = float(((1.0 - miss) * seen_before[lost]).sum())
-        if shown + hidden >= _SEEN_ROCKS:
-            self.as_expected = shown > _SEEN_SHARE * (shown + hidden)
+        if shown + hidden >= _MIN_EXPECTED_ROCKS:
+            self.as_expected = shown > _MIN_DETECTED_FRACTION * (shown + hidden)
         found = float(np.count_nonzero(self._established[hit]))
         missed = float(((1.0 - miss) * self._established[lost]).sum())
-        odds[lost] *= np.clip(miss, _MISS, 1.0)
+        odds[lost] *= np.clip(miss, _MIN_MISS_FACTOR, 1.0)
         self.existence = np.clip(odds / (1.0 + odds), 1e-6, 1.0 - 1e-4)
         if found + missed < self.settings.least_expected:
             return Outcome(np.nan, 0, False)
         return Outcome(1.0, 1, found > self.settings.least_found * (found + missed))
 
-    def _keep_tentative(
+    def _store_tentative(
         self, vague: NDArray[np.bool_], seen: Detections, points: Array, covariance: Array,
         variance: Array,
     ) -> None:  # fmt: skip
-        """Remember what was seen and not tracked: the map must not call it clear.
+        """Store untracked detections, so that the map does not declare them clear.
 
-        What does not lie on the ground, as above the horizon, has no place on the map.
+        Detections that do not lie on the ground, such as above the horizon, are dropped.
         """
         sigma = np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))
         kept = vague & np.isfinite(points[:, :2]).all(1) & np.isfinite(sigma + variance)
-        self.tentative = Tentative(
+        self.tentative = TentativeRocks(
             points[kept, :2],
             sigma[kept],
             seen.radius[kept],
@@ -366,12 +394,12 @@ class RockTracker:
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Add detections that belong to no rock; return which were added (d,).
 
-        `points` (d, 3) are their places on the ground, m.
+        `points` (d, 3) are their positions on the ground, m.
         """
         s = self.settings
-        # Where it shows must be known to a fraction of the distance between rocks.
+        # The position error must be a fraction of the distance between rocks.
         spread = ground_spread(points, seen.look_covariance, self.filter, camera)
-        sharp = spread < self._near_enough(seen.radius)
+        sharp = spread < self._max_birth_sigma(seen.radius)
         fresh = fresh & (seen.q >= s.birth_q) & sharp
         fresh &= np.isfinite(points).all(1) & np.isfinite(variance)
         fresh &= positive(seen.look_covariance)
@@ -390,42 +418,44 @@ class RockTracker:
         real = 1.0 - self.rates.false_positive(seen.q[new])
         self.existence = np.concatenate((self.existence, np.clip(real, 0.1, 0.99)))
         self.hits = np.concatenate((self.hits, np.ones(new.size, np.int64)))
-        self.corrected = np.concatenate((self.corrected, np.full(new.size, self._now)))
+        self.corrected = np.concatenate((self.corrected, np.full(new.size, self._last_time)))
         self._established = np.concatenate((self._established, np.zeros(new.size, bool)))
-        self._young = np.concatenate((self._young, np.ones(new.size, bool)))
-        self._stood = np.concatenate((self._stood, np.full((new.size, 2), np.nan)))
+        self._seen_once = np.concatenate((self._seen_once, np.ones(new.size, bool)))
+        self._last_positions = np.concatenate(
+            (self._last_positions, np.full((new.size, 2), np.nan))
+        )
         return born
 
-    def _near_enough(self, radius: Array) -> Array:
-        """Return within what standard deviation looks must show rocks (n,) to begin them, m."""
-        return np.asarray(self._longer * np.maximum(self.settings.birth_sigma, radius / 3))
+    def _max_birth_sigma(self, radius: Array) -> Array:
+        """Return the maximum position error of detections that start a track (n,), m."""
+        return np.asarray(self._scatter_factor * np.maximum(self.settings.birth_sigma, radius / 3))
 
-    def _begin_anew(
+    def _reinitialize(
         self, rock: Index, d: Index, seen: Detections, camera: CameraModel, variance: Array
     ) -> None:
-        """Let rocks that were seen once stand where detections (m,) show them now.
+        """Move rocks seen once to their positions in the second observation (m,).
 
-        A rock begins with a patch that is large enough, and the error that makes a patch large
-        moves its centre towards the Sun: by a third of a pixel on rendered cubes. Its next look was
-        not chosen so. Taken together, the two would pass for the lander's way.
+        A track starts with a patch that is large enough, and an error that enlarges a patch moves
+        its centre towards the Sun, by a third of a pixel on rendered cubes. The next observation
+        has no such selection bias. Using both would appear as a motion of the lander.
         """
         look = seen.look_covariance[d]
         points = self.filter.ground_points(camera, seen.pixel[d])
         good = np.isfinite(points).all(1) & positive(look)
         good &= np.isfinite(variance[d]) & (variance[d] > 0.0)
-        # One that says next to nothing is waited out, and no look is chosen by how well it shows.
+        # Inaccurate observations are skipped for all rocks alike, without a selection by accuracy.
         vague = ground_spread(points, look, self.filter, camera)
-        good &= vague <= _VAGUE * self._near_enough(seen.radius[d])
+        good &= vague <= _MAX_SIGMA_RATIO * self._max_birth_sigma(seen.radius[d])
         rock, d = rock[good], d[good]
         self.filter.begin_anew(
             rock, camera, seen.pixel[d], seen.look_covariance[d], seen.radius[d], variance[d]
         )
-        self._young[rock] = False
-        self._stood[rock] = np.nan
-        self.corrected[rock] = self._now
+        self._seen_once[rock] = False
+        self._last_positions[rock] = np.nan
+        self.corrected[rock] = self._last_time
 
     def _merge(self) -> None:
-        """Drop the less seen of two rocks of which one's centre lies in the other."""
+        """Delete the rock with fewer hits if the centre of one lies within the other."""
         f = self.filter
         if f.count < 2:
             return
@@ -440,17 +470,17 @@ class RockTracker:
             (self.hits[a] == self.hits[b]) & (f.radius[a] >= f.radius[b])
         )
         kept, dropped = np.where(first, a, b), np.where(first, b, a)
-        # A chain of doubles keeps its first link.
+        # A chain of duplicates keeps its first member.
         dropped = np.setdiff1d(dropped, np.setdiff1d(kept, dropped))
         self._drop(dropped)
 
     def _split(self, seen: Detections, points: Array, camera: CameraModel, variance: Array) -> int:
-        """Replace a rock by the smaller ones into which a sharper image resolves it.
+        """Replace a rock by the smaller ones that a sharper image resolves.
 
         Returns
         -------
-        parted
-            How many were begun: the last of all.
+        split_count
+            Number of rocks added; they are the last in the filter.
         """
         f = self.filter
         if f.count == 0 or len(seen) < 2:
@@ -476,8 +506,8 @@ class RockTracker:
             self.hits = self.hits[keep]
             self.corrected = self.corrected[keep]
             self._established = self._established[keep]
-            self._young = self._young[keep]
-            self._stood = self._stood[keep]
+            self._seen_once = self._seen_once[keep]
+            self._last_positions = self._last_positions[keep]
 
 
 def _in_view(sight: Sight, camera: CameraModel, margin: float = 4.0) -> NDArray[np.bool_]:

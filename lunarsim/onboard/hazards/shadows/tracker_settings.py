@@ -1,4 +1,4 @@
-"""When rocks come, go, join and part."""
+"""Settings of the rock tracker."""
 
 from __future__ import annotations
 
@@ -12,51 +12,50 @@ from lunarsim.onboard.navigation.rock_filter import Region
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """When rocks come, go, join and part.
+    """Criteria for adding, deleting, merging and splitting rocks.
 
     Attributes
     ----------
     least_radius
-        Smaller ones are not tracked, m.
+        Minimum radius of tracked rocks, m.
     landmark_radius, few
-        While fewer tracked rocks than so many are in view, smaller ones begin too, down to this
-        radius, m, and until there are twice as many none of these is let go: by them places are
-        known from the lander.
+        While fewer than `few` tracked rocks are in view, rocks down to `landmark_radius` (m) are
+        added as landmarks; they are kept until twice as many are in view.
     region
-        West, east, south, north limits of where rocks are tracked, m; None: everywhere.
+        West, east, south and north limits of the tracked area, m; None: unlimited.
     birth_q
-        Least q of a detection that begins a rock.
+        Minimum q of a detection that starts a track.
     birth_sigma
-        Greatest standard deviation of its place on the ground, m; for large rocks a third of the
-        radius. Under a low Sun more, by `look_stretch`.
+        Maximum position error of such a detection, m; for large rocks a third of the radius. Under
+        a low Sun it scales with `observation_scatter_factor`.
     radius_wander
-        Share by which the measured radius changes in a second as the view turns.
+        Relative change of the measured radius per second as the view changes.
     radius_doubt
-        Standard deviation of a measured radius, a share of it, beyond the detector's.
+        Relative standard deviation of a measured radius, in addition to the detector's.
     radius_floor
         See `RockFilter.update_rocks`.
     common_pixels
-        Error that all rocks of an image share, see `RockFilter.update_rocks`, pixels.
+        Error common to all rocks of an image, see `RockFilter.update_rocks`, pixels.
     view_wander
-        Of rocks' centres as the view turns, see `RockFilter.turn`: along the Sun, across, and what
-        all share.
+        Process noise of centres as the view changes, see `RockFilter.turn`: along the Sun, across,
+        and common to all rocks.
     range_wander
-        Of rocks' centres as the range falls, see `RockFilter.turn`: what all share, pixels.
+        Process noise of centres as the range decreases, see `RockFilter.turn`: common to all,
+        pixels.
     most_off
-        Normalised innovation squared a degree of freedom, beyond which an image is refused.
+        Maximum normalised innovation squared per degree of freedom of an accepted image.
     least_expected
-        Rocks that should show in an image to tell whether they do.
+        Minimum number of expected rocks for testing whether they are found.
     least_found
-        Share of them that should be found.
+        Minimum fraction of them that must be found.
     large
-        With more rocks than that, time is saved: those out of view are left as they are, see
-        `RockFilter.rest`, and one image corrects half of `most_updates`.
+        Above this number of rocks, those out of view are not updated, see `RockFilter.rest`, and an
+        image updates half of `most_updates`, to save time.
     most_rocks
-        Above this no rock is added.
+        Maximum number of rocks.
     most_updates
-        Rocks whose places one image may correct. Those that have waited longest come first, so
-        that the cost of an image does not grow with the square of what is in view. Radii, which
-        cost nothing, are corrected of all.
+        Maximum number of position updates per image, longest waiting first, so that the cost does
+        not grow with the square of the rocks in view. Radii of all rocks are updated.
     """
 
     least_radius: float = 0.1
@@ -84,17 +83,19 @@ class TrackerSettings:
                      "range_wander", "birth_q", "birth_sigma", "radius_floor", "most_off",
                      "least_expected", "large", "most_rocks", "most_updates"):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
-                raise InputError(f"tracker.{name}", getattr(self, name), "0 or a positive number")
+                raise InputError(f"tracker.{name}", getattr(self, name), "must be 0 or positive")
         if not 0.0 <= self.least_found <= 1.0:
-            raise InputError("tracker.least_found", self.least_found, "a share from 0 to 1")
+            raise InputError("tracker.least_found", self.least_found, "must be between 0 and 1")
         if self.region is not None:
             limits = np.shape(self.region) == (4,)
             if not (limits and self.region[0] < self.region[1] and self.region[2] < self.region[3]):
-                raise InputError("tracker.region", self.region, "west < east, south < north")
+                raise InputError(
+                    "tracker.region", self.region, "must have west < east and south < north"
+                )
         shares = np.ravel((*np.atleast_1d(self.view_wander), self.common_pixels))
         if not (len(shares) == 4 and np.isfinite(shares).all() and (shares >= 0.0).all()):
             given = (self.view_wander, self.common_pixels)
             raise InputError(
                 "tracker.view_wander, tracker.common_pixels", given,
-                "three numbers and one, 0 or positive",
+                "must be three numbers and one number, each 0 or positive",
             )  # fmt: skip

@@ -1,15 +1,15 @@
-"""What each measurement tells of the error state: one file a kind."""
+"""Measurement models for attitudes, slant ranges and Doppler speeds."""
 
-from lunarsim.onboard.navigation.measured.attitude import symmetric, take_attitude
-from lunarsim.onboard.navigation.measured.ranges import LEAST_DOWN, VAGUE, take_range
-from lunarsim.onboard.navigation.measured.speeds import speed_errors, take_speeds
+from lunarsim.onboard.navigation.measured.attitude import is_symmetric, update_with_attitude
+from lunarsim.onboard.navigation.measured.ranges import MAX_SIGMA_M, MIN_DOWN_COSINE, take_range
+from lunarsim.onboard.navigation.measured.speeds import speed_bias_model, update_with_speeds
 
 __all__ = [
-    "LEAST_DOWN",
-    "VAGUE",
-    "speed_errors",
-    "symmetric",
-    "take_attitude",
+    "MAX_SIGMA_M",
+    "MIN_DOWN_COSINE",
+    "is_symmetric",
+    "speed_bias_model",
     "take_range",
-    "take_speeds",
+    "update_with_attitude",
+    "update_with_speeds",
 ]

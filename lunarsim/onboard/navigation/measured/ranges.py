@@ -1,4 +1,4 @@
-"""A slant range to level ground (shadow EKF paper, Eq. 9, for any boresight)."""
+"""Measurement model of a slant range to flat terrain (shadow EKF paper, Eq. 9)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from lunarsim.onboard.navigation.error_state import MAP, POSE, ErrorState, Outco
 
 Array = NDArray[np.float64]
 
-# Cosine from straight down beyond which a beam says little of the ground below.
-LEAST_DOWN = 0.1
-# A deviation beyond this tells nothing, m: its square may be no number.
-VAGUE = 1e9
+# Minimum cosine between a beam and straight down; flatter beams are ignored.
+MIN_DOWN_COSINE = 0.1
+# Standard deviations above this are ignored, m: their square can overflow.
+MAX_SIGMA_M = 1e9
 
 
 def take_range(
@@ -25,33 +25,33 @@ def take_range(
     *,
     block: str | None = None,
     part: int = 0,
-    rise: float = 0.0,
+    terrain_variance: float = 0.0,
     gate: float = np.inf,
 ) -> Outcome:
-    """Take in a range.
+    """Update the error state with a slant range along any boresight.
 
     Parameters
     ----------
     state
-        Of the filter.
+        Error state of the filter.
     distance, sigma
-        Measured, and its standard deviation, m; NaN, or a deviation that is not positive or
-        beyond any use, tells nothing.
+        Range and its standard deviation, m. The reading is ignored if the range is NaN, or the
+        deviation is not positive or too large.
     beam
-        Unit vector (3,), body axes.
+        Unit vector of the beam (3,), body axes.
     ground
-        Elevation of the ground in the site frame, m.
+        Elevation of the terrain in the site frame, m.
     block
-        What is to be added to that elevation is kept there in the state; left out: nothing.
+        Name of the block with the correction of this elevation; default: no correction.
     part
-        Which error of that block.
-    rise
-        Variance of the ground's height where the beam meets it, along the beam, m^2.
+        Index of the correction in that block.
+    terrain_variance
+        Variance of the terrain height at the footprint, along the beam, m^2.
     gate
-        See `ErrorState.measure`.
+        Maximum normalised innovation squared, as for `ErrorState.measure`.
     """
     nothing = Outcome(np.nan, 1, False)
-    if not (0.0 < distance < np.inf and 0.0 < sigma < VAGUE):
+    if not (0.0 < distance < np.inf and 0.0 < sigma < MAX_SIGMA_M):
         return nothing
     rotation = quat_to_matrix(state.inertial.attitude)
     b = np.asarray(beam, dtype=np.float64)
@@ -60,7 +60,7 @@ def take_range(
     if state.has(MAP):
         level += float(state.value(MAP)[2])
     height = float(state.inertial.position[2]) - level
-    if down > -LEAST_DOWN:
+    if down > -MIN_DOWN_COSINE:
         return nothing
     jacobian = np.array([-1.0 / down, *(-height / down**2 * np.cross(rotation[2], b))])
     columns = POSE[2:]
@@ -68,7 +68,9 @@ def take_range(
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(block).start + part)
     if state.has(MAP):
-        # The ground's elevation is known in the site frame.
+        # The elevation of the terrain is given in the site frame.
         jacobian = np.append(jacobian, 1.0 / down)
         columns = np.append(columns, state.block(MAP).start + 2)
-    return state.measure(jacobian, columns, distance + height / down, [sigma**2 + rise], gate)
+    return state.measure(
+        jacobian, columns, distance + height / down, [sigma**2 + terrain_variance], gate
+    )

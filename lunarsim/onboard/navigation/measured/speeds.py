@@ -1,4 +1,4 @@
-"""Speeds along the beams of a Doppler velocimeter."""
+"""Measurement model of the speeds along the beams of a Doppler velocimeter."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from lunarsim.models.instruments import FixedBeams
 from lunarsim.onboard.navigation.error_state import ErrorState, Outcome
 
 _COLUMNS = np.r_[3:6, 9:12]
-# No beam's speeds are known to be off by less over a flight, m/s: of a beam that is off by a little
-# all measurements say the same, and together they would move the velocity by that.
-_LEAST_SPEED_BIAS = 0.02
-# Nor does that wander by less in a second, m/s.
-_LEAST_SPEED_WANDER = 0.005
+# Minimum standard deviation of the speed bias of a beam, m/s. A constant bias affects all readings
+# alike, and with a smaller value they would together move the velocity by it.
+_MIN_SPEED_BIAS_M_S = 0.02
+# Minimum random walk of the bias in 1 s, m/s.
+_MIN_SPEED_WALK_M_S = 0.005
 
 
-def speed_errors(velocimeter: FixedBeams) -> tuple[float, float]:
-    """Return what the speeds of a beam are off by at the start, and what that wanders in a second.
+def speed_bias_model(velocimeter: FixedBeams) -> tuple[float, float]:
+    """Return the initial speed bias of a beam, and its random walk in 1 s.
 
-    Standard deviations, m/s: as stated, and not less than is likely.
+    Both are standard deviations, m/s: the specified ones, but not less than realistic minima.
     """
     return (
-        max(velocimeter.speed_bias, _LEAST_SPEED_BIAS),
-        max(velocimeter.speed_wander, _LEAST_SPEED_WANDER),
+        max(velocimeter.speed_bias, _MIN_SPEED_BIAS_M_S),
+        max(velocimeter.speed_wander, _MIN_SPEED_WALK_M_S),
     )
 
 
-def take_speeds(
+def update_with_speeds(
     state: ErrorState,
     speed: ArrayLike,
     sigma: ArrayLike,
@@ -40,48 +40,48 @@ def take_speeds(
     biases: ArrayLike | None = None,
     known: ArrayLike | float = 0.0,
 ) -> Outcome:
-    """Take in speeds over the ground.
+    """Update the error state with speeds along beams.
 
-    A beam b (body axes) sees ``b' R' v``; a small rotation of the body changes that by
-    ``(b x R' v)'`` times itself.
+    A beam b (body axes) measures ``b' R' v``; a small rotation of the body changes this by the
+    product of ``(b x R' v)'`` and the rotation.
 
     Parameters
     ----------
     state
-        Of the filter.
+        Error state of the filter.
     speed, sigma
-        Along each beam and their standard deviations (n,), m/s; beams without a return, or whose
-        deviation is not positive, tell nothing.
+        Speed along each beam and its standard deviation (n,), m/s; beams without a return or with a
+        deviation that is not positive are ignored.
     beams
-        Unit vectors (n, 3), body axes.
+        Unit vectors of the beams (n, 3), body axes.
     gate
-        See `ErrorState.measure`.
+        Maximum normalised innovation squared, as for `ErrorState.measure`.
     biases
-        Places (n,) in the error state of what the beams are off by; left out: by nothing.
+        Indices of the beam biases in the error state (n,); default: no biases.
     known
-        What they are thought to be off by now (n,), m/s.
+        Estimated biases (n,), m/s.
 
     Returns
     -------
     Outcome
-        Its `white` has a place for every beam.
+        Outcome of the update; `white` has one element per beam.
     """
     measured, noise = np.asarray(speed, np.float64), np.asarray(sigma, np.float64)
-    seen = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
-    if not seen.any():
+    has_return = np.isfinite(measured) & np.isfinite(noise) & (noise > 0.0)
+    if not has_return.any():
         return Outcome(np.nan, 0, False)
-    b = np.asarray(beams, np.float64)[seen]
+    b = np.asarray(beams, np.float64)[has_return]
     rotation = quat_to_matrix(state.inertial.attitude)
-    own = rotation.T @ state.inertial.velocity
-    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, own))), _COLUMNS
-    innovation = measured[seen] - b @ own
+    body_velocity = rotation.T @ state.inertial.velocity
+    jacobian, columns = np.hstack((b @ rotation.T, np.cross(b, body_velocity))), _COLUMNS
+    innovation = measured[has_return] - b @ body_velocity
     if biases is not None:
         jacobian = np.hstack((jacobian, np.eye(len(b))))
-        columns = np.append(columns, np.asarray(biases)[seen])
-        innovation = innovation - np.broadcast_to(known, len(seen))[seen]
-    found = state.measure(jacobian, columns, innovation, noise[seen] ** 2, gate)
-    if not found.taken:
-        return found
-    white = np.full(len(seen), np.nan)
-    white[seen] = found.white
-    return replace(found, white=white)
+        columns = np.append(columns, np.asarray(biases)[has_return])
+        innovation = innovation - np.broadcast_to(known, len(has_return))[has_return]
+    outcome = state.measure(jacobian, columns, innovation, noise[has_return] ** 2, gate)
+    if not outcome.taken:
+        return outcome
+    white = np.full(len(has_return), np.nan)
+    white[has_return] = outcome.white
+    return replace(outcome, white=white)

@@ -1,4 +1,4 @@
-"""The fused map: of one eye its own, of two no safer for worse evidence of either."""
+"""Test the fused map: one sensor gives its own map, worse evidence is never safer."""
 
 from __future__ import annotations
 
@@ -12,12 +12,18 @@ from hypothesis import strategies as st
 
 from lunarsim.errors import InputError
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.association import COMMON, existence_given_relief
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
-from lunarsim.onboard.hazards.fusion.heights import clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import believed
-from lunarsim.onboard.hazards.fusion.registration import registered
-from lunarsim.onboard.hazards.fusion.resampling import on_grid
+from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
+from lunarsim.onboard.hazards.fusion.registration import register_tracks
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
+from lunarsim.onboard.hazards.fusion.rock_existence import (
+    COMMON_MISS_PROBABILITY,
+    existence_given_elevations,
+)
+from lunarsim.onboard.hazards.fusion.rock_heights import (
+    estimate_rock_heights,
+    rock_free_probability,
+)
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.hazards.published import ReliefEvidence
 from lunarsim.safety.calibration import calibrated_safety, measured
@@ -41,7 +47,7 @@ from tests.two_eyes import (
     tracks,
 )
 
-# --- one eye, or one that saw nothing ----------------------------------------------------------
+# --- one sensor, or one without observations ---------------------------------------------------
 
 
 @pytest.mark.parametrize("density", [2.0, 30.0])
@@ -49,27 +55,27 @@ def test_a_map_of_elevations_alone_is_its_own_or_that_of_level_ground_if_that_is
     rough = np.full(GRID.shape, 0.2)
     rough[:4] = 0.9
     own = relief(rough=rough, **DOUBTED | {"density": density, "curve": rocky(0.1)})
-    alone = fused_map(own, None, TERMS)
+    alone = fuse_evidence(own, None, TERMS)
     level = [
         [plain.level_ground(0.5, share, unseen, 1.0, 1.0, 0.9) for share, unseen in pairs]
-        for pairs in map(zip, rough, own.judged.hazards())
+        for pairs in map(zip, rough, own.site_evidence.hazards())
     ]
-    assert alone.p_safe == pytest.approx(np.maximum(own.drawn.p_safe, level), rel=1e-5)
-    raised = alone.p_safe > own.drawn.p_safe
+    assert alone.p_safe == pytest.approx(np.maximum(own.hazard_map.p_safe, level), rel=1e-5)
+    raised = alone.p_safe > own.hazard_map.p_safe
     assert raised.any()
-    assert np.array_equal(alone.in_domain, own.drawn.in_domain & ~raised)
-    # An eye that saw nothing changes nothing.
-    blind = fused_map(own, eyes(seen=False), TERMS)
+    assert np.array_equal(alone.in_domain, own.hazard_map.in_domain & ~raised)
+    # A rock sensor without observations changes nothing.
+    blind = fuse_evidence(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
         assert np.array_equal(getattr(blind, name), getattr(alone, name)), name
 
 
 def test_a_map_of_elevations_that_do_not_tell_how_they_were_judged_is_its_own():
-    own = replace(relief(rough=0.2), judged=None)
-    blind = fused_map(own, eyes(seen=False), TERMS)
+    own = replace(relief(rough=0.2), site_evidence=None)
+    blind = fuse_evidence(own, eyes(seen=False), TERMS)
     for name in ("p_safe", "observed", "in_domain"):
-        assert np.array_equal(getattr(blind, name), getattr(own.drawn, name)), name
-    assert fused_map(own, None, TERMS) is own.drawn
+        assert np.array_equal(getattr(blind, name), getattr(own.hazard_map, name)), name
+    assert fuse_evidence(own, None, TERMS) is own.hazard_map
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -84,41 +90,44 @@ def test_what_a_calibration_of_its_own_claims_stays_where_the_other_eye_saw_noth
     assert ((p > HOPELESS) & (p < SURE)).any()
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     own = ReliefEvidence(drawn, judged if told else None, refit, SAMPLED)
-    blind = fused_map(own, eyes(seen=False), TERMS)
+    blind = fuse_evidence(own, eyes(seen=False), TERMS)
     assert np.array_equal(blind.p_safe, p)
     assert np.array_equal(blind.in_domain, known)
-    # Where a rock is tracked none is claimed in between.
-    rock = fused_map(own, eyes(1.0, tracks((0.0, 0.0, 0.4, 0.3)), seen=False), TERMS)
+    # No calibrated probability is claimed where a rock is tracked.
+    rock = fuse_evidence(own, eyes(1.0, tracks((0.0, 0.0, 0.4, 0.3)), seen=False), TERMS)
     assert not rock.in_domain[0, 0]
 
 
 def test_a_map_of_rocks_alone_is_its_own_times_what_is_expected_of_the_ground():
     own = eyes(0.1, tracks((2.0, 2.0, 0.4, 0.9)))
-    alone = fused_map(None, own, TERMS)
-    assert np.array_equal(alone.p_safe, np.float32(0.9) * own.drawn.p_safe)
+    alone = fuse_evidence(None, own, TERMS)
+    assert np.array_equal(alone.p_safe, np.float32(0.9) * own.hazard_map.p_safe)
     assert alone.observed.all()
     assert not alone.in_domain.any()
-    with pytest.raises(InputError, match="fused_map"):
-        fused_map(None, None, TERMS)
+    with pytest.raises(InputError, match="evidence"):
+        fuse_evidence(None, None, TERMS)
     for prior in (1.0, -0.1, np.nan):
         with pytest.raises(InputError, match="relief_prior"):
             replace(TERMS, relief_prior=prior)
 
 
 def test_a_map_that_does_not_tell_what_it_was_drawn_from_is_only_multiplied():
-    own = replace(relief(), judged=None)
-    both = fused_map(own, eyes(0.1, tracks((2.0, 2.0, 0.4, 0.5))), TERMS)
-    assert both.p_safe == pytest.approx(0.5 * own.drawn.p_safe, rel=1e-6)
+    own = replace(relief(), site_evidence=None)
+    both = fuse_evidence(own, eyes(0.1, tracks((2.0, 2.0, 0.4, 0.5))), TERMS)
+    assert both.p_safe == pytest.approx(0.5 * own.hazard_map.p_safe, rel=1e-6)
 
 
-# --- two eyes ----------------------------------------------------------------------------------
+# --- two sensors -------------------------------------------------------------------------------
 
 
 def test_lit_ground_makes_sites_safer_and_dark_ground_less_safe():
     own = relief(rough=0.2, density=3.0, curve=rocky(2.0))
-    p = [fused_map(own, eyes(r), TERMS).p_safe[4, 4] for r in (20.0, 1.0, 0.3, COMMON, 0.0)]
+    p = [
+        fuse_evidence(own, eyes(r), TERMS).p_safe[4, 4]
+        for r in (20.0, 1.0, 0.3, COMMON_MISS_PROBABILITY, 0.0)
+    ]
     assert p[0] < p[1] < p[2] < p[3]
-    # Both eyes miss some rocks for one reason.
+    # Both sensors miss some rocks for a common reason.
     assert p[4] == p[3]
 
 
@@ -127,8 +136,10 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
     rng = np.random.default_rng(3)
     ratio = rng.uniform(0.05, 2.0, GRID.shape)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
-    both = fused_map(own, eyes(ratio, known), TERMS)
-    thinned = replace(own.judged, thinning=thinning_of(eyes(ratio), GRID, TERMS))
+    both = fuse_evidence(own, eyes(ratio, known), TERMS)
+    thinned = replace(
+        own.site_evidence, thinning=footprint_undetected_ratio(eyes(ratio), GRID, TERMS)
+    )
     p, _ = calibrated_safety(thinned)
     for row, col in product(range(SIDE), repeat=2):
         x, y = GRID.centre_of(row, col)
@@ -140,13 +151,15 @@ def test_the_map_is_the_thinned_one_times_the_rocks_that_are_tracked():
 
 
 def test_where_samples_are_told_rocks_count_as_high_as_both_eyes_have_them():
-    own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), rises=SAMPLED)
+    own = replace(relief(rough=0.2, density=3.0, curve=rocky(2.0)), residual_heights=SAMPLED)
     known = tracks((0.1, 0.2, 0.4, 0.7), (4.0, 3.9, 0.3, 0.2))
-    both = fused_map(own, eyes(0.3, known), TERMS)
-    thinned = replace(own.judged, thinning=thinning_of(eyes(0.3), GRID, TERMS))
+    both = fuse_evidence(own, eyes(0.3, known), TERMS)
+    thinned = replace(
+        own.site_evidence, thinning=footprint_undetected_ratio(eyes(0.3), GRID, TERMS)
+    )
     p, _ = calibrated_safety(thinned)
-    heights = heights_of(known, samples(own), LANDER)
-    expected = p * clear_of(known, heights, GRID, LANDER)
+    heights = estimate_rock_heights(known, samples(own), LANDER)
+    expected = p * rock_free_probability(known, heights, GRID, LANDER)
     assert both.p_safe == pytest.approx(expected, rel=1e-5)
     assert (expected < 0.99 * p).any()
 
@@ -160,9 +173,11 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
 ):
     def p(e=there, d=density, t=top):
         own = relief(rough=0.2)
-        judged = replace(own.judged, density=np.full(GRID.shape, d))
-        own = replace(own, judged=judged, rises=np.full(GRID.shape, t, np.float32))
-        return fused_map(own, eyes(0.3, tracks((2.0, 2.0, radius, e))), TERMS).p_safe
+        judged = replace(own.site_evidence, density=np.full(GRID.shape, d))
+        own = replace(
+            own, site_evidence=judged, residual_heights=np.full(GRID.shape, t, np.float32)
+        )
+        return fuse_evidence(own, eyes(0.3, tracks((2.0, 2.0, radius, e))), TERMS).p_safe
 
     before = p()
     assert (p(e=there + worse * (0.5 - there)) <= before + 1e-6).all()
@@ -176,18 +191,18 @@ def test_worse_evidence_of_rocks_and_samples_never_makes_a_site_safer(
 @pytest.mark.parametrize("rocks", [20.0, 0.05])
 def test_ground_that_is_level_and_clear_is_no_less_safe_than_that(slope, rough, rocks):
     own = relief(slope=slope, rough=rough, **DOUBTED | {"curve": rocky(rocks)})
-    own = replace(own, rises=SAMPLED)
+    own = replace(own, residual_heights=SAMPLED)
     rock = tracks((0.1, 0.2, 0.5, 0.7))
     told = eyes(0.5, rock, unseen=raster(0.2))
-    judged = replace(own.judged, thinning=thinning_of(told, GRID, TERMS))
-    heights = heights_of(rock, samples(own), LANDER)
-    clear = clear_of(rock, heights, GRID, LANDER)
+    judged = replace(own.site_evidence, thinning=footprint_undetected_ratio(told, GRID, TERMS))
+    heights = estimate_rock_heights(rock, samples(own), LANDER)
+    clear = rock_free_probability(rock, heights, GRID, LANDER)
     p = calibrated_safety(judged)[0] * clear
-    # Where the camera has not looked, or is not believed, only what samples let expect counts.
-    blind = replace(told, drawn=replace(told.drawn, observed=np.zeros(GRID.shape, bool)))
+    # Where the camera has no observation, or is rejected, only the expectation from samples counts.
+    blind = replace(told, hazard_map=replace(told.hazard_map, observed=np.zeros(GRID.shape, bool)))
     raised = 0
     for eye, missed in ((told, 0.2), (replace(told, unseen=None), 1.0), (blind, 1.0)):
-        both = fused_map(own, eye, TERMS)
+        both = fuse_evidence(own, eye, TERMS)
         level = np.array([
             [plain.level_ground(slope, rough, unseen, missed, c, 0.9) for unseen, c in cells]
             for cells in map(zip, judged.hazards(), clear)
@@ -203,24 +218,24 @@ def test_where_nothing_is_thinned_out_the_elevations_count_as_they_are_bit_for_b
     left = np.arange(SIDE) == 0
     ratio = np.where(left, np.float32(0.01), np.float32(1.0)) * np.ones((2, *GRID.shape))
     rocks = eyes(ratio)
-    touched = thinning_of(rocks, GRID, TERMS).touched & own.drawn.observed
-    assert touched.any() and (own.drawn.observed & ~touched).any()
-    both = fused_map(own, rocks, TERMS)
-    rest = own.drawn.observed & ~touched
-    assert np.array_equal(both.p_safe[rest], own.drawn.p_safe[rest])
-    assert (both.p_safe[touched] > own.drawn.p_safe[touched]).any()
-    # The map of the elevations alone is not asked for.
-    asked = replace(own, draw=lambda: pytest.fail("judged"))
-    assert np.array_equal(fused_map(asked, rocks, TERMS).p_safe, both.p_safe)
+    touched = footprint_undetected_ratio(rocks, GRID, TERMS).touched & own.hazard_map.observed
+    assert touched.any() and (own.hazard_map.observed & ~touched).any()
+    both = fuse_evidence(own, rocks, TERMS)
+    rest = own.hazard_map.observed & ~touched
+    assert np.array_equal(both.p_safe[rest], own.hazard_map.p_safe[rest])
+    assert (both.p_safe[touched] > own.hazard_map.p_safe[touched]).any()
+    # The map of the elevations is not computed.
+    asked = replace(own, compute_map=lambda: pytest.fail("judged"))
+    assert np.array_equal(fuse_evidence(asked, rocks, TERMS).p_safe, both.p_safe)
 
 
 def test_an_eye_that_finds_far_too_few_rocks_is_not_believed():
-    own = replace(relief(**DOUBTED), rises=SAMPLED)
-    unlikely = replace(eyes().drawn, in_domain=np.zeros(GRID.shape, bool))
+    own = replace(relief(**DOUBTED), residual_heights=SAMPLED)
+    unlikely = replace(eyes().hazard_map, in_domain=np.zeros(GRID.shape, bool))
     for radius, counts in ((0.2, False), (0.3, True)):
         rocks = tracks(*((0.3 * k, 3.9, radius, 0.9) for k in range(12)))
-        found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), drawn=unlikely)
-        both, without = (fused_map(own, e, TERMS) for e in (found, replace(found, unseen=None)))
+        found = replace(eyes(1.0, rocks, unseen=raster(0.2), expected=40.0), hazard_map=unlikely)
+        both, without = (fuse_evidence(own, e, TERMS) for e in (found, replace(found, unseen=None)))
         assert (both.p_safe > without.p_safe).any() == counts, radius
 
 
@@ -228,29 +243,31 @@ def test_rocks_that_it_reads_too_small_count_by_the_heights_that_samples_have():
     rocks = tracks(*((0.3 * k, 2.0, 0.2, 0.9) for k in range(12)))
     for rise, known in ((0.0, False), (0.4, True)):
         own = relief(**DOUBTED)
-        judged = replace(own.judged, density=np.full(GRID.shape, 30.0))
-        own = replace(own, judged=judged, rises=raster(rise))
-        placed = registered(rocks, samples(own), 1.2)
-        heights = heights_of(placed, samples(own), LANDER)
+        judged = replace(own.site_evidence, density=np.full(GRID.shape, 30.0))
+        own = replace(own, site_evidence=judged, residual_heights=raster(rise))
+        placed = register_tracks(rocks, samples(own), 1.2)
+        heights = estimate_rock_heights(placed, samples(own), LANDER)
         found = replace(eyes(1.0, rocks, expected=40.0))
-        found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
-        assert believed(found, placed, heights, LANDER.roughness_limit) == known
+        found = replace(
+            found, hazard_map=replace(found.hazard_map, in_domain=np.zeros(GRID.shape, bool))
+        )
+        assert is_detection_count_plausible(found, placed, heights, LANDER.roughness_limit) == known
 
 
 def test_no_frequency_is_claimed_where_what_both_have_seen_of_the_ground_counts():
     own = relief(slope=0.5, rough=0.3, density=0.5, curve=rocky(20.0))
-    low = replace(own.drawn, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
-    own = replace(own, surface=low, rises=SAMPLED)
-    both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    low = replace(own.hazard_map, p_safe=raster(0.02), in_domain=np.ones(GRID.shape, bool))
+    own = replace(own, surface=low, residual_heights=SAMPLED)
+    both = fuse_evidence(own, eyes(1.0, unseen=raster(0.2)), TERMS)
     assert both.p_safe == pytest.approx(0.72)
     assert not both.in_domain.any()
-    assert fused_map(own, eyes(1.0), TERMS).in_domain.all()
-    # Nor without the other eye.
-    few = replace(own, judged=relief(slope=0.5, rough=0.3, density=300.0).judged)
-    alone = fused_map(few, None, TERMS)
+    assert fuse_evidence(own, eyes(1.0), TERMS).in_domain.all()
+    # The same holds without the other sensor.
+    few = replace(own, site_evidence=relief(slope=0.5, rough=0.3, density=300.0).site_evidence)
+    alone = fuse_evidence(few, None, TERMS)
     assert (alone.p_safe > 0.8).all()
     assert not alone.in_domain.any()
-    assert fused_map(own, None, TERMS).in_domain.all()
+    assert fuse_evidence(own, None, TERMS).in_domain.all()
 
 
 @given(
@@ -262,9 +279,11 @@ def test_less_level_or_clear_ground_is_never_safer(slope, rough, unseen, there, 
 
     def p(**changes):
         e = here | changes
-        own = replace(relief(slope=e["slope"], rough=e["rough"], **DOUBTED), rises=SAMPLED)
+        own = replace(
+            relief(slope=e["slope"], rough=e["rough"], **DOUBTED), residual_heights=SAMPLED
+        )
         rock = tracks((2.0, 2.0, 0.4, e["there"]))
-        return fused_map(own, eyes(1.0, rock, unseen=raster(e["unseen"])), TERMS).p_safe
+        return fuse_evidence(own, eyes(1.0, rock, unseen=raster(e["unseen"])), TERMS).p_safe
 
     before = p()
     for change in (
@@ -278,7 +297,7 @@ def test_what_is_left_under_a_footprint_is_the_mean_over_it():
     wide = Grid(0.0, 0.0, 0.5, 41, 41)
     ratio = np.ones(wide.shape)
     ratio[20, 20] = 31.0
-    mean = thinning_of(eyes(ratio, of=wide), wide, TERMS).ratio
+    mean = footprint_undetected_ratio(eyes(ratio, of=wide), wide, TERMS).ratio
     xy = wide.centres()
     far = np.hypot(*np.moveaxis(xy - xy[20, 20], -1, 0))
     for n, diameter in enumerate(DIAMETERS):
@@ -291,16 +310,16 @@ def test_what_is_left_under_a_footprint_is_the_mean_over_it():
 
 def test_a_frequency_is_claimed_only_where_sites_are_surely_safe_or_surely_not():
     own = relief(slope=0.1, rough=0.1, density=300.0)
-    assert own.drawn.in_domain.all()
-    both = fused_map(own, eyes(0.1, tracks((0.0, 0.0, 0.4, 0.3))), TERMS)
+    assert own.hazard_map.in_domain.all()
+    both = fuse_evidence(own, eyes(0.1, tracks((0.0, 0.0, 0.4, 0.3))), TERMS)
     near = clear(tracks((0.0, 0.0, 0.4, 0.3))) < 1.0
     assert near.any()
     assert not both.in_domain[near & (both.p_safe < SURE)].any()
     assert both.in_domain[~near].all()
     bad = relief(slope=2.5, rough=3.0, level=-5.0, planes=-5.0, density=300.0)
-    never = fused_map(bad, eyes(0.1), TERMS)
+    never = fuse_evidence(bad, eyes(0.1), TERMS)
     assert (never.p_safe <= HOPELESS).all()
-    assert np.array_equal(never.in_domain, bad.drawn.in_domain)
+    assert np.array_equal(never.in_domain, bad.hazard_map.in_domain)
 
 
 @given(
@@ -321,7 +340,7 @@ def test_worse_evidence_of_either_eye_never_makes_a_site_safer(
             slope=e["slope"], rough=e["rough"], density=e["density"], curve=rocky(e["rocks"])
         )
         known = tracks((2.0, 2.0, e["radius"], e["there"]))
-        return fused_map(own, eyes(e["ratio"], known), TERMS).p_safe.astype(np.float64)
+        return fuse_evidence(own, eyes(e["ratio"], known), TERMS).p_safe.astype(np.float64)
 
     before = p()
     for change in (
@@ -331,30 +350,32 @@ def test_worse_evidence_of_either_eye_never_makes_a_site_safer(
         assert (p(**change) <= before + 1e-6).all(), change
 
 
-# --- rocks looked for in the elevations --------------------------------------------------------
+# --- rocks located in the elevations -----------------------------------------------------------
 
 ROCK = (2.0, 2.0, 0.4, 0.8)
 
 
 def test_a_rock_that_dense_elevations_do_not_show_is_less_likely_to_be_one():
     rocks = tracks(ROCK)
-    level, thin = (existence_given_relief(rocks, relief(density=d), LANDER)[0] for d in (100, 1e-6))
+    level, thin = (
+        existence_given_elevations(rocks, relief(density=d), LANDER)[0] for d in (100, 1e-6)
+    )
     assert thin == pytest.approx(0.8, abs=1e-5)
-    odds = COMMON * 0.8 / 0.2
+    odds = COMMON_MISS_PROBABILITY * 0.8 / 0.2
     assert level == pytest.approx(odds / (1.0 + odds), rel=1e-3)
 
 
 def test_a_rock_that_they_show_or_cannot_show_keeps_its_odds():
     bump = np.zeros(GRID.shape)
     bump[4, 4] = 0.6 * LANDER.roughness_limit
-    assert existence_given_relief(tracks(ROCK), relief(bump, density=100), LANDER)[0] == 0.8
+    assert existence_given_elevations(tracks(ROCK), relief(bump, density=100), LANDER)[0] == 0.8
     hole = np.zeros(GRID.shape)
     hole[4, 4] = np.nan
-    assert existence_given_relief(tracks(ROCK), relief(hole, density=100), LANDER)[0] == 0.8
+    assert existence_given_elevations(tracks(ROCK), relief(hole, density=100), LANDER)[0] == 0.8
     edge = tracks((0.0, 2.0, 0.4, 0.8))
-    assert existence_given_relief(edge, relief(density=100), LANDER)[0] == 0.8
-    untold = replace(relief(density=100), judged=None)
-    assert existence_given_relief(tracks(ROCK), untold, LANDER)[0] == 0.8
+    assert existence_given_elevations(edge, relief(density=100), LANDER)[0] == 0.8
+    untold = replace(relief(density=100), site_evidence=None)
+    assert existence_given_elevations(tracks(ROCK), untold, LANDER)[0] == 0.8
 
 
 @given(
@@ -366,8 +387,8 @@ def test_odds_given_the_elevations_equal_a_plain_loop(seed, x, radius, there, ro
     z = rng.normal(0.0, rough, GRID.shape).astype(np.float32)
     density = rng.uniform(1.0, 30.0, GRID.shape)
     own = relief(z, density=density)
-    found = existence_given_relief(tracks((x, 2.1, radius, there)), own, LANDER)[0]
-    # Seven metres about a cell hold the whole map: all ground is compared with one mean.
+    found = existence_given_elevations(tracks((x, 2.1, radius, there)), own, LANDER)[0]
+    # The window of seven metres covers the complete map: all terrain has one mean.
     half = 7
     rise = [
         [
@@ -378,9 +399,19 @@ def test_odds_given_the_elevations_equal_a_plain_loop(seed, x, radius, there, ro
         for r in range(SIDE)
     ]  # fmt: skip
     cells = {(r, c): (0.5 * c, 0.5 * r) for r, c in product(range(SIDE), repeat=2)}
-    told = own.judged.density
+    told = own.site_evidence.density
     expected = plain.existence(
-        (x, 2.1), 0.05, radius, 0.01, there, cells, rise, told, LANDER.roughness_limit, 0.5, COMMON
+        (x, 2.1),
+        0.05,
+        radius,
+        0.01,
+        there,
+        cells,
+        rise,
+        told,
+        LANDER.roughness_limit,
+        0.5,
+        COMMON_MISS_PROBABILITY,
     )
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
@@ -392,10 +423,10 @@ def test_on_other_cells_the_worst_nearby_counts_and_nothing_beyond_the_edge():
     fine = Grid(0.0, 0.0, 0.25, 12, 12)
     coarse = Grid(0.1, 0.1, 0.6, 8, 8)
     layer = np.random.default_rng(1).random(fine.shape).astype(np.float32)
-    assert on_grid(layer, fine, fine, 0.0, "least") is layer
+    assert resample_to_grid(layer, fine, fine, 0.0, "minimum") is layer
     for of, to, values in ((fine, coarse, layer), (coarse, fine, layer[:8, :8])):
-        low = on_grid(values, of, to, -1.0, "least")
-        high = on_grid(values, of, to, 9.0, "greatest")
+        low = resample_to_grid(values, of, to, -1.0, "minimum")
+        high = resample_to_grid(values, of, to, 9.0, "maximum")
         xy = to.centres()
         inside = of.contains(xy)
         assert inside.any()
@@ -403,7 +434,7 @@ def test_on_other_cells_the_worst_nearby_counts_and_nothing_beyond_the_edge():
         assert (low[~inside] == -1.0).all()
         assert (high[~inside] == 9.0).all()
         for row, col in np.argwhere(inside):
-            # Every cell that overlaps the other's has at least, or at most, that value.
+            # Every overlapping cell has at least, or at most, that value.
             off = np.abs(of.centres() - xy[row, col]).max(axis=-1)
             over = values[off < 0.5 * (of.posting + to.posting) - 1e-9]
             assert low[row, col] <= over.min()

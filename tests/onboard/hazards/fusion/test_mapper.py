@@ -1,4 +1,4 @@
-"""The mapper of other mappers: what it is made of, and when it draws."""
+"""Test the fused mapper: which mappers it uses, and when it updates its map."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def test_it_draws_no_oftener_than_it_is_told_to():
         if p is not None:
             own.update(p, None)
         told.append(float(fused.hazard_map().p_safe[0, 0]))
-    # Of nothing it draws at once.
+    # An empty map is updated at once.
     assert told == pytest.approx([0.0, 0.7, 0.7, 0.3, 0.3])
-    # What is taken back, or laid elsewhere, is not waited with.
+    # Retracted observations and a moved grid cause an update at once.
     own.grid = Grid.centred((1.0, 0.0), 8.0, 0.5)
     assert fused.hazard_map().grid == own.grid
     own.update(0.1, None)
@@ -125,7 +125,7 @@ def test_the_height_that_a_mapper_expects_of_ground_it_has_not_seen_is_none():
 
 
 class Lazy(Made):
-    """A mapper whose ground is there before it is judged."""
+    """Mapper whose elevations are available before their evaluation."""
 
     def __init__(self):
         super().__init__()

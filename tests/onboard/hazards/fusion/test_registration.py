@@ -1,4 +1,4 @@
-"""Rocks of one eye, moved to where the elevations of another show them."""
+"""Test the registration of tracked rocks to elevations of another sensor."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.registration import registered, shift_of
-from lunarsim.onboard.hazards.fusion.rises import Samples
+from lunarsim.onboard.hazards.fusion.elevation_samples import ElevationSamples
+from lunarsim.onboard.hazards.fusion.registration import estimate_shift, register_tracks
 from lunarsim.onboard.hazards.published import RockTracks
 from tests.reference import fusion as plain
 from tests.two_eyes import bumps
@@ -29,28 +29,34 @@ def test_the_shift_equals_a_plain_loop(seed):
     rng = np.random.default_rng(seed)
     west, east, south, north = SMALL.extent
     xy = rng.uniform((west, south), (east, north), (4, 2))
-    rises = bumps(xy + [0.5, -0.25], SMALL, 0.4, 6.0, rng)
+    residual_heights = bumps(xy + [0.5, -0.25], SMALL, 0.4, 6.0, rng)
     rocks = tracks(xy, 0.4, 0.3)
-    found = shift_of(rocks, Samples(rises, np.full(SMALL.shape, 6.0), SMALL, 0.5), 1.0)
+    found = estimate_shift(
+        rocks, ElevationSamples(residual_heights, np.full(SMALL.shape, 6.0), SMALL, 0.5), 1.0
+    )
     expected = plain.shift(
-        [(x, y, 0.4, 0.3) for x, y in xy], rises.astype(float).tolist(), SMALL.x0, SMALL.y0,
-        SMALL.posting, 6.0,
+        [(x, y, 0.4, 0.3) for x, y in xy], residual_heights.astype(float).tolist(),
+        SMALL.x0, SMALL.y0, SMALL.posting, 6.0,
     )  # fmt: skip
-    assert (*found.by, found.sigma) == pytest.approx(expected, abs=1e-6)
-    assert found.common == pytest.approx(0.3)
+    assert (*found.correction, found.sigma) == pytest.approx(expected, abs=1e-6)
+    assert found.prior_sigma == pytest.approx(0.3)
 
 
 def test_rocks_are_moved_to_where_the_elevations_show_them():
     rng = np.random.default_rng(3)
     true = rng.uniform(-12.0, 12.0, (30, 2))
     off = np.array([-1.75, 0.5])
-    rises = bumps(true, WIDE, 0.4, 3.0, rng)
+    residual_heights = bumps(true, WIDE, 0.4, 3.0, rng)
     before = tracks(true - off, 0.4, 1.5)
-    after = registered(before, Samples(rises, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0)
+    after = register_tracks(
+        before, ElevationSamples(residual_heights, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0
+    )
     assert after.xy - before.xy == pytest.approx(np.broadcast_to(off, (30, 2)), abs=0.2)
     assert (after.sigma < 0.3).all()
-    # As well as the shift, and each as well as it lies among the others.
-    shift = shift_of(before, Samples(rises, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0)
+    # The result is as certain as the shift, plus the relative position error of each rock.
+    shift = estimate_shift(
+        before, ElevationSamples(residual_heights, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0
+    )
     assert after.sigma == pytest.approx(np.hypot(shift.sigma, 0.15))
     assert np.array_equal(after.radius, before.radius)
 
@@ -58,25 +64,37 @@ def test_rocks_are_moved_to_where_the_elevations_show_them():
 def test_where_the_elevations_tell_nothing_places_are_as_they_were():
     rng = np.random.default_rng(4)
     before = tracks(rng.uniform(-12.0, 12.0, (30, 2)), 0.4, 1.0)
-    rises = np.full(WIDE.shape, np.nan, np.float32)
-    after = registered(before, Samples(rises, np.zeros(WIDE.shape), WIDE, 0.5), 1.0)
+    residual_heights = np.full(WIDE.shape, np.nan, np.float32)
+    after = register_tracks(
+        before, ElevationSamples(residual_heights, np.zeros(WIDE.shape), WIDE, 0.5), 1.0
+    )
     assert after.xy == pytest.approx(before.xy, abs=1e-9)
     assert after.sigma == pytest.approx(before.sigma, rel=0.05)
 
 
 def test_few_rocks_tell_no_shift():
     few = tracks([[0.0, 0.0], [1.0, 1.0], [90.0, 0.0]], 0.4, 1.0)
-    rises = np.zeros(WIDE.shape, np.float32)
-    assert registered(few, Samples(rises, np.ones(WIDE.shape), WIDE, 0.5), 1.0) is few
-    assert shift_of(few, Samples(rises, np.ones(WIDE.shape), WIDE, 0.5), 1.0) is None
+    residual_heights = np.zeros(WIDE.shape, np.float32)
+    assert (
+        register_tracks(
+            few, ElevationSamples(residual_heights, np.ones(WIDE.shape), WIDE, 0.5), 1.0
+        )
+        is few
+    )
+    assert (
+        estimate_shift(few, ElevationSamples(residual_heights, np.ones(WIDE.shape), WIDE, 0.5), 1.0)
+        is None
+    )
 
 
 def test_no_place_becomes_less_well_known():
     rng = np.random.default_rng(5)
     true = rng.uniform(-12.0, 12.0, (12, 2))
-    rises = bumps(true, WIDE, 0.4, 3.0, rng)
+    residual_heights = bumps(true, WIDE, 0.4, 3.0, rng)
     for sigma in (0.05, 0.3, 2.0):
-        after = registered(
-            tracks(true, 0.4, sigma), Samples(rises, np.full(WIDE.shape, 3.0), WIDE, 0.5), 1.0
+        after = register_tracks(
+            tracks(true, 0.4, sigma),
+            ElevationSamples(residual_heights, np.full(WIDE.shape, 3.0), WIDE, 0.5),
+            1.0,
         )
         assert (after.sigma <= max(sigma, 0.15) + 1e-12).all()

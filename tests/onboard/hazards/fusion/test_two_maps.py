@@ -1,4 +1,4 @@
-"""What of two eyes' evidence reaches the fused map, and what of it must not."""
+"""Test which evidence of two sensors reaches the fused map."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from lunarsim.grid import Grid
-from lunarsim.onboard.hazards.fusion.association import existence_given_relief
-from lunarsim.onboard.hazards.fusion.fuse import fused_map, thinning_of
-from lunarsim.onboard.hazards.fusion.heights import Heights, clear_of, heights_of
-from lunarsim.onboard.hazards.fusion.level_ground import believed
-from lunarsim.onboard.hazards.fusion.registration import registered
-from lunarsim.onboard.hazards.gaussian_dem.drawn import DrawnDem
+from lunarsim.onboard.hazards.fusion.flat_terrain import is_detection_count_plausible
+from lunarsim.onboard.hazards.fusion.fuse import footprint_undetected_ratio, fuse_evidence
+from lunarsim.onboard.hazards.fusion.registration import register_tracks
+from lunarsim.onboard.hazards.fusion.rock_existence import existence_given_elevations
+from lunarsim.onboard.hazards.fusion.rock_heights import (
+    RockHeights,
+    estimate_rock_heights,
+    rock_free_probability,
+)
+from lunarsim.onboard.hazards.gaussian_dem.drawn import DemSnapshot
 from lunarsim.onboard.hazards.gaussian_dem.pooled import pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.hazard_map import HazardMap
@@ -42,20 +46,20 @@ from tests.two_eyes import (
 def test_ground_measured_to_be_level_counts_as_the_mission_expects_beside_steep_ground():
     slope = np.full(GRID.shape, 0.4, np.float32)
     slope[:6] = 1.3
-    own = replace(relief(slope=slope, rough=0.3, **DOUBTED), rises=SAMPLED)
-    both = fused_map(own, eyes(1.0, unseen=raster(0.2)), TERMS)
+    own = replace(relief(slope=slope, rough=0.3, **DOUBTED), residual_heights=SAMPLED)
+    both = fuse_evidence(own, eyes(1.0, unseen=raster(0.2)), TERMS)
     assert both.p_safe[6:] == pytest.approx(0.9 * 0.8)
     assert (both.p_safe[:6] < 0.01).all()
 
 
 @pytest.mark.parametrize("there", [0.98, 0.999])
 def test_a_site_that_a_tracked_rock_makes_unsafe_is_no_frequency_for_that(there):
-    # Elevations that show it leave its odds as they are.
+    # Elevations that show the rock leave its odds unchanged.
     bump = np.zeros(GRID.shape)
     bump[4, 4] = 0.6 * LANDER.roughness_limit
     own = relief(bump, slope=0.1, rough=0.1, density=300.0)
-    assert (own.drawn.p_safe >= SURE).all()
-    both = fused_map(own, eyes(0.1, tracks((2.0, 2.0, 0.4, there))), TERMS)
+    assert (own.hazard_map.p_safe >= SURE).all()
+    both = fuse_evidence(own, eyes(0.1, tracks((2.0, 2.0, 0.4, there))), TERMS)
     assert both.p_safe[4, 4] < 0.05
     assert not both.in_domain[4, 4]
 
@@ -66,15 +70,17 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
     z = np.where(seen, 2.0, np.nan)
     own = relief(z, seen=seen)
     spread = raster(0.01)
-    own = replace(own, surface=replace(own.drawn, variance=spread))
-    both = fused_map(own, eyes(0.1), TERMS)
+    own = replace(own, surface=replace(own.hazard_map, variance=spread))
+    both = fuse_evidence(own, eyes(0.1), TERMS)
     assert (both.elevation[:, :5] == 2.0).all()
     assert (both.elevation[:, 5:] == 0.0).all()
     assert both.variance is spread
-    # So too of ground that its mapper has not judged.
+    # The same holds for elevations without site evidence.
     z = own.surface.elevation
     bare = SimpleNamespace(grid=GRID, observed=seen, elevation=z, variance=spread)
-    unjudged = fused_map(replace(own, surface=bare, draw=lambda: own.drawn), eyes(0.1), TERMS)
+    unjudged = fuse_evidence(
+        replace(own, surface=bare, compute_map=lambda: own.hazard_map), eyes(0.1), TERMS
+    )
     for f in fields(HazardMap):
         one, other = (getattr(drawn, f.name) for drawn in (unjudged, both))
         assert np.array_equal(one, other), f.name
@@ -82,18 +88,18 @@ def test_elevations_are_those_measured_and_else_the_other_eyes():
 
 def test_off_the_camera_map_rocks_are_as_many_as_expected():
     wide, small = Grid(0.0, 0.0, 0.5, 41, 41), Grid(0.1, 0.2, 0.4, 40, 22)
-    ratio = thinning_of(eyes(0.3, of=small), wide, TERMS).ratio
+    ratio = footprint_undetected_ratio(eyes(0.3, of=small), wide, TERMS).ratio
     assert ratio[:, 14, 8] == pytest.approx(0.3)
     assert (ratio[:, :, 25:] == 1.0).all()
 
 
 def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
-    own = replace(relief(slope=0.4, rough=0.2, **DOUBTED), rises=SAMPLED)
+    own = replace(relief(slope=0.4, rough=0.2, **DOUBTED), residual_heights=SAMPLED)
     fine = Grid(0.0, 0.0, 0.25, 17, 17)
     unseen = np.full(fine.shape, 0.1, np.float32)
-    # Between two cells of the elevations' map.
+    # Between two cells of the elevation map.
     unseen[8, 9] = 0.7
-    both = fused_map(own, eyes(1.0, of=fine, unseen=unseen), replace(TERMS, relief_prior=0.8))
+    both = fuse_evidence(own, eyes(1.0, of=fine, unseen=unseen), replace(TERMS, relief_prior=0.8))
     assert both.p_safe[4, 4] == pytest.approx(0.8 * 0.3)
     assert both.p_safe[4, 5] == pytest.approx(0.8 * 0.3)
     assert both.p_safe[4, 7] == pytest.approx(0.8 * 0.9)
@@ -103,9 +109,13 @@ def test_of_untracked_rocks_on_other_cells_the_most_nearby_count():
 def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_an_eye(there, x, counts):
     rocks = tracks(*((x, 0.3 * k, 0.4, there) for k in range(12)))
     found = replace(eyes(1.0, rocks, expected=40.0))
-    found = replace(found, drawn=replace(found.drawn, in_domain=np.zeros(GRID.shape, bool)))
-    heights = Heights(1.0, np.full(12, there), np.full(12, 0.3))
-    assert believed(found, rocks, heights, LANDER.roughness_limit) == bool(counts)
+    found = replace(
+        found, hazard_map=replace(found.hazard_map, in_domain=np.zeros(GRID.shape, bool))
+    )
+    heights = RockHeights(1.0, np.full(12, there), np.full(12, 0.3))
+    assert is_detection_count_plausible(found, rocks, heights, LANDER.roughness_limit) == bool(
+        counts
+    )
 
 
 # --- tracked rocks -----------------------------------------------------------------------------
@@ -113,10 +123,10 @@ def test_rocks_that_hardly_are_any_or_lie_off_the_map_do_not_speak_for_an_eye(th
 
 def test_rocks_that_elevations_without_samples_do_not_show_are_less_likely():
     own, rocks = relief(density=100.0), tracks((2.0, 2.0, 0.4, 0.8))
-    both = fused_map(own, eyes(1.0, rocks), TERMS)
-    there = existence_given_relief(rocks, own, LANDER)
+    both = fuse_evidence(own, eyes(1.0, rocks), TERMS)
+    there = existence_given_elevations(rocks, own, LANDER)
     assert there[0] < 0.2
-    expected = own.drawn.p_safe * clear(replace(rocks, existence=there))
+    expected = own.hazard_map.p_safe * clear(replace(rocks, existence=there))
     assert both.p_safe == pytest.approx(expected, rel=1e-5)
 
 
@@ -125,26 +135,28 @@ def test_rocks_are_where_the_samples_have_them_and_of_the_shape_that_is_expected
     expected = replace(TERMS.rocks, shape=shape, height_ratio=(0.4, 0.5))
     ratio = {"hemisphere": 0.5, "cube": 1.0, "ellipsoid": 0.4}[shape]
     places = np.array([(0.5, 0.5), (3.0, 1.0), (2.0, 3.0), (1.0, 2.5)])
-    rises = np.zeros(GRID.shape, np.float32)
+    residual_heights = np.zeros(GRID.shape, np.float32)
     row, col = GRID.cell(places + [0.5, 0.0])
-    rises[row, col] = 0.7 * ratio
+    residual_heights[row, col] = 0.7 * ratio
     rocks = tracks(*((x, y, 0.5, 0.9) for x, y in places))
     rocks = replace(rocks, sigma=np.full(4, 0.4))
-    own = replace(relief(density=6.0), rises=rises)
+    own = replace(relief(density=6.0), residual_heights=residual_heights)
     told = replace(samples(own), height_ratio=ratio)
-    # Before it is measured shadows are taken to tell radii too small.
-    placed = registered(rocks, told, 1.2 * 2.0 * ratio)
+    # Without measurements, shadows are assumed to underestimate radii.
+    placed = register_tracks(rocks, told, 1.2 * 2.0 * ratio)
     assert np.abs(placed.xy - rocks.xy).max() > 0.1
-    free = clear_of(placed, heights_of(placed, told, LANDER, shape), GRID, LANDER)
-    both = fused_map(own, eyes(1.0, rocks), replace(TERMS, rocks=expected))
-    assert both.p_safe == pytest.approx(own.drawn.p_safe * free, rel=1e-5)
+    free = rock_free_probability(
+        placed, estimate_rock_heights(placed, told, LANDER, shape), GRID, LANDER
+    )
+    both = fuse_evidence(own, eyes(1.0, rocks), replace(TERMS, rocks=expected))
+    assert both.p_safe == pytest.approx(own.hazard_map.p_safe * free, rel=1e-5)
 
 
-# --- a calibration of a scenario's own ---------------------------------------------------------
+# --- a calibration for the scenario ------------------------------------------------------------
 
 
 def own_calibration() -> ScenarioCalibration:
-    """Return one that makes sites much less safe, wherever they are."""
+    """Return a calibration that makes sites much less safe everywhere."""
     wide = Domain(10.0, 10.0, (0.0, 0.5), (0.01, 1.0))
     figures = lander_figures(LANDER)
     return ScenarioCalibration(Stage(-3.0), Stage(-3.0), wide, figures, measured().digest)
@@ -155,8 +167,8 @@ def test_what_is_left_of_rocks_is_judged_by_the_calibration_of_the_elevations():
     p, known = calibrated_safety(judged, refit=refit)
     drawn = HazardMap(GRID, p, judged.observed, SAMPLED, in_domain=known)
     rocks = eyes(0.3)
-    both = fused_map(ReliefEvidence(drawn, judged, refit), rocks, TERMS)
-    thinned = replace(judged, thinning=thinning_of(rocks, GRID, TERMS))
+    both = fuse_evidence(ReliefEvidence(drawn, judged, refit), rocks, TERMS)
+    thinned = replace(judged, thinning=footprint_undetected_ratio(rocks, GRID, TERMS))
     expected, _ = calibrated_safety(thinned, refit=refit)
     assert np.array_equal(both.p_safe, expected)
     assert (both.p_safe != calibrated_safety(thinned)[0]).all()
@@ -166,14 +178,14 @@ def test_elevations_are_judged_by_the_calibration_they_were_drawn_with():
     pool = SamplePool(Grid.centred((0.0, 0.0), 8.0, 0.25))
     xy = np.random.default_rng(1).uniform(-3.9, 3.9, (1200, 2))
     pool.add(np.column_stack((xy, np.zeros(1200))), 0.01, 0.2)
-    plain = DrawnDem(pooled_dem(pool), LANDER, RockExpectation())
+    plain = DemSnapshot(pooled_dem(pool), LANDER, RockExpectation())
     own = replace(plain, refit=own_calibration())
     assert plain.hazard_map.observed.any()
     assert not plain.hazard_map.observed.all(), "the footprint leaves the map at its edge"
     for one in (plain, own):
-        p, known = calibrated_safety(one.judged, refit=one.refit)
+        p, known = calibrated_safety(one.site_evidence, refit=one.refit)
         assert np.array_equal(one.hazard_map.p_safe, p)
         assert np.array_equal(one.hazard_map.in_domain, known)
-        assert np.array_equal(one.observed, one.judged.observed)
+        assert np.array_equal(one.observed, one.site_evidence.observed)
         assert one.hazard_map.elevation is one.elevation
     assert (own.hazard_map.p_safe < plain.hazard_map.p_safe)[plain.observed].any()

@@ -27,7 +27,7 @@ def cloud(seed: int, n: int = 60, spread: float = 3.9) -> np.ndarray:
 
 
 def test_a_plane_is_registered_to_cell_centres():
-    """Half a cell of misregistration would show as 0.05 m here."""
+    """A registration error of half a cell would be 0.05 m here."""
     x, y = np.meshgrid(np.linspace(-4, 4, 161), np.linspace(-4, 4, 161))
     points = np.column_stack((x.ravel(), y.ravel(), 0.2 * x.ravel()))
     inner = (slice(1, -1), slice(1, -1))
@@ -86,7 +86,7 @@ def test_missing_returns_are_not_observed():
 
 
 def test_missing_returns_count_whatever_the_spacing():
-    """A detector that knows of lost pixels needs no rule of thumb."""
+    """Lost pixels of a detector are gaps at any sample spacing."""
     x, y = np.meshgrid(np.linspace(-4, 4, 33), np.linspace(4, -4, 33))
     image = np.column_stack((x.ravel(), y.ravel(), np.zeros(33 * 33)))
     image[(np.abs(image[:, :2]) < 0.3).all(axis=1)] = np.nan
@@ -97,12 +97,12 @@ def test_missing_returns_count_whatever_the_spacing():
 
 
 def hole(points, side):
-    """Return the points outside a square hole about the origin."""
+    """Return the points outside a square hole at the origin."""
     return points[(np.abs(points[:, :2]) > 0.5 * side).any(axis=1)]
 
 
 def test_a_hole_among_many_lost_returns_is_not_observed():
-    """Four of five returns are missing, and all in a hole of 10 m."""
+    """Four of five returns are missing, and all returns in a hole of 10 m."""
     rng = np.random.default_rng(5)
     line = np.linspace(-20.0, 20.0, 101)
     x, y = np.meshgrid(line, line[::-1])
@@ -118,7 +118,7 @@ def test_a_hole_among_many_lost_returns_is_not_observed():
         gaussian_dem(image, grid),
     ):
         assert not dem.observed[middle].any()
-    # Sparse samples are no hole where nothing but their distance is known.
+    # Sparse samples are not a hole if only their distance is known.
     assert gaussian_dem(image, grid).observed[~middle].mean() > 0.5
 
 
@@ -187,11 +187,11 @@ def test_bad_clouds():
         gaussian_dem(cloud(1), GRID, length_scale=-1.0)
     with pytest.raises(ValueError, match="sigma_eps"):
         gaussian_dem(cloud(1), GRID, sigma_eps=float("nan"))
-    with pytest.raises(ValueError, match=r"points = 173740\d\.\d+: heights within 8192 m"):
+    with pytest.raises(ValueError, match=r"points: heights must be within 8192 m .* got 173740"):
         gaussian_dem(cloud(1) + [0.0, 0.0, 1_737_400.0], GRID)
-    with pytest.raises(ValueError, match="heights within"):
+    with pytest.raises(ValueError, match="heights must be within"):
         conventional_dem(cloud(1) + [0.0, 0.0, -9000.0], GRID)
-    with pytest.raises(ValueError, match="none of the"):
+    with pytest.raises(ValueError, match="at least one must lie"):
         conventional_dem([[100.0, 0.0, 0.0]], GRID)
 
 
@@ -203,7 +203,7 @@ def test_a_random_field_has_a_spread_that_can_be(wrong):
 
 
 def test_samples_without_noise_and_ground_all_alike_still_give_a_map():
-    """The samples of a triangle then say all but the same: its matrix is nearly singular."""
+    """The matrix of a triangle is then nearly singular."""
     plane = cloud(1)
     plane[:, 2] = 0.3 + 0.1 * plane[:, 0]
     for length in (1e3, 1e6, 1e9):
@@ -239,7 +239,7 @@ def test_coincident_points_are_merged():
 
 
 def random_field(seed: int, n: int, sigma_f: float, length: float, eps: float) -> np.ndarray:
-    """A draw of the model itself at random places."""
+    """Return a draw of the model at random points."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(0.0, 20.0, (n, 2))
     gram = sigma_f**2 * np.exp(-np.linalg.norm(xy[:, None] - xy[None], axis=2) / length)
@@ -259,7 +259,7 @@ def test_full_regression_on_three_points_is_the_local_one():
 
 @pytest.mark.statistical
 def test_full_regression_is_consistent_with_its_own_model():
-    """Normalised errors of held-out points have unit mean square."""
+    """Normalized errors of held-out points have unit mean square."""
     points = random_field(4, 1500, 0.3, 6.0, 0.02)
     known, held = points[:1200], points[1200:]
     mean, variance = full_regression(
@@ -280,7 +280,8 @@ def test_local_regression_approaches_the_full_one():
     )
     use = (dem.observed & (weight <= 0.5)).ravel()
     gap = dem.mean.ravel()[use] - mean[use]
-    # Three vertices know less than all points: the variance is larger, the means agree within it.
+    # Three vertices hold less information than all points: the variance is larger, and the means
+    # agree within it.
     assert np.all(dem.variance.ravel()[use] >= variance[use] - 1e-6)
     assert np.sqrt(np.mean(gap**2)) < 0.6 * np.sqrt(np.mean(dem.variance.ravel()[use]))
 
@@ -298,12 +299,12 @@ def test_fit_recovers_the_growth_of_the_variogram(sigma_f, length):
 
 
 def test_fit_and_full_regression_refuse_what_they_cannot_do():
-    with pytest.raises(ValueError, match="too few"):
+    with pytest.raises(ValueError, match="at least 100"):
         fit_hyperparameters(cloud(1, 20), 0.01, np.random.default_rng(0))
     with pytest.raises(ValueError, match="singular"):
         twice = np.concatenate((cloud(1, 5), cloud(1, 5)))
         full_regression(twice, [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.0)
-    with pytest.raises(ValueError, match="too many"):
+    with pytest.raises(ValueError, match="at most 5000"):
         full_regression(
             np.zeros((6000, 3)), [[0.0, 0.0]], sigma_f=1.0, length_scale=1.0, sigma_eps=0.1
         )

@@ -1,4 +1,4 @@
-"""When the Gaussian DEM's mapper draws its map."""
+"""Test the Gaussian DEM mapper: updates, settings and tilt correction."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lunarsim.frames import quat_from_rotation_vector, quat_to_matrix
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import LidarScan
 from lunarsim.models.lander import Lander
-from lunarsim.onboard.hazards.early_ground import EarlyGround
 from lunarsim.onboard.hazards.gaussian_dem import GaussianDemMapper, gaussian_dem
 from lunarsim.onboard.hazards.gaussian_dem.samples import SamplePool
 from lunarsim.onboard.hazards.quadtree import QuadtreeMapper
+from lunarsim.onboard.hazards.unleveled_scans import UnleveledScans
 from lunarsim.onboard.navigation import Estimate
 from lunarsim.rocks.population import RockExpectation
 from lunarsim.safety.calibration import calibrated_safety, measured
@@ -31,7 +31,7 @@ UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 def flash(
     mapper: GaussianDemMapper, east: float = 0.0, tilt_sigma: float = 1.0, up: float = 0.0
 ) -> None:
-    """Look straight down on level ground from 50 m; by the lander's estimate it stands `up`, m."""
+    """Scan flat terrain vertically from 50 m; the estimated height is too high by `up`, m."""
     down = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     scan = LidarScan(0.0, 50.0 / down[:, 2], down, mount, np.full(len(down), 0.01), (32, 32))
@@ -103,16 +103,18 @@ def test_it_publishes_what_its_map_follows_from():
     flash(mapper)
     told = mapper.evidence()
     assert told.refit is refit
-    assert np.array_equal(told.rises, mapper.dem().sampling.of_cells, equal_nan=True)
+    assert np.array_equal(
+        told.residual_heights, mapper.dem().sampling.residual_raster, equal_nan=True
+    )
     assert told.surface is mapper.surface()
-    assert told.drawn is mapper.hazard_map()
-    p, known = calibrated_safety(told.judged, refit=refit)
-    assert np.array_equal(told.drawn.p_safe, p)
-    assert np.array_equal(told.drawn.in_domain, known)
-    # What was told stays as it was told.
+    assert told.hazard_map is mapper.hazard_map()
+    p, known = calibrated_safety(told.site_evidence, refit=refit)
+    assert np.array_equal(told.hazard_map.p_safe, p)
+    assert np.array_equal(told.hazard_map.in_domain, known)
+    # Earlier evidence is not modified.
     flash(mapper, east=1.0)
-    assert mapper.hazard_map() is not told.drawn
-    assert told.drawn.elevation is told.surface.elevation
+    assert mapper.hazard_map() is not told.hazard_map
+    assert told.hazard_map.elevation is told.surface.elevation
 
 
 def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
@@ -135,7 +137,7 @@ def test_samples_stay_where_they_are_when_the_map_is_laid_anew():
 @pytest.mark.parametrize("beside", [0.1, 100.0])
 def test_a_map_whose_returns_all_fell_beside_it_has_seen_nothing(beside, safety):
     mapper = GaussianDemMapper(GRID, Lander(), safety=safety)
-    # The nearest row of returns lies on the outer half of the cells' rim, or far off.
+    # The nearest row of returns lies on the outer half of the edge cells, or far off.
     down = LIDAR.directions()
     east = GRID.extent[1] + beside - 50.0 * (down[:, 0] / down[:, 2]).min()
     flash(mapper, east, tilt_sigma=np.deg2rad(1.0))
@@ -156,10 +158,10 @@ def test_impossible_intervals_are_refused(interval):
 
 @pytest.mark.parametrize("make", [GaussianDemMapper, QuadtreeMapper])
 def test_what_is_no_expectation_of_rocks_is_refused(make):
-    with pytest.raises(InputError, match="rocks = 'many': a RockExpectation"):
+    with pytest.raises(InputError, match=r"RockExpectation.* got 'many'"):
         make(GRID, lander=Lander(), rocks="many")
     for cover in (np.nan, 0.0, -1.0, 0.5):
-        with pytest.raises(InputError, match=r"rocks\.cover .* more than 0 and at most 0.2"):
+        with pytest.raises(InputError, match=r"rocks\.cover: .*0\.2"):
             RockExpectation(cover=cover)
 
 
@@ -177,7 +179,7 @@ def test_a_safety_that_there_is_not_is_refused(safety):
 
 
 def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: float) -> None:
-    """Look down on ground of heights (east, north) from 30 m; the estimate errs by a tilt."""
+    """Scan terrain of heights (east, north) from 30 m; the estimate has a tilt error."""
     nadir = LIDAR.directions()
     mount = np.diag([1.0, -1.0, -1.0])
     rays = nadir @ mount.T
@@ -186,7 +188,7 @@ def seen(mapper: GaussianDemMapper, ground, tilt: float, sigma: float, wrong: fl
         at = reach[:, None] * rays + [0.0, 0.0, 30.0]
         reach = (30.0 - ground(at[:, 0], at[:, 1])) / -rays[:, 2]
     scan = LidarScan(0.0, reach, nadir, mount, np.full(len(rays), 0.01), (32, 32))
-    # Above the pivot, which is the origin: turned about it the pose is the right one.
+    # The pose is above the pivot, the origin: the rotation about it corrects the pose.
     here = np.array([30.0 * np.sin(wrong), 0.0, 30.0 * np.cos(wrong)])
     attitude = quat_from_rotation_vector([0.0, wrong, 0.0])
     own = np.diag([1.0] * 6 + [sigma**2] * 3)
@@ -218,10 +220,10 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays(tilt,
     off = np.abs(mapper.dem().mean - expected)
     assert np.nanmedian(off) < 0.003
     assert np.nanquantile(off, 0.99) < 0.02
-    # Nothing but what slid over the edge of the map is gone: each ray twice.
+    # Only samples that moved over the edge of the map are lost: each ray was used twice.
     ratio = mapper.pool.centroid[..., 0].sum() / right.pool.centroid[..., 0].sum()
     assert 1.9 < ratio < 2.05
-    # By then the tilt is known: another turn moves nothing, nor does what comes later.
+    # The tilt is then known: another rotation moves neither earlier nor later samples.
     before = mapper.pool.centroid.copy()
     mapper.level(turn, np.zeros(3), sure)
     assert np.array_equal(mapper.pool.centroid, before)
@@ -237,29 +239,29 @@ def test_a_turn_by_nothing_leaves_samples_as_they_were():
     rng = np.random.default_rng(1)
     points = np.column_stack((rng.uniform(-3.5, 3.5, (150, 2)), rng.normal(2.0, 0.2, 150)))
     pool.add(points, 0.02, rng.uniform(0.1, 0.6, 150))
-    same = pool.turned(np.eye(3), np.array([1.0, -2.0, 3.0]))
+    same = pool.rotated(np.eye(3), np.array([1.0, -2.0, 3.0]))
     assert same.base == pool.base
     assert np.array_equal(same.spacing, pool.spacing)
     assert same.centroid == pytest.approx(pool.centroid, abs=1e-6)
     assert same.splat == pytest.approx(pool.splat, abs=1e-6)
-    # Cells that come to lie on one another are measured as well as the better of them.
+    # Merged cells are measured as well as the better of them.
     eighth = quat_to_matrix(quat_from_rotation_vector([0.0, 0.0, 0.25 * np.pi]))
-    assert pool.turned(eighth, np.zeros(3)).splat[..., 0].max() <= pool.splat[..., 0].max()
+    assert pool.rotated(eighth, np.zeros(3)).splat[..., 0].max() <= pool.splat[..., 0].max()
 
 
 def test_corners_hit_by_two_pools_are_measured_no_better_than_by_the_better_of_them():
-    # A return on the edge of four cells gives each a quarter of its weight, which measures none.
+    # A return on the corner of four cells gives each a quarter of its weight, which is too little.
     one, other = SamplePool(GRID), SamplePool(GRID)
     x, y = GRID.centres()[4, 4] + 0.5 * GRID.posting
     near = np.array([[x, y, 0.0], [x + 1.5, y, 0.1], [x, y + 1.5, 0.2]])
     one.add(near, 0.01, 0.5)
     other.add(near + [0.0, 0.0, 0.01], 0.01, 0.5)
-    both = one.with_those_of(other)
+    both = one.union(other)
     assert both.splat[4, 4] == pytest.approx([0.25, 5000.0, both.splat[4, 4, 2], 1250.0])
-    # Twice in one call it is half, which measures it just not.
+    # Twice in one call gives half, which is just too little.
     one.add(np.repeat(near, 2, axis=0), 0.01, 0.5)
     assert one.splat[4, 4, 0] == pytest.approx(0.5)
-    assert one.turned(np.eye(3), np.zeros(3)).splat[4, 4, 0] == pytest.approx(0.5)
+    assert one.rotated(np.eye(3), np.zeros(3)).splat[4, 4, 0] == pytest.approx(0.5)
 
 
 def test_masked_samples_are_none():
@@ -288,16 +290,16 @@ def test_masked_samples_are_none():
 )
 def test_what_is_no_turn_is_refused(turn, pivot, field):
     with pytest.raises(InputError, match=field):
-        SamplePool(GRID).turned(turn, pivot)
+        SamplePool(GRID).rotated(turn, pivot)
 
 
 def test_a_tilt_that_nobody_knows_is_not_taken_for_known():
-    early = EarlyGround()
-    assert early.takes(np.nan)
-    assert not early.known(np.nan)
-    assert early.takes(1.0)
-    assert not early.takes(0.0)
-    assert not early.takes(1.0)
+    early = UnleveledScans()
+    assert early.includes(np.nan)
+    assert not early.is_tilt_known(np.nan)
+    assert early.includes(1.0)
+    assert not early.includes(0.0)
+    assert not early.includes(1.0)
 
 
 def test_scans_of_another_height_are_laid_on_each_other():
@@ -315,7 +317,7 @@ def test_scans_of_the_same_height_leave_each_other_as_they_are():
     for east in (0.0, 0.11):
         flash(apart, east=east, up=0.004)
         flash(one := GaussianDemMapper(GRID, Lander()), east=east, up=0.004)
-        both = both.with_those_of(one.pool)
+        both = both.union(one.pool)
     assert np.allclose(apart.pool.centroid, both.centroid, atol=1e-6)
     assert apart.pool.base == pytest.approx(both.base)
 
@@ -325,7 +327,7 @@ def test_samples_of_a_tilt_that_is_not_known_are_raised_too(early):
     mapper = GaussianDemMapper(GRID, Lander())
     flash(mapper, tilt_sigma=1.0 if early else 1e-6)
     flash(mapper, east=0.11, tilt_sigma=1e-6, up=0.5)
-    rise, sigma = mapper.pool.height_of(np.array([[0.1 * k, 0.2, 0.5] for k in range(-30, 30)]))
+    rise, sigma = mapper.pool.height_offset(np.array([[0.1 * k, 0.2, 0.5] for k in range(-30, 30)]))
     assert abs(rise) < 1e-6
     assert sigma < 1e-6
 
@@ -333,16 +335,16 @@ def test_samples_of_a_tilt_that_is_not_known_are_raised_too(early):
 def test_the_height_of_points_is_the_median_over_cells_that_have_samples():
     rng = np.random.default_rng(2)
     pool = SamplePool(GRID)
-    assert pool.height_of(rng.normal(size=(99, 3))) is None
+    assert pool.height_offset(rng.normal(size=(99, 3))) is None
     xy = rng.uniform(-3.5, 3.5, (400, 2))
     pool.add(np.column_stack((xy, np.zeros(400))), 0.01, 0.3)
     z = rng.normal(0.25, 0.02, 300)
     z[:60] += 3.0
     points = np.column_stack((rng.uniform(-3.5, 3.5, (300, 2)), z))
-    rise, sigma = pool.height_of(np.vstack((points, [[np.nan, 0.0, 0.0], [90.0, 0.0, 0.0]])))
+    rise, sigma = pool.height_offset(np.vstack((points, [[np.nan, 0.0, 0.0], [90.0, 0.0, 0.0]])))
     rows, cols = GRID.cell(points[:, :2])
     known = pool.centroid[rows, cols, 0] > 0.0
     assert rise == pytest.approx(np.median(z[known]))
     assert sigma == pytest.approx(1.2533 * 0.02 / np.sqrt(known.sum()), rel=0.7)
-    assert pool.height_of(points[:20]) is None
-    assert pool.raised(0.3).height_of(points)[0] == pytest.approx(rise - 0.3)
+    assert pool.height_offset(points[:20]) is None
+    assert pool.shifted_up(0.3).height_offset(points)[0] == pytest.approx(rise - 0.3)

@@ -1,4 +1,4 @@
-"""What the Gaussian DEM and its safety map take of memory."""
+"""Test the memory use of the Gaussian DEM and of its safety map."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STATM = Path("/proc/self/statm")
 
 
 def detector(side: int, width: float, seed: int = 0) -> np.ndarray:
-    """Return the returns of a detector over rolling ground, row by row (side^2, 3)."""
+    """Return the returns of a detector over rolling terrain, row by row (side^2, 3)."""
     rng = np.random.default_rng(seed)
     line = np.linspace(-0.5 * width, 0.5 * width, side)
     x, y = np.meshgrid(line, line)
@@ -42,19 +42,19 @@ def chain(points: np.ndarray, grid: Grid, side: int) -> None:
 
 
 def resident() -> float:
-    """Return the memory of this process (MB)."""
+    """Return the resident memory of this process (MB)."""
     return int(STATM.read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def trimmed() -> float:
-    """Give back what earlier tests have freed, which later ones would use unseen; see above."""
+    """Return freed memory to the system, which later allocations would reuse unnoticed."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
     return resident()
 
 
 def test_a_million_cells_take_less_than_300_megabytes():
-    """At 0.1 m over 100 x 100 m, everything, watched while kernels run (they free the lock)."""
+    """Map of 100 x 100 m at 0.1 m, sampled while kernels run (they release the lock)."""
     chain(detector(16, 12.0), Grid.centred((0.0, 0.0), 12.0, 0.2), 16)
     points, grid = detector(256, 100.0), Grid.centred((0.0, 0.0), 100.0, 0.1)
     before = trimmed()
@@ -70,7 +70,7 @@ def test_a_million_cells_take_less_than_300_megabytes():
     chain(points, grid, 256)
     done.set()
     watcher.join()
-    # Mean, variance and what `exact_safety` returns are 17 MB at the least.
+    # Mean, variance and the result of `exact_safety` take at least 17 MB.
     assert 17.0 < max(seen) - before < 300.0
 
 
@@ -81,5 +81,5 @@ def test_a_thousand_calls_keep_nothing():
     before = trimmed()
     for _ in range(1000):
         chain(points, grid, 16)
-    # One kept map of each kind and call would be 60 MB.
+    # One additional map of each kind per call would take 60 MB.
     assert trimmed() - before < 3.0

@@ -1,4 +1,4 @@
-"""The Gaussian DEM of many scans: sums, regression, and whether it errs as it says."""
+"""Test the pooled Gaussian DEM: sums, regression and consistency of its variance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lunarsim.evaluation.consistency import Consistency
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.gaussian_dem import SamplePool, _kernels, pooled_dem
 from lunarsim.onboard.hazards.gaussian_dem import _sample_kernels as sk
-from lunarsim.onboard.hazards.planes import Squares
+from lunarsim.onboard.hazards.local_planes import LocalPlaneGrid
 from lunarsim.rocks.field import RockField, RockModel
 from lunarsim.world.terrain import Heightfield, Terrain, fractal_relief, place_rocks
 from tests.reference import dem as reference
@@ -45,7 +45,7 @@ def test_sums_are_those_of_a_plain_loop(seed, level):
     dem = pooled_dem(pool)
     measured = np.nan_to_num(about[..., 2]) > 0.5
     assert dem.mean[measured] == pytest.approx(about[measured][:, 0], abs=1e-3)
-    # Noise alone is the least that a measured cell errs by.
+    # Noise is the minimum error of a measured cell.
     assert (dem.variance[measured] >= about[measured][:, 1] * (1.0 - 1e-5)).all()
 
 
@@ -126,7 +126,7 @@ def rough(seed: int, slope_deg: float = 5.0) -> Terrain:
 
 
 def scan(terrain: Terrain, spacing: float, sigma: float, rng, jitter: float = 0.5):
-    """Return samples straight from above, `spacing` m apart."""
+    """Return samples from vertically above, `spacing` m apart."""
     line = np.arange(-15.9, 16.0, spacing)
     x, y = np.meshgrid(line, line)
     xy = np.column_stack((x.ravel(), y.ravel())) + jitter * spacing * rng.uniform(-0.5, 0.5, 2)
@@ -134,10 +134,10 @@ def scan(terrain: Terrain, spacing: float, sigma: float, rng, jitter: float = 0.
 
 
 def strata(dem, pool: SamplePool, terrain: Terrain) -> dict[str, np.ndarray]:
-    """Return normalised squares of measured, of interpolated cells, and of those shown as rocks.
+    """Return squared normalized errors of measured, interpolated and rock cells.
 
-    What counts as a rock is what the map shows as one. Rocks that no sample has met belong to the
-    ground between samples, whose spread they are part of.
+    A cell counts as a rock if the map shows one. Rocks without a sample are part of the terrain
+    between samples and of its variance.
     """
     square = (dem.mean - terrain.raster(dem.grid)) ** 2 / dem.variance
     shown = dem.mean - Terrain(terrain.relief, RockField.empty()).raster(dem.grid) > 0.12
@@ -179,14 +179,14 @@ def test_the_same_view_again_tells_nothing_of_what_lies_between():
     assert np.median(b.variance[between] / a.variance[between]) > 0.4
     assert np.median(b.sampling.density) == pytest.approx(np.median(a.sampling.density))
     assert np.mean(strata(b, often, terrain)["interpolated"]) < 1.6
-    # Noise does average where it is all there is.
+    # Noise averages out where it is the only error.
     assert np.median(b.variance[~between & a.observed]) < 0.5 * np.median(
         a.variance[~between & a.observed]
     )
 
 
 def test_slopes_buried_in_noise_stay_slopes():
-    """A regression on three corners alone would flatten each triangle."""
+    """A regression on three corners only would flatten each triangle."""
     grid = Grid.centred((0.0, 0.0), 30.0, 0.25)
     plane = Heightfield(
         Grid.centred((0.0, 0.0), 60.0, 1.0),
@@ -206,7 +206,7 @@ def test_slopes_buried_in_noise_stay_slopes():
 def test_samples_of_a_bird_or_a_planet_away_are_refused():
     points, sigma = samples(1)
     pool = SamplePool(GRID)
-    with pytest.raises(InputError, match="heights within 8192 m"):
+    with pytest.raises(InputError, match="heights must be within 8192 m"):
         pool.add(points + [0.0, 0.0, 1_737_000.0], sigma, 0.5)
     with pytest.raises(InputError, match="infinities"):
         pool.add([[0.0, 0.0, np.inf]], 0.1, 0.5)
@@ -223,27 +223,27 @@ def test_samples_of_a_bird_or_a_planet_away_are_refused():
     assert pool.base is None
     assert pool.add(np.full((4, 3), np.nan), 0.1, 0.5) == 0
     assert not pooled_dem(pool).observed.any()
-    # One at all, or all in a line, is no map of what lies between.
+    # A single sample, or collinear samples, give no map between them.
     pool.add([[0.0, 0.0, 1.0]], 0.1, 0.5)
     assert pooled_dem(pool).observed.mean() < 0.05
 
 
 def test_triangles_are_taken_by_all_of_their_corners(monkeypatch):
-    """Middles, and what is known beforehand of ground between samples, to the bit."""
-    pool, given, middles, at = SamplePool(GRID), [], [], Squares.at
+    """Compare centres and prior of the terrain between samples, bit for bit."""
+    pool, given, middles, at = SamplePool(GRID), [], [], LocalPlaneGrid.at
     points, sigma = samples(3, 25)
     pool.add(points, sigma, 0.5)
     monkeypatch.setattr(_kernels, "regress", lambda *args: given.append(args))
-    monkeypatch.setattr(Squares, "at", lambda *args: middles.append(args[2]) or at(*args))
+    monkeypatch.setattr(LocalPlaneGrid, "at", lambda *args: middles.append(args[2]) or at(*args))
     pooled_dem(pool)
     vertices, noise, triangles, _, gradient, _, _, _, prior, length, *_ = given[0]
     assert np.ptp(noise) > 0.0
-    # The third time it is asked for the samples themselves.
+    # The third call is for the samples themselves.
     for points in middles[:2]:
         np.testing.assert_array_equal(points, vertices[triangles].mean(axis=1)[:, :2])
     grown = np.empty((len(triangles), 2))
     sk.triangle_growth(vertices, noise, triangles, gradient, grown)
     corners = noise[triangles]
-    # Of it so many times the noisiest corner and what the ground rises by on the way.
+    # A multiple of the largest corner noise plus the growth along the edges.
     times = prior / (corners.max(axis=1) + prior / length * grown[:, 1])
     np.testing.assert_allclose(times, times[0], rtol=1e-12)

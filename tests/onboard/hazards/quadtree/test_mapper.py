@@ -1,4 +1,4 @@
-"""The mapper: layers of its map, scans that wait, and what it may not be given."""
+"""Test the quadtree mapper: map layers, update interval and invalid input."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSelector,
     SiteSettings,
 )
-from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from lunarsim.onboard.navigation.estimate import Estimate
 
 SMALL = SiteSettings(
@@ -39,7 +39,7 @@ def estimate(position=(0.0, 0.0, 30.0), attitude=(0.0, 0.0, 0.0, 1.0), *, time=0
 
 
 def scan(n=90, half=0.3, time=0.0, bump=True) -> LidarScan:
-    """Return a scan from 30 m straight above level ground, a boulder on it."""
+    """Return a scan from 30 m vertically above flat terrain with a boulder."""
     t = np.linspace(-half, half, n)
     x, y = (a.ravel() for a in np.meshgrid(t, t))
     rays = np.column_stack((x, y, np.ones(n * n)))
@@ -56,7 +56,7 @@ def mapper(**options) -> QuadtreeMapper:
 
 
 def interest(value=0.25):
-    """Return an interest of nought west of 0.15 m and `value` east of it."""
+    """Return an interest of 0 west of 0.15 m and of `value` east of it."""
     grid = Grid.centred((0.15, 0.0), 22.0, 1.0)  # its cells lie aside of those of the map
     return InterestMap(grid, np.where(grid.centres()[..., 0] < 0.0, 0.0, value))
 
@@ -76,7 +76,7 @@ def test_the_ground_makes_the_probability_and_the_mission_the_layers():
     assert not b.eligible[:, ~east].any()
     assert np.array_equal(a.eligible[:, GRID.x > 1.0], b.eligible[:, GRID.x > 1.0])
     assert a.eligible.any()
-    # Eligible is what the limits of the settings leave, cell by cell.
+    # The limits of the settings define the eligible cells.
     selection = free.select()
     status = selection.status[[
         int(np.argmin(np.hypot(*(selection.position[:, :2] - xy).T)))
@@ -111,7 +111,7 @@ def test_a_map_is_drawn_of_the_points_that_its_sites_were_selected_on():
     a, b = late.hazard_map(), whole.hazard_map()
     for name in ("p_safe", "observed", "elevation", "eligible", "in_domain"):
         assert np.array_equal(getattr(a, name), getattr(b, name), equal_nan=name == "elevation")
-    # Asked again it is the same, until sites are selected anew.
+    # The map stays the same until the next site selection.
     late.update(scan(), estimate())
     assert late.hazard_map() is a
 
@@ -134,7 +134,7 @@ def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
     m = mapper(interest=interest())
     m.update(scan(), estimate())
     before, drawn = m.map.points, m.hazard_map()
-    # A target that moves by less than the map's business leaves it alone.
+    # A small move of the target leaves the map unchanged.
     m.recentre(np.array([0.4, 0.2, 0.0]))
     assert np.array_equal(m.map.points, before)
     m.recentre(np.array([5.0, -3.0, 0.5]))
@@ -142,7 +142,7 @@ def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
     assert m.grid.centre == pytest.approx((5.0, -3.0), abs=0.2)
 
     def on_both(points):
-        """Return the points on the new and on the old map, in an order of their own."""
+        """Return the points on both the new and the old map, sorted."""
         inside = np.ones(len(points), bool)
         for grid in (GRID, m.grid):
             west, east, south, north = grid.extent
@@ -154,7 +154,7 @@ def test_what_is_mapped_stays_where_it_is_when_the_map_is_laid_anew():
     assert 0.3 < len(on_both(before)) / len(before) < 0.9
     assert len(on_both(after)) == len(on_both(before))
     assert on_both(after) == pytest.approx(on_both(before), abs=1e-3)
-    # The boulder is where it was, and so is the interest, five metres farther.
+    # The boulder stays in place; the interest moves by five metres.
     both = m.hazard_map()
     spot = np.array([4.0, 0.0])
     assert both.elevation_at(spot) == pytest.approx(drawn.elevation_at(spot), abs=0.1)
@@ -171,14 +171,15 @@ def test_a_map_laid_anew_takes_interest_along_and_forgets_sites():
     assert (value[:, grid.x < 4.5] == 0.0).all()
     assert (value[:, grid.x > 5.5] == np.float32(0.25)).all()
     assert m.map.centre[2] == 2.0
-    # Sites ranked before belong to the map before: what is kept are the points.
+    # Sites of the previous map are dropped; the points are kept.
     m = mapper()
     m.update(scan(), estimate())
     before = m.scoreboard(np.zeros(3)).position
     m.recentre(np.array([8.0, -6.0, 0.0]))
     after = m.scoreboard(np.zeros(3)).position
     west, _, _, north = m.grid.extent
-    # The quadtree's side is a power of two of its least cells, and a little wider than the map.
+    # The side of the quadtree is a power of two of its smallest cells, slightly larger than the
+    # map.
     assert ((before[:, 0] < west - 1.0) | (before[:, 1] > north + 1.0)).any()
     assert ((after[:, 0] > west - 1.0) & (after[:, 1] < north + 1.0)).all()
 
@@ -208,7 +209,7 @@ def test_nobody_changes_interest_or_sites_after_the_ranking():
         m.selector.interest = None
     with pytest.raises(ValueError, match="read-only"):
         m.selector.ratios[0, 0] = 0.0
-    # The map copies what it is given.
+    # The map copies its input.
     given = np.full(GRID.shape, 1.0)
     kept = InterestMap(GRID, given)
     given[:] = 0.0
@@ -226,7 +227,7 @@ def test_eq_9_counts_interest():
     assert good.sum() > 50
     more = given.score[good] - plain.score[good]
     assert more == pytest.approx(np.full(good.sum(), SMALL.weight_interest * 0.75), abs=1e-9)
-    # By hand, all three terms.
+    # All three terms, computed by hand.
     score = (
         SMALL.weight_interest * (1.0 - given.interest[good])
         + SMALL.weight_slope * (1.0 - np.cos(given.slope[good]))
@@ -239,9 +240,9 @@ def test_eq_9_counts_interest():
 def test_costs_that_are_no_numbers_are_refused():
     xy = np.zeros((3, 2))
     with pytest.raises(InputError, match=r"sites\.score"):
-        best_apart(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
+        select_separated(np.array([1.0, np.nan, 2.0]), xy, 2, 1.0)
     with pytest.raises(InputError, match=r"sites\.xy"):
-        best_apart(np.array([1.0, 2.0]), xy, 2, 1.0)
+        select_separated(np.array([1.0, 2.0]), xy, 2, 1.0)
 
 
 def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
@@ -250,7 +251,7 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     turn = quat_to_matrix(quat_from_rotation_vector([0.0, -tilt, 0.0]))
     found = mapper()
     flat = scan(bump=False)
-    # Above the pivot: turned about it, the pose is where it would be without the tilt.
+    # The pose is above the pivot: the rotation about it corrects the pose.
     found.update(flat, estimate((2.0 + 30.0 * np.sin(tilt), 0.0, 30.0 * np.cos(tilt)), wrong,
                                 sigma=np.deg2rad(1.0)))  # fmt: skip
     first = found.map.points
@@ -259,15 +260,15 @@ def test_ground_seen_with_a_wrong_tilt_is_turned_and_what_came_later_stays():
     count = found.map.count
     found.level(turn, pivot, np.deg2rad(0.01))
     assert np.abs(found.map.points[:, 2]).max() < 0.01
-    # Nothing but what slid over the edge of the map is gone.
+    # Only points that moved over the edge of the map are lost.
     assert count - 600 < found.map.count <= count
     assert found.noise > 0.0
     assert not found.select().ranked or found.select().ranked[0].slope < np.deg2rad(0.5)
-    # By then the tilt is known: another turn moves nothing.
+    # The tilt is then known: another rotation moves nothing.
     before = found.map.points
     found.level(turn, pivot, np.deg2rad(0.01))
     assert np.array_equal(found.map.points, before)
-    # Nor does what comes with a doubtful tilt after that take the rest along.
+    # A later scan with an uncertain tilt does not move the other points.
     found.update(flat, estimate(sigma=np.deg2rad(1.0)))
     before = found.map.points
     found.level(turn, pivot, np.deg2rad(1.0))

@@ -1,4 +1,4 @@
-"""Returns that stand apart move neither means nor sites; rocks still count."""
+"""Test outliers in height: they change neither means nor sites; rocks still count."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SIDE = 100.0
 
 
 def field(seed, count=300_000):
-    """Return points of gentle ground with half spheres of 0.35 to 0.6 m, and where those lie."""
+    """Return points of smooth terrain with hemispheres of 0.35 to 0.6 m, and their centres."""
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-0.5 * SIDE, 0.5 * SIDE, (count, 2))
     z = 0.3 * np.sin(xy[:, 0] / 9.0) + 0.02 * xy[:, 1]
@@ -26,7 +26,7 @@ def field(seed, count=300_000):
 
 
 def with_birds(points, birds, seed):
-    """Return the points with so many lifted or sunk by 1 to 1000 m."""
+    """Return the points, some of them raised or lowered by 1 to 1000 m."""
     rng = np.random.default_rng(seed)
     points = points.copy()
     which = rng.choice(len(points), birds, replace=False)
@@ -50,7 +50,7 @@ def test_birds_change_hardly_a_site(birds):
     eligible = [{tuple(p) for p in s.position[s.status == 0, :2]} for s in (clean, found)]
     assert len(eligible[0]) > 3000
     assert len(eligible[0] ^ eligible[1]) < 0.01 * len(eligible[0])
-    # Heights and roughness are those of the ground, too.
+    # Heights and roughness also match the terrain.
     height = {tuple(p[:2]): p[2] for p in clean.position}
     gap = np.array([p[2] - height[tuple(p[:2])] for p in found.position if tuple(p[:2]) in height])
     assert np.quantile(np.abs(gap), 0.999) < 0.05
@@ -64,13 +64,13 @@ def test_birds_are_told_and_nothing_else_is():
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
     quadtree.insert(lifted)
     far = {round(float(z), 3) for z in lifted[which, 2]}
-    told = quadtree.points[quadtree.apart]
-    # Ten points a square metre leave cells of 1.6 m, in which 1 m is hardly more than a slope.
+    told = quadtree.points[quadtree.is_outlier]
+    # With ten points per square metre, cells have 1.6 m, where 1 m is hardly more than a slope.
     assert len(told) >= 0.95 * len(which)
     assert sum(round(float(z), 3) in far for z in told[:, 2]) == len(told)
     quadtree = QuadtreeMap((0.0, 0.0), SIDE)
     quadtree.insert(points)
-    assert quadtree.apart.sum() <= 2
+    assert quadtree.is_outlier.sum() <= 2
 
 
 def test_rocks_of_three_decimetres_are_exceptions():
@@ -80,10 +80,10 @@ def test_rocks_of_three_decimetres_are_exceptions():
     square = selector.map.side / len(hazards)
     col, row = np.floor((rocks + 0.5 * selector.map.side) / square).astype(int).T
     near = [hazards[r - 1 : r + 2, c - 1 : c + 2].any() for r, c in zip(row, col, strict=True)]
-    # Of the least rocks 0.1 m2 stand out of the tolerance: three of thirty points a square metre.
+    # The smallest rocks exceed the tolerance over 0.1 m^2: three of thirty points per square metre.
     assert np.mean(near) > 0.9
     assert np.mean(np.array(near)[radius > 0.4]) == 1.0
-    # Away from rocks nothing is a hazard.
+    # There are no hazards away from rocks.
     centres = (np.argwhere(hazards)[:, ::-1] + 0.5) * square - 0.5 * selector.map.side
     gap = np.hypot(*(centres[:, None] - rocks[None]).transpose(2, 0, 1)) - radius
     assert (gap.min(axis=1) > square).mean() < 0.02
@@ -100,7 +100,7 @@ def test_who_stands_apart_does_not_depend_on_the_order(seed, parts, dwell):
     one.insert(points)
     for part in np.array_split(rng.permutation(points), parts):
         many.insert(part)
-    first, second = (set(map(tuple, q.points[q.apart])) for q in (one, many))
+    first, second = (set(map(tuple, q.points[q.is_outlier])) for q in (one, many))
     assert first == second
     assert first or not dwell
 
@@ -111,9 +111,9 @@ def test_a_bird_that_finds_company_is_ground():
     ground = np.column_stack((rng.uniform(-2.0, 2.0, (2000, 2)), rng.normal(0.0, 0.02, 2000)))
     quadtree.insert(ground)
     quadtree.insert([[0.51, 0.52, 2.0]])
-    assert quadtree.apart.sum() == 1
+    assert quadtree.is_outlier.sum() == 1
     node = np.array([quadtree.cell_at((0.51, 0.52), 0.8, 0.8)], np.int32)
     assert quadtree.elevation(node)[0] < 0.01
     quadtree.insert([[0.53, 0.54, 2.1], [0.52, 0.51, 1.9]])
-    assert quadtree.apart.sum() == 0
+    assert quadtree.is_outlier.sum() == 0
     assert quadtree.elevation(node)[0] > 0.02

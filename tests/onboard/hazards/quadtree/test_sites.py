@@ -1,4 +1,4 @@
-"""Site selection: against the paper's equations done plainly, and against itself from scratch."""
+"""Test site selection against plain equations of the paper and against a new selector."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lunarsim.onboard.hazards.quadtree import (
     SiteSettings,
 )
 from lunarsim.onboard.hazards.quadtree import _site_kernels as k
-from lunarsim.onboard.hazards.quadtree.sites import best_apart
+from lunarsim.onboard.hazards.quadtree.sites import select_separated
 from tests.reference import quadtree as reference
 
 SMALL = SiteSettings(
@@ -29,7 +29,7 @@ SMALL = SiteSettings(
 
 
 def ground(p):
-    """Return a wavy ground with a bump every few metres."""
+    """Return wavy terrain with a bump every few metres."""
     bump = np.hypot(p[:, 0] % 5.0 - 2.0, p[:, 1] % 7.0 - 3.0) < 0.4
     return 0.1 * np.sin(p[:, 0] / 4.0) + 0.03 * p[:, 1] + 0.5 * bump
 
@@ -47,13 +47,13 @@ def swept(seed=0, n=20_000, side=19.0):
 
 
 FIELDS = (
-    "nodes", "position", "interest", "slope", "ratio", "near", "roughness", "relief", "top",
-    "points", "fitted", "slope_sigma", "status", "score",
+    "nodes", "position", "interest", "slope", "ratio", "footprint_ratio", "roughness",
+    "relief", "footprint_relief", "points", "fitted_slope", "slope_sigma", "status", "score",
 )  # fmt: skip
 
 
 def squares_within(raster, place, reach):
-    """Return the squares of 0.2 m that overlap a zone about a place; those on the map."""
+    """Return the squares of 0.2 m on the map that overlap a zone."""
     first = np.maximum(np.floor((place - reach) / 0.2 + 1e-6).astype(int), 0)
     last = np.ceil((place + reach) / 0.2 - 1e-6).astype(int)
     return raster[first[1] : last[1], first[0] : last[0]]
@@ -101,7 +101,7 @@ def test_the_mesh_is_delaunay_and_covers_its_nodes():
         cross = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         assert cross > 0.0
         area += 0.5 * cross
-        # No node strictly inside the circle.
+        # No node is strictly inside the circumcircle.
         ax, ay, bx, by = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
         ux = (by * (ax**2 + ay**2) - ay * (bx**2 + by**2)) / (2.0 * cross)
         uy = (ax * (bx**2 + by**2) - bx * (ax**2 + ay**2)) / (2.0 * cross)
@@ -124,7 +124,7 @@ def test_sites_follow_the_equations(form):
     corners = mesh.xy[mesh.triangles]
     half = 0.5 * quadtree.least
     corner = quadtree.centre[:2] - 0.5 * quadtree.side
-    points = points[~quadtree.apart]
+    points = points[~quadtree.is_outlier]
     # Hazard cells, Eqs. 3 to 5, in squares of a quarter of their side.
     hazard = quadtree.band(*s.hazard_band)
     seen = 0
@@ -180,13 +180,13 @@ def test_sites_follow_the_equations(form):
             tall = squares_within(selector.reliefs, r[:2] - corner, s.zone + s.margin)
             assert selection.relief[i] == np.nanmax(tall)
             middle = squares_within(selector.ratios, r[:2] - corner, 0.6 * s.zone)
-            assert selection.near[i] == middle.max()
+            assert selection.footprint_ratio[i] == middle.max()
             top = squares_within(selector.reliefs, r[:2] - corner, 0.6 * s.zone)
-            assert selection.top[i] == np.nanmax(top)
+            assert selection.footprint_relief[i] == np.nanmax(top)
             inside = points[(np.abs(points[:, :2] - r[:2]) <= s.zone).all(1)]
             assert selection.points[i] == pytest.approx(len(inside), abs=2)
             slope, sigma = reference.fitted_slope(inside)
-            assert selection.fitted[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
+            assert selection.fitted_slope[i] == pytest.approx(slope, rel=1e-2, abs=1e-5)
             assert selection.slope_sigma[i] == pytest.approx(sigma, rel=1e-2)
         if status == "eligible":
             score = 1000.0 * (1.0 - normal[2]) + 100.0 * selection.roughness[i]
@@ -216,7 +216,7 @@ def test_a_cell_whose_only_point_stands_apart_has_too_few_points():
     points = np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
     quadtree = QuadtreeMap((0.0, 0.0), 6.4, 0.1)
     quadtree.insert(np.vstack((points, [[0.6, 0.6, 50.0]])))
-    assert quadtree.apart.sum() == 1
+    assert quadtree.is_outlier.sum() == 1
     selection = SiteSelector(quadtree, replace(SMALL, site_band=(0.4, 0.4))).update()
     i = np.argmin(np.hypot(*(selection.position[:, :2] - 0.6).T))
     assert selection.position[i, :2] == pytest.approx([0.6, 0.6])
@@ -232,14 +232,14 @@ def test_every_quarter_of_a_cell_is_to_be_seen():
             xy = rng.uniform(0.0, 1.6, (25 if q == sparse else 26, 2))
             xy -= [0.0 if q & 1 else 1.6, 0.0 if q & 2 else 1.6]
             quadtree.insert(np.column_stack((xy, np.zeros(len(xy)))))
-        assert k.mesh_nodes(quadtree.tree, root, 10.0)[0] == (sparse is None)
+        assert k.is_mesh_node(quadtree.tree, root, 10.0)[0] == (sparse is None)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, sign):
     quadtree = QuadtreeMap((0.0, 0.0), 2.0, 0.25)
-    # The last point lies between the ends of the zone and of its cell.
+    # The last point lies between the edges of the zone and of its cell.
     xy = np.full((9, 2), 0.3)
     xy[:, axis] = sign * np.append(np.linspace(0.26, 0.49, 8), 0.5 - 4e-7)
     quadtree.insert(np.column_stack((xy, np.zeros(9))))
@@ -256,7 +256,7 @@ def test_a_zone_that_ends_a_micrometre_within_a_cell_takes_all_of_it_in(axis, si
 
 
 def test_on_an_edge_the_steeper_side_counts():
-    # Two triangles over a square; the diagonal runs through its middle.
+    # Two triangles form a square; the diagonal passes through its centre.
     px, py = np.array([0, 8, 8, 0]), np.array([0, 0, 8, 8])
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     z = np.array([0.0, 1.0, 0.0, 0.0])
@@ -270,7 +270,7 @@ def test_on_an_edge_the_steeper_side_counts():
     assert k.steepest_normal(2, 6, mesh, out) == 1
     assert out[2] == normals[1, 2]
     assert k.steepest_normal(9, 1, mesh, out) == -1
-    # On the first triangle z = (x - y) / 8, on the second it is level.
+    # On the first triangle z = (x - y) / 8; the second is flat.
     assert k.mesh_height(6, 1, mesh, 0, 1.0) == pytest.approx(5.0 / 8.0)
     assert k.mesh_height(2, 6, mesh, 1, 1.0) == 0.0
 
@@ -279,14 +279,14 @@ def test_the_board_holds_the_best_at_their_distance():
     rng = np.random.default_rng(2)
     xy, score = rng.uniform(0.0, 20.0, (400, 2)), rng.random(400)
     score[::3] = np.inf
-    chosen = best_apart(score, xy, 6, 3.0)
+    chosen = select_separated(score, xy, 6, 3.0)
     assert len(chosen) == 6
     assert np.isfinite(score[chosen]).all()
     assert (np.diff(score[chosen]) >= 0.0).all()
     for n, i in enumerate(chosen):
         earlier = xy[chosen[:n]]
         assert (np.hypot(*(earlier - xy[i]).T) >= 3.0).all()
-        # Whoever is better and was passed over is too near to one chosen before.
+        # A rejected site with a better score is too close to a chosen one.
         for j in np.flatnonzero(score < score[i]):
             if j not in chosen:
                 assert np.hypot(*(xy[chosen[:n]] - xy[j]).T).min() < 3.0
@@ -374,7 +374,7 @@ def test_a_boulder_in_a_hollow_is_found_and_what_was_not_seen_is_not_clear():
     z = rng.normal(0.0, 0.01, len(xy))
     hollow = (np.abs(xy - 0.4) < 0.4).all(axis=1)
     boulder = np.hypot(*(xy - 0.5).T) < 0.1
-    # Neither is 0.3 m off the ground around, but the one stands 0.38 m over the other.
+    # Neither is 0.3 m from the surrounding terrain, but one is 0.38 m above the other.
     z += np.where(boulder, 0.18, np.where(hollow, -0.2, 0.0))
     unseen = (np.abs(xy - [-2.3, 1.7]) < 0.1).all(axis=1)
     quadtree = QuadtreeMap((0.0, 0.0), 12.8, 0.1)
@@ -392,7 +392,7 @@ def test_a_boulder_in_a_hollow_is_found_and_what_was_not_seen_is_not_clear():
 
 
 def unseen_by(points):
-    """Return where the ground of points (n, 3) was not seen, by squares of 0.4 m over 25.6 m."""
+    """Return unobserved squares of 0.4 m over 25.6 m, for points (n, 3)."""
     quadtree = QuadtreeMap((0.0, 0.0), 25.6, 0.1)
     quadtree.insert(points)
     selector = SiteSelector(quadtree, SiteSettings(mesh_band=(1.6, 3.2)))
@@ -402,7 +402,7 @@ def unseen_by(points):
 
 
 def level(rng, density, half):
-    """Return level ground of so many points on a square metre (n, 3) over a square."""
+    """Return points (n, 3) of flat terrain in a square, with a given density."""
     xy = rng.uniform(-half, half, (rng.poisson(density * (2.0 * half) ** 2), 2))
     return np.column_stack((xy, rng.normal(0.0, 0.01, len(xy))))
 
@@ -412,7 +412,7 @@ def test_coarse_ground_beside_a_fine_patch_is_not_judged_by_the_points_of_the_pa
     rng = np.random.default_rng(13)
     coarse, fine = level(rng, 18.0, 12.8), level(rng, 1000.0, half)
     alone, both = unseen_by(coarse), unseen_by(np.concatenate((coarse, fine)))
-    # A patch that ends within cells of 1.6 m: a square outside of it holds three points, or none.
+    # A patch ends within cells of 1.6 m: a square outside it holds at most three points.
     assert (both & ~alone).sum() <= 2
 
 
@@ -420,12 +420,12 @@ def test_a_hole_in_a_patch_that_fills_no_cell_is_seen():
     rng = np.random.default_rng(14)
     coarse, fine = level(rng, 12.0, 12.8), level(rng, 300.0, 0.6)
     points = np.concatenate((coarse, fine))
-    # A square in the patch's middle, on the south-west corner of a cell.
+    # A square in the centre of the patch, at the south-west corner of a cell.
     hole = ((points[:, :2] > 0.0) & (points[:, :2] < 0.4)).all(axis=1)
     assert not unseen_by(points)[32, 32]
     holed = unseen_by(points[~hole])
     assert holed[32, 32]
-    # That twelve points a square metre leave a square empty tells nothing.
+    # An empty square is not significant with twelve points per square metre.
     assert not unseen_by(coarse[~hole[: len(coarse)]])[32, 32]
 
 
@@ -436,7 +436,8 @@ def test_what_lies_beyond_the_edge_of_a_scan_was_not_seen():
     # A cell ends at 3.2: its last squares hold half of their points, and those beyond none.
     assert not unseen[4:60, 4:39].any()
     assert unseen[:, 40:].all()
-    # Each quarter of a cell at the corner of a scan has points; one square, and all in line, none.
+    # At the corner of a scan each quarter of a cell has points, but one square has none; at its
+    # edge, a line of squares has none.
     corner = unseen_by(points[(points[:, :2] < 2.7).all(axis=1)])
     assert corner[39, 39]
     cut = unseen_by(points[points[:, 0] < 2.7])

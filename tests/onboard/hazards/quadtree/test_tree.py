@@ -1,4 +1,4 @@
-"""The quadtree against a plain one, whatever the order and size of the batches."""
+"""Test the quadtree against a plain one, for any order and size of the batches."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_cells_and_their_means_are_those_of_the_plain_tree(
     elevation, variance = quadtree.elevation(nodes), quadtree.variance(nodes)
     z = points[:, 2]
     apart = reference.stand_apart(z, tree, t.half, quadtree.depths, 8)
-    assert np.array_equal(quadtree.apart, apart)
+    assert np.array_equal(quadtree.is_outlier, apart)
     for key, i in own.items():
         assert t.count[i] == len(tree[key])
         least = key[0] == quadtree.depths and len(tree[key]) >= 8
@@ -94,7 +94,7 @@ def test_queries_find_what_looking_at_everything_finds(seed, west, south, wide, 
     keys = {(int(t.depth[i]), int(t.column[i]), int(t.row[i])) for i in band}
     assert keys == reference.band(tree, quadtree.depth_of(0.3), quadtree.depth_of(2.4))
     assert len(keys) == len(band)
-    # The cell at a point is the one of the band that holds it.
+    # The cell at a point is the one of the band that contains it.
     at = quadtree.cell_at((west, south), 0.3, 2.4)
     gap = np.abs(quadtree.centres(band) - [west, south]) - 0.5 * quadtree.sizes(band)[:, None]
     if at >= 0:
@@ -140,7 +140,7 @@ def test_points_that_cannot_be_placed_are_counted_and_left_out():
 
 
 def test_a_point_that_rounds_over_the_edge_is_off_the_map():
-    # A hair less than half the side; in cells it rounds to one past the last.
+    # Slightly less than half the side; in cells it rounds to one past the last.
     least = float(np.nextafter(np.float64(np.float32(0.22)), 1.0))
     half = 8.0 * least
     edge = float(np.float32(half))
@@ -194,7 +194,7 @@ def test_impossible_maps_are_refused(arguments, field):
         [["0.0", "0.0", "1.0"]],
         np.ones((2, 3), bool),
         [[0.0, 0.0, 1e300]],
-        # Counted from the Moon's middle.
+        # Measured from the centre of the Moon.
         np.array([[0.0, 0.0, 1_737_400.0], [1.0, 1.0, 1_737_400.0]]),
     ],
     ids=[

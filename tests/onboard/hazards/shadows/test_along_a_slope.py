@@ -15,11 +15,11 @@ from lunarsim.messages.measurements import Picture
 from lunarsim.models.lander import Lander
 from lunarsim.onboard.hazards.building import built_mappers
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.aspect import aspect
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
-from lunarsim.onboard.hazards.shadows.measured_ground import MeasuredGround
-from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
-from lunarsim.onboard.hazards.shadows.relief_plane import relief_plane
+from lunarsim.onboard.hazards.shadows.measured_terrain import MeasuredTerrain
+from lunarsim.onboard.hazards.shadows.place_errors import position_sigma
+from lunarsim.onboard.hazards.shadows.terrain_plane import fit_terrain_plane
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
 from lunarsim.onboard.navigation.inertial import StartSigmas, StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.navigator import Navigator
@@ -74,17 +74,17 @@ def update(mapper, scene):
 def test_rocks_are_found_tracked_and_ruled_out_along_the_measured_ground(scene):
     state, camera, counts = scene
     mapper = look(scene, Slope(GRADIENT))
-    plane = relief_plane(Slope(GRADIENT).drawn)
+    plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, SUN, ground=plane, model=MODEL)
     np.testing.assert_array_equal(mapper.seen.ground, seen.ground)
     tracker, probability = parts_of_a_map()
-    tracker.filter.measured = MeasuredGround(Slope(GRADIENT))
+    tracker.filter.measured = MeasuredTerrain(Slope(GRADIENT))
     tracker.update(seen, camera.model, SUN, 0.0, plane)
     np.testing.assert_array_equal(mapper.tracker.filter.xyz, tracker.filter.xyz)
     assert mapper.tracker.filter.count > 0
     probability.see(
         camera.model.view(tracker.filter.inertial), SUN, seen, tracker.filter.ground_at,
-        tracker.explained, partial(place_sigma, tracker.filter), plane,
+        tracker.explained, partial(position_sigma, tracker.filter), plane,
     )  # fmt: skip
     np.testing.assert_array_equal(mapper.probability.evidence.lit, probability.evidence.lit)
     assert probability.evidence.lit.any()
@@ -97,7 +97,7 @@ def test_the_sun_is_judged_along_the_measured_ground(scene):
     mapper = look(scene, Slope(GRADIENT), 30.0)
     state, camera, counts = scene
     sun = direction_from_angles(AZIMUTH + np.radians(30.0), ELEVATION)
-    plane = relief_plane(Slope(GRADIENT).drawn)
+    plane = fit_terrain_plane(Slope(GRADIENT).drawn)
     seen = detect_rocks(counts, camera.model, state, sun, ground=plane, model=MODEL)
     onto = plane.direction(sun)
     told = turn_from_sun(
@@ -143,17 +143,17 @@ def missed(scene, radius, labels=None):
     return after / (1.0 - after) * (1.0 - before) / before
 
 
-def seen_from(scene):
+def viewing_angles(scene):
     state, camera, _ = scene
     view = camera.model.view(state)
     towards = PLANE.direction(SUN)
     model = MODEL.under(float(np.arcsin(towards[2])))
     focal = float(np.sqrt(view.fx * view.fy))
-    return view, model, aspect(np.zeros((1, 3)), view.position, focal, SUN, PLANE)
+    return view, model, viewing_geometry(np.zeros((1, 3)), view.position, focal, SUN, PLANE)
 
 
 def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
-    _, model, (azimuth, depression, pixel) = seen_from(scene)
+    _, model, (azimuth, depression, pixel) = viewing_angles(scene)
     rates = DetectionRates()
     radius = 2.2 / model.visible_pixels(1.0, azimuth, depression, pixel)[0]
     level = MODEL.visible_pixels(radius, azimuth, depression, pixel)
@@ -164,7 +164,7 @@ def test_a_rock_that_is_not_seen_is_missed_by_what_it_shows_on_a_slope(scene):
 
 
 def test_a_rock_is_not_missing_whose_shadow_on_a_slope_falls_into_the_dark(scene):
-    view, model, (azimuth, depression, _) = seen_from(scene)
+    view, model, (azimuth, depression, _) = viewing_angles(scene)
     unit = model.patch(azimuth, depression)
     towards = SUN[:2] / np.hypot(*SUN[:2])
     off = 2.0 * (unit.along[0] * towards + unit.side[0] * np.array([-towards[1], towards[0]]))

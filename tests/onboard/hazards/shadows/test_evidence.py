@@ -30,7 +30,7 @@ def level(height=0.0):
     return lambda xy: np.full(len(xy), height)
 
 
-def seen_from(terrain, place):
+def viewing_angles(terrain, place):
     state, camera, counts = picture(terrain, place)
     return camera.view(state), detect_rocks(counts, camera, state, SUN, model=MODEL)
 
@@ -245,7 +245,7 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     for place in [(-9.0, 4.0, 45.0), (2.0, 3.0, 38.0)]:
-        view, seen = seen_from(terrain, place)
+        view, seen = viewing_angles(terrain, place)
         assert len(seen) == 2
         hidden = replace(seen, largest=np.where(seen.largest > 0, np.inf, 0.0).astype(np.float32))
         evidence.see(view, SUN, hidden, level())
@@ -264,7 +264,7 @@ def test_a_rock_that_no_detection_tells_of_is_not_cleared(size):
 def test_shadows_of_round_and_of_long_rocks_are_looked_for(monkeypatch):
     """A long rock's disc is 0.7 of its longer half axis, by which it is a hazard."""
     rocks = RockField.hemispheres([-6.0], [2.0], 0.0, 0.6)
-    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
+    view, seen = viewing_angles(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
     told = []
     monkeypatch.setattr(kernels, "look", lambda *given: told.append(given))
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
@@ -279,7 +279,7 @@ def test_shadows_of_round_and_of_long_rocks_are_looked_for(monkeypatch):
 def test_a_camera_that_spreads_light_wider_sees_as_one_of_larger_pixels(blur, wider):
     """By root squares of the point spread and a pixel's own 0.29."""
     rocks = RockField.hemispheres([-6.0], [2.0], 0.0, 0.6)
-    view, seen = seen_from(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
+    view, seen = viewing_angles(Terrain(flat_terrain(400.0, 10.0).relief, rocks), (0.0, 0.0, 35.0))
     found = {}
     for point_spread in (0.6, blur):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
@@ -292,7 +292,7 @@ def test_a_shadow_that_is_too_small_for_a_hazard_leaves_the_ground_clear():
     rocks = RockField.hemispheres([-6.0, 5.0], [2.0, -3.0], 0.0, [0.12, 0.6])
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
     mapping = ProbabilityMap(GRID, MODEL, HazardPrior(0.05, 0.5))
-    view, seen = seen_from(terrain, (0.0, 0.0, 35.0))
+    view, seen = viewing_angles(terrain, (0.0, 0.0, 35.0))
     mapping.evidence.see(view, SUN, seen, level())
     row, col = mapping.evidence.grid.cell(np.array([[-6.0, 2.0], [5.0, -3.0]]))
     expected = mapping.evidence.expected()
@@ -304,7 +304,7 @@ def test_shadows_are_cast_onto_the_ground_as_it_is_known():
     """On ground taken for 8 m too low the shadow is looked for beside itself."""
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
-    view, seen = seen_from(terrain, (-25.0, 0.0, 30.0))
+    view, seen = viewing_angles(terrain, (-25.0, 0.0, 30.0))
     middle = {}
     for height in (0.0, -8.0):
         evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
@@ -316,11 +316,11 @@ def test_shadows_are_cast_onto_the_ground_as_it_is_known():
 def test_a_picture_without_any_shadow_says_nothing():
     empty = Terrain(flat_terrain(400.0, 10.0).relief)
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
-    view, seen = seen_from(empty, (0.0, 0.0, 40.0))
+    view, seen = viewing_angles(empty, (0.0, 0.0, 40.0))
     evidence.see(view, SUN, seen, level())
     assert not evidence.seen().any()
     # One shadow shows that the picture can show shadows.
-    view, seen = seen_from(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
+    view, seen = viewing_angles(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
     evidence.see(view, SUN, seen, level())
     assert evidence.seen().mean() > 0.8
     evidence.forget()
@@ -329,12 +329,12 @@ def test_a_picture_without_any_shadow_says_nothing():
 
 def test_what_is_seen_where_places_are_not_known_belongs_elsewhere():
     """West of the middle places are known to less than the radius of the least rock."""
-    view, seen = seen_from(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
+    view, seen = viewing_angles(rocks_on_a_plane("hemisphere", count=3), (0.0, 0.0, 40.0))
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     least = 0.5 * DIAMETERS[0]
     evidence.see(
         view, SUN, seen, level(),
-        place_sigma=lambda xy: np.where(xy[:, 0] < -1.0, 0.9 * least, 1.1 * least),
+        position_sigma=lambda xy: np.where(xy[:, 0] < -1.0, 0.9 * least, 1.1 * least),
     )  # fmt: skip
     assert evidence.seen()[:, :50].mean() > 0.8
     assert not evidence.seen()[:, 80:].any()
@@ -386,7 +386,9 @@ def test_nothing_is_seen_where_rocks_may_show_nothing_dark():
     assert not evidence.seen().any()
     # Those that show nothing are missed by the sharpest look.
     whole = float(NUMBER @ (np.pi * (0.5 * DIAMETERS) ** 2))
-    assert evidence.expected()[60, 60] == pytest.approx(faceted.bare * whole, rel=1e-3)
+    assert evidence.expected()[60, 60] == pytest.approx(
+        faceted.shadowless_fraction * whole, rel=1e-3
+    )
     low = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     low.lit[:] = 1e3
     assert low.seen().all()
@@ -402,7 +404,7 @@ def test_a_shadow_that_rising_ground_cuts_short_is_still_looked_for():
     """On slopes as steep as the Sun is high more than half of a shadow may be lit."""
     rocks = RockField.hemispheres([0.0], [0.0], 0.0, 0.6)
     terrain = Terrain(flat_terrain(400.0, 10.0).relief, rocks)
-    view, seen = seen_from(terrain, (0.0, 0.0, 40.0))
+    view, seen = viewing_angles(terrain, (0.0, 0.0, 40.0))
     # But for the nearest part the shadow is lit.
     v, u = np.indices(seen.labels.shape)
     ray = np.stack(((u - view.cx) / view.fx, (v - view.cy) / view.fy, np.ones(u.shape)), -1)

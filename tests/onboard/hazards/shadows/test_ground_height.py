@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.shadows.ground_height import height_sigma, relief_growth
+from lunarsim.onboard.hazards.shadows.ground_height import height_sigma, height_variance_growth
 from lunarsim.onboard.navigation.inertial import StrapdownState
 from lunarsim.onboard.navigation.level_ground import LevelGround
 from lunarsim.onboard.navigation.rock_filter import RockFilter
@@ -43,11 +43,15 @@ def plain_growth(rocks):
 @pytest.mark.parametrize("count", [2, 3, 40])
 def test_relief_is_told_by_neighbours_and_what_they_err_by(count):
     rocks = tracked(count)
-    assert relief_growth(rocks) == pytest.approx(plain_growth(rocks))
+    assert height_variance_growth(rocks) == pytest.approx(plain_growth(rocks))
 
 
 def test_a_rock_alone_tells_of_no_relief():
-    assert relief_growth(tracked(1)) == relief_growth(tracked(0)) == pytest.approx(BEFORE)
+    assert (
+        height_variance_growth(tracked(1))
+        == height_variance_growth(tracked(0))
+        == pytest.approx(BEFORE)
+    )
     assert np.isposinf(height_sigma(tracked(0), np.zeros((2, 2)))).all()
 
 
@@ -73,7 +77,7 @@ def test_no_more_than_the_five_nearest_rocks_tell():
     for best in (5, 4):
         rocks.state.p[h, h] = 9.0
         rocks.state.p[h[best], h[best]] = 0.01
-        growth = relief_growth(rocks)
+        growth = height_variance_growth(rocks)
         told = np.diag(rocks.state.p)[h] + growth * rocks.xyz[:, 0]
         assert (told[best] < told[:4].min()) and (told.argmin() == best)
         expected = np.sqrt(told[:5].min())

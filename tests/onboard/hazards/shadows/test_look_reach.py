@@ -88,7 +88,7 @@ def test_the_ground_is_searched_by_twice_what_its_height_errs_where_places_lie_n
     view, seen = one_rock()
     evidence = ClearEvidence(GRID, MODEL, DIAMETERS, NUMBER, DetectionRates())
     rocks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2))
-    evidence.slide.follow(rocks, np.full((30, 2), [2.0, -1.0]))
+    evidence.motion.follow(rocks, np.full((30, 2), [2.0, -1.0]))
     given = []
     monkeypatch.setattr(kernels, "look", lambda *args: given.append(args))
 

@@ -12,7 +12,7 @@ from lunarsim.frames import direction_from_angles
 from lunarsim.grid import Grid
 from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
-from lunarsim.onboard.hazards.shadows.blind_parts import middles
+from lunarsim.onboard.hazards.shadows.blind_regions import cell_centres
 from lunarsim.onboard.perception.health import Fault, HealthSettings, PictureHealth
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.world import World
@@ -363,7 +363,7 @@ def test_places_need_not_be_known_better_than_the_least_rock_is_large(scene, mon
         asked.append(enough)
         return np.full(len(xy), 0.01)
 
-    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.place_sigma", told)
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.position_sigma", told)
     mapper = look(scene, [0.0])
     assert asked == [mapper.tracker.settings.least_radius]
     assert mapper.probability.observed.any()
@@ -380,12 +380,14 @@ def test_cells_of_a_picture_are_as_large_on_the_ground_as_their_corners_say(monk
         found.extend((sharpness, area, cover))
         return np.zeros(counts.shape, bool)
 
-    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_parts", told)
+    monkeypatch.setattr("lunarsim.onboard.hazards.shadows.mapper.blind_regions", told)
     mapping = ProbabilityMap(Grid.centred((0.0, 0.0), 40.0, 0.5), MODEL, HazardPrior(0.07, 0.5))
     mapper = ShadowMapper(tracker_at(place), mapping, SUN, 1.0)
     see(mapper, camera.model, counts, 0.0)
     view = camera.model.view(state)
-    corners = middles(640, 480)[:, None] + 20.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners = cell_centres(640, 480)[:, None] + 20.0 * np.array(
+        [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+    )
     rays = np.dstack(((corners - [view.cx, view.cy]) / [view.fx, view.fy], np.ones((192, 4))))
     rays = rays @ view.into
     ground = view.position[:2] - rays[..., :2] / rays[..., 2:] * view.position[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lunarsim.onboard.hazards.shadows.place_errors import place_sigma
+from lunarsim.onboard.hazards.shadows.place_errors import position_sigma
 from tests.shadow_scene import tracker_at
 
 
@@ -36,7 +36,7 @@ def test_places_are_known_as_the_mean_of_the_rocks_about_is_or_their_median(rock
     where = np.random.default_rng(4).uniform(-40.0, 40.0, (60, 2))
     p = rocks.state.p[: rocks.state.size, : rocks.state.size]
     by_mean = 0
-    for xy, found in zip(where, place_sigma(rocks, where), strict=True):
+    for xy, found in zip(where, position_sigma(rocks, where), strict=True):
         near = sorted(range(25), key=lambda k: np.hypot(*(rocks.xy[k] - xy)))[:8]
 
         def sigma(chosen):
@@ -48,16 +48,16 @@ def test_places_are_known_as_the_mean_of_the_rocks_about_is_or_their_median(rock
         assert found == pytest.approx(min(mean, median), rel=1e-9)
     assert by_mean > 0
     # Where the median is good enough it is given.
-    medians = place_sigma(rocks, where, enough=1e3)
-    assert (medians >= place_sigma(rocks, where)).all()
-    assert (medians > place_sigma(rocks, where)).sum() == by_mean
+    medians = position_sigma(rocks, where, enough=1e3)
+    assert (medians >= position_sigma(rocks, where)).all()
+    assert (medians > position_sigma(rocks, where)).sum() == by_mean
 
 
 def test_rocks_that_err_each_by_themselves_tell_places_together():
     tracker = tracker_at((0.0, 0.0, 60.0))
     where = np.array([[-20.0, 0.0], [20.0, 0.0], [0.0, 200.0]])
     # Nothing holds the lander to the ground.
-    assert np.isposinf(place_sigma(tracker.filter, where)).all()
+    assert np.isposinf(position_sigma(tracker.filter, where)).all()
     west = np.column_stack((np.linspace(-24.0, -17.0, 8), np.zeros(8)))
     tracker.filter.add_known(west, np.full(8, 0.4), np.full(8, 0.5), np.full(8, 0.1))
     tracker.filter.add_known(
@@ -65,7 +65,7 @@ def test_rocks_that_err_each_by_themselves_tell_places_together():
     )
     # What lander and rocks share does not count: here they share nothing.
     shared = np.sqrt(0.5 * np.trace(tracker.filter.state.p[:2, :2]))
-    found = place_sigma(tracker.filter, where)
+    found = position_sigma(tracker.filter, where)
     assert found[0] == pytest.approx(np.hypot(0.4 / np.sqrt(8.0), shared), rel=0.02)
     # One rock of eight that is not known spoils the mean, but not the median.
     assert found[1] == pytest.approx(np.hypot(0.1, shared), rel=0.02)

@@ -13,7 +13,7 @@ from lunarsim.messages.measurements import Picture
 from lunarsim.onboard.hazards.shadows import HazardPrior, ProbabilityMap, ShadowMapper
 from lunarsim.onboard.hazards.shadows.mapping import ShadowMapping
 from lunarsim.onboard.perception.detector import detect_rocks
-from lunarsim.onboard.perception.health import Fault, PictureHealth, SunProof
+from lunarsim.onboard.perception.health import Fault, PictureHealth, SunConfirmation
 from lunarsim.onboard.perception.shadow_model import ShadowModel
 from lunarsim.rocks.field import RockModel
 from lunarsim.sensors.camera import Camera
@@ -67,7 +67,7 @@ def test_from_1000_m_the_narrow_camera_finds_rocks_that_are_too_small_for_the_wi
 def mapper_of(*names):
     grid = Grid.centred((0.0, 0.0), 40.0, 0.5)
     mapping = ProbabilityMap(grid, MODEL, HazardPrior(0.05, 0.5))
-    sun = SunProof()
+    sun = SunConfirmation()
     health = {name: PictureHealth(sun=sun) for name in names}
     return ShadowMapper(tracker_at(NEAR), mapping, SUN, 1.0, health=health)
 
@@ -129,7 +129,7 @@ def test_a_picture_older_than_another_cameras_last_is_left_out(frames):
     # Of one camera it is a mistake of the caller's, as ever.
     alone = mapper_of("wide")
     look(alone, "wide", *frames_at(frames, "wide", 0), 1.0)
-    with pytest.raises(InputError, match="time does not run backwards"):
+    with pytest.raises(InputError, match="must not be before the last image"):
         look(alone, "wide", *frames_at(frames, "wide", 1), 0.5)
 
 

@@ -1,0 +1,146 @@
+"""Probability of a safe landing on measured flat terrain, from a formula.
+
+Outside its calibrated domain a map of elevations is bounded by the worst that a footprint may
+contain. This bound hardly ranks the sites: on cratered terrain, sites with probabilities of a few
+per million and of one half are equally safe. The following formula is therefore used where it is
+larger:
+
+    p = prior x level x exp(-Lambda) x P(no tracked rock reaches in)
+
+`level` falls from 1, where measured slope and roughness are well within the limits, to 0 at either
+limit. Lambda is the expected number of undetected hazardous rocks under the lander, the smaller of
+two bounds:
+
+- ten times the number expected from the samples, after thinning by the rock sensor: with few
+  samples the share of high samples is poorly known;
+- where the rock sensor has observed, the rocks that it misses of those expected by the mission.
+
+The prior is below the threshold for claimed safety, and the result is not a calibrated frequency.
+It never exceeds the limit set by the measurements (`ceiling`), and it is 0 for samples noisier or
+sparser than those of the calibration. p decreases with each of its factors, and applies wherever
+either sensor has observed, so that all sites are compared by the same measure. The formula ignores
+rocks and holes below the roughness limit that would tilt the lander on a slope; the regression
+counts them.
+
+A rock sensor that finds far fewer rocks than expected is rejected
+(`lunarsim.onboard.hazards.shadows.plausible`), unless it underestimates their size: here rocks are
+counted with the height scale from the samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards.fusion.resampling import resample_to_grid
+from lunarsim.onboard.hazards.fusion.rock_heights import RockHeights
+from lunarsim.onboard.hazards.published import RockEvidence, RockTracks
+from lunarsim.onboard.hazards.shadows.plausible import too_few
+from lunarsim.safety.calibration import NOISES, SPACINGS, Evidence, ceiling
+
+Array = NDArray[np.float64]
+
+# Slope and roughness count as well within the limits up to 1 minus these shares.
+_SLOPE_MARGIN, _ROUGHNESS_MARGIN = 0.2, 0.7
+# Factor on the number of undetected rocks expected from the samples.
+_UNDETECTED_ROCK_FACTOR = 10.0
+
+
+def flat_terrain_probability(site_evidence: Evidence, prior: float, free_of_unseen: Array) -> Array:
+    """Return the probability of safe terrain, ignoring tracked rocks (rows, cols).
+
+    It is meaningless where nothing was measured; see `apply_ceiling`.
+
+    Parameters
+    ----------
+    site_evidence
+        Site evidence from elevations, with undetected rocks thinned by the rock sensor.
+    prior
+        Probability that slope and relief are within the limits, as expected by the mission.
+    free_of_unseen
+        Probability of no undetected rock, from `no_undetected_rock_probability` (rows, cols).
+    """
+    with np.errstate(invalid="ignore"):
+        level = np.clip((1.0 - site_evidence.slope) / _SLOPE_MARGIN, 0.0, 1.0)
+        level *= np.clip((1.0 - site_evidence.roughness) / _ROUGHNESS_MARGIN, 0.0, 1.0)
+    return np.asarray(prior * level * free_of_unseen)
+
+
+def apply_ceiling(site_evidence: Evidence, p: Array) -> NDArray[np.float32]:
+    """Limit probabilities (rows, cols) to what the measurements permit.
+
+    The result is 0 where the terrain was not measured and where the evidence is not a number.
+    """
+    p = np.minimum(p, ceiling(site_evidence))
+    return np.where(site_evidence.observed & np.isfinite(p), p, 0.0).astype(np.float32)
+
+
+def no_undetected_rock_probability(
+    site_evidence: Evidence, none_missed: Array | float = 0.0
+) -> Array:
+    """Return the probability of no undetected rock, regardless of the terrain.
+
+    The result (rows, cols) is 0 for samples noisier or sparser than those of the calibration.
+
+    Parameters
+    ----------
+    site_evidence
+        Site evidence, as in `flat_terrain_probability`.
+    none_missed
+        Result of `no_missed_rock_probability` (rows, cols).
+    """
+    if site_evidence.noise_ratio > NOISES[1] or site_evidence.spacing_ratio > SPACINGS[1]:
+        return np.zeros(site_evidence.level.grid.shape)
+    return np.asarray(
+        np.maximum(np.exp(-_UNDETECTED_ROCK_FACTOR * site_evidence.hazards()), none_missed)
+    )
+
+
+def no_missed_rock_probability(
+    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, grid: Grid, limit: float
+) -> Array:
+    """Return the probability that the rock sensor misses no rock under the lander.
+
+    The result (rows, cols) is 0 where the sensor has no observation, does not provide the
+    probability, or is rejected.
+
+    Parameters
+    ----------
+    rocks
+        Evidence of the rock sensor.
+    placed, heights
+        Its tracks after registration, and their height estimates.
+    grid
+        Sites.
+    limit
+        Height above which a rock is hazardous, m.
+    """
+    if rocks.unseen is None or not is_detection_count_plausible(rocks, placed, heights, limit):
+        return np.zeros(grid.shape)
+    own = rocks.hazard_map
+    seen = resample_to_grid(own.observed, own.grid, grid, False, "minimum")
+    unseen = resample_to_grid(rocks.unseen, own.grid, grid, 1.0, "maximum")
+    return np.where(seen, 1.0 - unseen, 0.0)
+
+
+def is_detection_count_plausible(
+    rocks: RockEvidence, placed: RockTracks, heights: RockHeights, limit: float
+) -> bool:
+    """Return whether the rock sensor finds a plausible number of rocks.
+
+    Parameters
+    ----------
+    rocks
+        Evidence of the rock sensor.
+    placed, heights
+        Its tracks after registration, and their height estimates.
+    limit
+        Height above which a rock is hazardous, m.
+    """
+    domain = rocks.hazard_map.in_domain
+    if domain is None or domain.any():
+        return True
+    inside = np.asarray(rocks.hazard_map.grid.contains(placed.xy)) & (placed.existence > 0.5)
+    high = heights.scale * placed.radius >= limit
+    return not too_few(int(np.count_nonzero(inside & high)), rocks.expected)

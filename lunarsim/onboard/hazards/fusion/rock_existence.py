@@ -1,0 +1,104 @@
+"""Update of the existence of tracked rocks with elevations of another sensor.
+
+A hazardous rock raises the terrain. Suppose that elevations near a tracked rock were measured
+densely and show no rise of even half the roughness limit. Then either no rock stands there, or it
+is too low to matter, or all samples missed it. The odds that a hazardous rock stands there are
+multiplied by the probability of the last case. A rock that the elevations do show keeps its odds,
+because the elevations already count it.
+
+Rocks are located by their position relative to the lander, since both maps use its local frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lunarsim.grid import Grid
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.hazards.published import ReliefEvidence, RockTracks
+
+Array = NDArray[np.float64]
+
+# Minimum probability that both sensors miss a rock for a common reason, for instance because it is
+# flat on the far side and as dark as the terrain.
+COMMON_MISS_PROBABILITY = 0.05
+# Height variation that counts as a visible rise, relative to the roughness limit.
+_VISIBLE_RISE_SHARE = 0.5
+# Share of the area of a half ellipsoid that is above half its height.
+_TOP_AREA_SHARE = 0.75
+# Search radius about a rock beyond its own radius: standard deviations of its position, and cells.
+_SEARCH_SIGMAS, _SEARCH_CELLS = 2.0, 1.0
+# Minimum radius of a rock, m.
+_MIN_RADIUS_M = 0.1
+# Width of the window for the mean terrain about a rock, in leg radii.
+_WINDOW_LEG_RADII = 3.0
+
+
+def existence_given_elevations(tracks: RockTracks, relief: ReliefEvidence, lander: Lander) -> Array:
+    """Return the probability that each track is a hazardous rock, given elevations.
+
+    The probability never increases. It is unchanged if a rise is visible, if the terrain about the
+    rock was not measured completely, or if the sampling is unknown.
+
+    Parameters
+    ----------
+    tracks
+        Tracked rocks.
+    relief
+        Elevations and their sampling density.
+    lander
+        Limits of the lander.
+    """
+    surface = relief.surface
+    if relief.site_evidence is None or surface.elevation is None or not len(tracks.radius):
+        return tracks.existence.copy()
+    rise = _height_above_mean(surface.elevation.astype(np.float64), surface.grid, lander)
+    min_rise = _VISIBLE_RISE_SHARE * lander.roughness_limit
+    spread = np.sqrt(tracks.radius_variance)
+    reaches = tracks.radius + _SEARCH_SIGMAS * np.hypot(tracks.sigma, spread)
+    top = _TOP_AREA_SHARE * np.pi * np.maximum(tracks.radius - spread, _MIN_RADIUS_M) ** 2
+    missed = np.ones(len(reaches))
+    for n, (xy, reach) in enumerate(zip(tracks.xy, reaches, strict=True)):
+        cells = _cells_in_disc(
+            surface.grid, xy, float(reach) + _SEARCH_CELLS * surface.grid.posting
+        )
+        if cells is None:
+            continue
+        heights = rise[cells]
+        if np.isfinite(heights).all() and np.ptp(heights) < min_rise:
+            density = float(relief.site_evidence.density[cells].min())
+            missed[n] = np.exp(-density * top[n])
+    missed = COMMON_MISS_PROBABILITY + (1.0 - COMMON_MISS_PROBABILITY) * missed
+    odds = missed * tracks.existence / np.maximum(1.0 - tracks.existence, 1e-12)
+    return np.where(missed < 1.0, odds / (1.0 + odds), tracks.existence)
+
+
+def _height_above_mean(z: Array, grid: Grid, lander: Lander) -> Array:
+    """Return heights above the local mean (rows, cols), m; NaN where unknown."""
+    width = 2 * round(0.5 * _WINDOW_LEG_RADII * lander.leg_radius / grid.posting) + 1
+    known = np.isfinite(z)
+    share = ndimage.uniform_filter(known.astype(np.float64), width, mode="constant")
+    total = ndimage.uniform_filter(np.where(known, z, 0.0), width, mode="constant")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(z - total / share)
+
+
+def _cells_in_disc(grid: Grid, xy: Array, radius: float) -> tuple[NDArray[np.int64], ...] | None:
+    """Return rows and columns (k,) of the cells in a disc; None if it leaves the grid."""
+    west, east, south, north = grid.extent
+    if not (
+        west <= xy[0] - radius
+        and xy[0] + radius <= east
+        and south <= xy[1] - radius
+        and xy[1] + radius <= north
+    ):
+        return None
+    (r0, c0), (r1, c1) = (
+        tuple(int(v) for v in grid.cell(xy + sign * radius)) for sign in (-1.0, 1.0)
+    )
+    row, col = np.mgrid[r0 : min(r1, grid.rows - 1) + 1, c0 : min(c1, grid.cols - 1) + 1]
+    off = grid.centre_of(row, col) - xy
+    near = np.hypot(off[..., 0], off[..., 1]) <= radius
+    return row[near], col[near]

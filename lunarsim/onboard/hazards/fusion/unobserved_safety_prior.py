@@ -1,0 +1,54 @@
+"""Prior for terrain without a measured elevation, estimated from measured terrain."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, logit
+
+from lunarsim.onboard.hazards.fusion.terms import FusionTerms
+from lunarsim.onboard.hazards.hazard_map import FloatMap
+from lunarsim.safety.calibration import UNSURE
+
+Array = NDArray[np.float64]
+
+# Minimum probability in averages of log odds.
+_MIN_PROBABILITY = 1e-12
+
+
+def unobserved_safety_prior(
+    free_of_tracks: FloatMap, free_of_unseen: Array, posting: float, terms: FusionTerms
+) -> float:
+    """Return the prior that unmeasured terrain is safe, ignoring tracked rocks.
+
+    The prior is the mean probability of the measured terrain in the same map. With any other
+    measure, samples so sparse that all measured terrain remains uncertain would direct the lander
+    to where no sample fell. The expectation of the mission is added on log odds as one more site
+    and is never exceeded. Sites with overlapping footprints do not count as several, so its weight
+    is small beside many sites. This additional site is also limited by what the map can measure: if
+    undetected rocks may stand on all measured terrain, they may stand on unmeasured terrain too.
+    This limit tightens with the number of measured sites.
+
+    Parameters
+    ----------
+    free_of_tracks
+        Probability that measured terrain is safe, ignoring tracked rocks (n,); NaN counts as 0.
+    free_of_unseen
+        Its factor that is independent of slope and roughness: no undetected rock (n,); NaN counts
+        as 0.
+    posting
+        Cell size, m.
+    terms
+        Prior knowledge.
+    """
+    lander, expected = terms.lander, terms.relief_prior
+    number = len(free_of_tracks)
+    if number == 0 or expected <= _MIN_PROBABILITY:
+        return expected
+    footprint = np.pi * (lander.leg_radius + 0.5 * lander.pad_diameter) ** 2
+    sites = min(posting**2 / footprint, 1.0) * number
+    free_share = max(float(np.mean(np.nan_to_num(free_of_unseen))), UNSURE)
+    mission_site = expected * free_share ** (sites / (sites + 1.0))
+    mean = float(np.mean(np.nan_to_num(free_of_tracks), dtype=np.float64))
+    each = logit(np.clip((mean, mission_site), _MIN_PROBABILITY, expected))
+    return float(expit((sites * each[0] + each[1]) / (sites + 1.0)))

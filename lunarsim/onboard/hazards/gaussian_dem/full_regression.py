@@ -1,0 +1,61 @@
+"""Full Gaussian process regression, the reference for the local approximation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import cdist
+
+from lunarsim.onboard.hazards.gaussian_dem.conventional import check_points
+
+_MAX_POINTS = 5000  # points; the cost grows with the cube of their number
+
+Array = NDArray[np.float64]
+
+
+def full_regression(
+    points: ArrayLike, xy: ArrayLike, *, sigma_f: float, length_scale: float, sigma_eps: float
+) -> tuple[Array, Array]:
+    """Regress the elevation on all points (Eqs. 4 to 6 of the Gaussian DEM paper).
+
+    Parameters
+    ----------
+    points
+        East, north, up (n, 3), m; at most 5,000.
+    xy
+        Points of prediction (m, 2), m.
+    sigma_f, length_scale, sigma_eps
+        Prior standard deviation, length scale of the kernel and noise of a sample, m.
+
+    Returns
+    -------
+    mean, variance
+        Of the elevation (m,), m and m^2. The prior mean is the mean of the points.
+
+    Raises
+    ------
+    ValueError
+        If there are too many points, or if the kernel matrix is singular (coincident points without
+        noise).
+    """
+    cloud = check_points(points)
+    if len(cloud) > _MAX_POINTS:
+        raise ValueError(
+            f"points: must be at most {_MAX_POINTS} for full regression, got {len(cloud)}"
+        )
+    prior = sigma_f * sigma_f
+    gram = prior * np.exp(-cdist(cloud[:, :2], cloud[:, :2]) / length_scale)
+    gram[np.diag_indices_from(gram)] += sigma_eps * sigma_eps
+    try:
+        factor = cho_factor(gram, lower=True)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            f"sigma_eps: must be positive if points coincide, got {sigma_eps}. "
+            "The kernel matrix is singular."
+        ) from None
+    base = float(cloud[:, 2].mean())
+    cross = prior * np.exp(-cdist(np.atleast_2d(xy), cloud[:, :2]) / length_scale)
+    mean = base + cross @ cho_solve(factor, cloud[:, 2] - base)
+    explained = np.einsum("mn,nm->m", cross, cho_solve(factor, cross.T))
+    return mean, np.maximum(prior - explained, 0.0)

@@ -1,0 +1,83 @@
+"""Least-squares planes through the points of a map, in squares of its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lunarsim.grid import Grid
+from lunarsim.onboard.hazards import _plane_kernels as k
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LocalPlaneGrid:
+    """Squares of a few samples each, in which the terrain is approximated by a plane.
+
+    Attributes
+    ----------
+    grid
+        Cells of the map.
+    cells
+        Side of a square in cells of the map.
+    """
+
+    grid: Grid
+    cells: int
+
+    @classmethod
+    def of(cls, grid: Grid, edges: Array) -> LocalPlaneGrid:
+        """Return squares with a side of about two typical triangle edges; `edges` (m,), m."""
+        if not len(edges):
+            return cls(grid, 8)
+        return cls(grid, int(np.clip(np.ceil(2.0 * np.median(edges) / grid.posting), 2, 64)))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of squares."""
+        return -(-self.grid.rows // self.cells), -(-self.grid.cols // self.cells)
+
+    def at(self, values: Array, points: Array) -> Array:
+        """Return the values of the squares that contain points (n, 2 or more) (n, ...)."""
+        row, col = self.grid.cell(points[:, :2])
+        rows, cols = self.shape
+        at = np.clip(row // self.cells, 0, rows - 1), np.clip(col // self.cells, 0, cols - 1)
+        return np.ascontiguousarray(values[at])
+
+    def fit_planes(self, vertices: Array) -> Array:
+        """Fit a plane to the vertices in 5 x 5 squares about each square (rows, cols, 3).
+
+        Components: height at the centre of the raster of squares, m, slope to the east and slope to
+        the north.
+        """
+        west, _, south, _ = self.grid.extent
+        sums = np.zeros((*self.shape, 9))
+        k.plane_sums(vertices, west, south, self.cells * self.grid.posting, sums)
+        s = 25.0 * ndimage.uniform_filter(sums, (5, 5, 1), mode="constant")
+        n = np.maximum(s[..., 0], 1.0)
+        xx = s[..., 4] - s[..., 1] ** 2 / n
+        xy = s[..., 5] - s[..., 1] * s[..., 2] / n
+        yy = s[..., 6] - s[..., 2] ** 2 / n
+        xz = s[..., 7] - s[..., 1] * s[..., 3] / n
+        yz = s[..., 8] - s[..., 2] * s[..., 3] / n
+        determinant = xx * yy - xy * xy
+        sound = (s[..., 0] > 5.5) & (determinant > 1e-9 * np.maximum(xx * yy, 1e-12))
+        safe = np.where(sound, determinant, 1.0)
+        east = np.where(sound, (yy * xz - xy * yz) / safe, 0.0)
+        north = np.where(sound, (xx * yz - xy * xz) / safe, 0.0)
+        level = (s[..., 3] - east * s[..., 1] - north * s[..., 2]) / n
+        return np.stack((level, east, north), axis=-1)
+
+    def plane_heights(self, planes: Array, points: Array) -> Array:
+        """Return the heights of the planes at points (n, 2 or more), m."""
+        west, _, south, _ = self.grid.extent
+        side = self.cells * self.grid.posting
+        rows, cols = self.shape
+        x = points[:, 0] - west - 0.5 * side * cols
+        y = points[:, 1] - south - 0.5 * side * rows
+        own = self.at(planes, points)
+        return np.asarray(own[:, 0] + own[:, 1] * x + own[:, 2] * y)

@@ -1,0 +1,173 @@
+"""Find regions of an image in which shadows would not be visible.
+
+The quality check uses the best parts of an image. A region may still be useless: saturated, behind
+dust or dirt, out of focus, or read out wrongly. Such a region lacks the shadows that the rest of
+the image has. Terrain with few rocks looks the same and is also excluded if the rest of the image
+has many. Only an image from a lower altitude can separate the two.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import pdtr
+
+from lunarsim.models.camera import CameraModel
+from lunarsim.onboard.hazards.shadows.viewing_geometry import viewing_geometry
+from lunarsim.onboard.perception.along_plane import model_on_plane
+from lunarsim.onboard.perception.detector import Detections
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+from lunarsim.onboard.perception.shadow_model import ShadowModel
+from lunarsim.onboard.perception.shape_mixture import ShapeMixture
+from lunarsim.rocks.laws import golombek_number
+
+Array = NDArray[np.float64]
+
+# Rows and columns of cells into which the image is divided.
+ROWS, COLS = 12, 16
+# Sides of the windows, in cells, in which shadows are counted.
+_WINDOW_ROWS, _WINDOW_COLS = (3, 4, 6, 9, 12), (4, 6, 8, 11, 16)
+# A window is blind if the probability of so few shadows is below the first value, given the second
+# fraction of the density elsewhere, because rocks are clustered.
+_MAX_CHANCE, _CLUSTERING_FACTOR = 1e-3, 0.5
+# Minimum q of a detected shadow.
+_MIN_Q = 2.0
+# Minimum width of saturated patches, and width of the region excluded around them, pixels.
+_GLARE_PX = 5
+
+
+def cell_centres(width: int, height: int) -> Array:
+    """Return the pixels at the centres of image cells, row by row (cells, 2)."""
+    u = (np.arange(COLS) + 0.5) * width / COLS - 0.5
+    v = (np.arange(ROWS) + 0.5) * height / ROWS - 0.5
+    return np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
+
+
+def ground_of_cells(
+    camera: CameraModel,
+    points: Array,
+    camera_position: Array,
+    sun: Array,
+    plane: GroundPlane,
+    model: ShadowModel | ShapeMixture,
+) -> tuple[Array, Array]:
+    """Return sharpness and terrain area of cells (cells,), for `expected_shares`.
+
+    Parameters
+    ----------
+    camera
+        Camera model.
+    points
+        Terrain points at the `cell_centres` (cells, 3), m; NaN for none.
+    camera_position
+        Position of the camera (3,), m.
+    sun, plane
+        Direction towards the Sun (3,), ENU, and the plane on which shadows fall.
+    model
+        Shadow model.
+    """
+    focal = float(np.sqrt(camera.fx * camera.fy))
+    azimuth, depression, pixel = viewing_geometry(points, camera_position, focal, sun, plane)
+    sharpness = model_on_plane(model, plane, sun).visible_pixels(1.0, azimuth, depression, pixel)
+    # The solid angle of a pixel decreases with the cube of the cosine off the boresight.
+    off = cell_centres(camera.width, camera.height) - [camera.cx, camera.cy]
+    solid = (1.0 + ((off / [camera.fx, camera.fy]) ** 2).sum(1)) ** -1.5
+    pixels = camera.width * camera.height / len(points)
+    return sharpness, pixels * solid * pixel**2 / np.sin(depression)
+
+
+def expected_shares(sharpness: Array, area: Array, cover: float) -> Array:
+    """Return the expected number of shadows in cells, up to a factor (2, cells).
+
+    The first row follows the size law for the smallest visible rock, the second assumes that all
+    rocks are visible everywhere, because the law does not hold for arbitrarily small rocks.
+
+    Parameters
+    ----------
+    sharpness
+        Square root of the dark pixels of a rock of radius 1 m (cells,); 0 or NaN without terrain.
+    area
+        Terrain area in the cells (cells,), m^2.
+    cover
+        Fraction of the terrain covered by rocks (Golombek).
+    """
+    shown = np.isfinite(area) & (sharpness > 0.0)
+    least = 2.0 * _MIN_Q / np.where(shown, sharpness, 1.0)
+    ground = np.where(shown, area, 0.0)
+    return np.stack((ground * golombek_number(least, cover), ground))
+
+
+def empty_cells(found: NDArray[np.int64], expected: Array) -> NDArray[np.bool_]:
+    """Return the cells in a window with far fewer shadows than the rest of the image.
+
+    Parameters
+    ----------
+    found
+        Number of shadows in each cell (ROWS, COLS).
+    expected
+        Expected number by each law, up to a factor (laws, ROWS, COLS); a window must have too few
+        by all laws.
+    """
+    out = np.zeros(found.shape, np.bool_)
+    count = _corner_sums(found[None].astype(np.float64))[0]
+    share = _corner_sums(expected)
+    for high, wide in product(_WINDOW_ROWS, _WINDOW_COLS):
+        inside = _in_windows(count, high, wide)
+        due = _in_windows(share, high, wide)
+        rest = count[-1, -1] - inside
+        left = np.maximum(share[:, -1:, -1:] - due, 1e-300)
+        number = (rest * due / left).min(0)
+        empty = (due.min(0) > 0.0) & (pdtr(inside, _CLUSTERING_FACTOR * number) < _MAX_CHANCE)
+        for i, j in zip(*np.nonzero(empty), strict=True):
+            out[i : i + high, j : j + wide] = True
+    return out
+
+
+def _corner_sums(values: Array) -> Array:
+    """Return cumulative sums above and to the left of corners (n, rows + 1, cols + 1)."""
+    out = np.zeros((len(values), values.shape[1] + 1, values.shape[2] + 1))
+    out[:, 1:, 1:] = values.cumsum(1).cumsum(2)
+    return out
+
+
+def _in_windows(sums: Array, high: int, wide: int) -> Array:
+    """Return the sums over windows by their first cell (..., rows, cols)."""
+    low, top = sums[..., high:, :], sums[..., :-high, :]
+    return np.asarray(low[..., wide:] - low[..., :-wide] - top[..., wide:] + top[..., :-wide])
+
+
+def glare(counts: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which pixels (height, width) lie in or near large saturated patches."""
+    most = (counts >= np.nanmax(counts)).astype(np.uint8)
+    inner = cv2.erode(most, np.ones((_GLARE_PX, _GLARE_PX), np.uint8))
+    side = 3 * _GLARE_PX
+    return np.asarray(cv2.dilate(inner, np.ones((side, side), np.uint8)) > 0)
+
+
+def blind_regions(
+    counts: NDArray[Any], seen: Detections, sharpness: Array, area: Array, cover: float
+) -> NDArray[np.bool_]:
+    """Return the pixels (height, width) in which shadows would not be visible.
+
+    Parameters
+    ----------
+    counts
+        Image (height, width).
+    seen
+        Detections in the image.
+    sharpness, area, cover
+        See `expected_shares`; for the cells about `cell_centres`.
+    """
+    height, width = counts.shape
+    found = np.histogram2d(
+        seen.pixel[:, 1], seen.pixel[:, 0], (ROWS, COLS),
+        ((-0.5, height - 0.5), (-0.5, width - 0.5)),
+    )[0].astype(np.int64)  # fmt: skip
+    expected = expected_shares(sharpness, area, cover).reshape(2, ROWS, COLS)
+    empty = empty_cells(found, expected).astype(np.uint8)
+    blind = cv2.resize(empty, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return np.asarray(blind | glare(counts))

@@ -1,0 +1,81 @@
+"""Motion of stored map positions in the local frame, following the rocks.
+
+Rocks are positioned relative to the lander, so later corrections of position and attitude move the
+rocks: by 1 m or more on a descent that knows them to 0.1 m relative to the lander. Evidence about
+the terrain between the rocks must move with them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Prior against rotation and stretch, equivalent to this many rocks at this distance (m): few rocks
+# only shift the map.
+_PRIOR_ROCK_COUNT, _PRIOR_DISTANCE_M = 10.0, 20.0
+# Rocks whose motion deviates by more than this many median deviations are ignored.
+_OUTLIER_DEVIATIONS = 4.0
+# Minimum of the median deviation, m.
+_MIN_DEVIATION_M = 0.005
+
+
+class MapMotion:
+    """Motion of stored positions as an affine map of the plane.
+
+    Parameters
+    ----------
+    middle
+        Centre of the positions, east and north (2,), m.
+    """
+
+    def __init__(self, middle: Array) -> None:
+        self._centre = np.asarray(middle, dtype=np.float64)
+        self._shift = np.zeros(2)
+        self._turn = np.eye(2)
+
+    def forget(self) -> None:
+        """Reset the motion."""
+        self._shift = np.zeros(2)
+        self._turn = np.eye(2)
+
+    @property
+    def still(self) -> bool:
+        """Whether positions have not moved."""
+        return not self._shift.any() and np.array_equal(self._turn, np.eye(2))
+
+    def follow(self, xy: Array, by: Array) -> None:
+        """Move positions with the rocks.
+
+        Parameters
+        ----------
+        xy
+            Current positions of the rocks (n, 2), m.
+        by
+            Motion of the rocks (n, 2), m; NaN if unknown.
+        """
+        known = np.isfinite(by).all(1) & np.isfinite(xy).all(1)
+        xy, by = xy[known], by[known]
+        if len(xy) == 0:
+            return
+        off = np.hypot(*(by - np.median(by, axis=0)).T)
+        is_inlier = off <= _OUTLIER_DEVIATIONS * max(float(np.median(off)), _MIN_DEVIATION_M)
+        before, by = (xy - by)[is_inlier], by[is_inlier]
+        centre, shift = before.mean(0), by.mean(0)
+        arm = before - centre
+        square = arm.T @ arm + _PRIOR_ROCK_COUNT * _PRIOR_DISTANCE_M**2 * np.eye(2)
+        turn = np.linalg.solve(square, arm.T @ (by - shift)).T
+        # The motion of an old position is shift + turn @ (position - centre).
+        self._shift = self._shift + shift + turn @ (self._centre + self._shift - centre)
+        self._turn = self._turn + turn @ self._turn
+
+    def now(self, noted: Array) -> Array:
+        """Return the current positions of stored positions (..., 2), m."""
+        away = np.asarray(noted, dtype=np.float64) - self._centre
+        return np.asarray(self._centre + self._shift + away @ self._turn.T)
+
+    def noted(self, now: Array) -> Array:
+        """Return the stored positions of current positions (..., 2), m."""
+        away = np.asarray(now, dtype=np.float64) - self._centre - self._shift
+        return np.asarray(self._centre + away @ np.linalg.inv(self._turn).T)

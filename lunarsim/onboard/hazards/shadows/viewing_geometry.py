@@ -1,0 +1,47 @@
+"""Viewing geometry of rocks on a plane, for shadow tables of horizontal ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.perception.ground_plane import GroundPlane
+
+Array = NDArray[np.float64]
+
+# Minimum height of the camera above the ground, m.
+_MIN_HEIGHT_M = 1e-3
+
+
+def viewing_geometry(
+    xyz: Array, camera_position: Array, focal: float, sun: Array, plane: GroundPlane
+) -> tuple[Array, Array, Array]:
+    """Return azimuth from the Sun, depression (rad) and pixel size (m) of rocks (...).
+
+    On a slope these are the values at which horizontal ground shows the same.
+
+    Parameters
+    ----------
+    xyz
+        Positions of the rocks (..., 3), m.
+    camera_position, focal
+        Position of the camera (3,), m, and focal length, pixels.
+    sun
+        Direction towards the Sun (3,), ENU.
+    plane
+        Plane of the terrain.
+    """
+    to_camera = camera_position - xyz
+    to_camera[..., 2] = np.maximum(to_camera[..., 2], _MIN_HEIGHT_M)
+    horizontal = np.hypot(to_camera[..., 0], to_camera[..., 1])
+    azimuth = np.arctan2(to_camera[..., 0], to_camera[..., 1]) - np.arctan2(sun[0], sun[1])
+    pixel = np.hypot(horizontal, to_camera[..., 2]) / focal
+    if plane.level:
+        return azimuth, np.arctan2(to_camera[..., 2], horizontal), pixel
+    levelled_to_camera = plane.levelled(to_camera)
+    levelled_to_camera[..., 2] = np.maximum(levelled_to_camera[..., 2], _MIN_HEIGHT_M)
+    return (
+        azimuth,
+        np.arctan2(levelled_to_camera[..., 2], horizontal),
+        plane.seen_pixel(pixel, to_camera, levelled_to_camera),
+    )

@@ -1,0 +1,65 @@
+"""Estimate the lander's mass from the commanded thrust."""
+
+from __future__ import annotations
+
+from lunarsim.models.lander import Lander
+from lunarsim.onboard.control.jets import JetLoop
+from lunarsim.onboard.control.loop import AttitudeLoop
+
+
+class MassEstimator:
+    """Estimates the mass from commands, because the tanks have no gauges.
+
+    Thrusters burn propellant from their own tanks, which the dry mass includes as full.
+
+    Parameters
+    ----------
+    lander
+        Lander of the briefing, with full tanks.
+    loop
+        Attitude loop; with thrusters, it reports the propellant of the commanded pulses.
+
+    Attributes
+    ----------
+    mass
+        Estimated mass of the lander, kg.
+    """
+
+    def __init__(self, lander: Lander, loop: AttitudeLoop) -> None:
+        self.lander = lander
+        self.loop = loop if isinstance(loop, JetLoop) else None
+        self.mass = lander.wet_mass
+        self._thruster_used = 0.0
+        self._is_empty = self._thrusters_empty = False
+
+    def update(self, thrust: float, seconds: float) -> list[str]:
+        """Subtract the propellant of main engine and thrusters; return new events.
+
+        The events are "thruster-tanks-empty" and "tanks-empty", each returned once. From then on,
+        commanded thrust is not available.
+
+        Parameters
+        ----------
+        thrust
+            Commanded thrust of the main engine, N.
+        seconds
+            Duration, s.
+        """
+        events = []
+        propellant, min_mass = thrust * seconds / self.lander.exhaust_velocity, self.lander.dry_mass
+        if self.loop is not None:
+            thruster_propellant = self.loop.vehicle.thrusters.propellant
+            thruster_used = min(self.loop.spent, thruster_propellant)
+            if thruster_used == thruster_propellant and not self._thrusters_empty:
+                self._thrusters_empty = True  # immediately for thrusters without propellant
+                events.append("thruster-tanks-empty")
+            propellant, min_mass = (
+                propellant + thruster_used - self._thruster_used,
+                min_mass - thruster_used,
+            )
+            self._thruster_used = thruster_used
+        self.mass = max(self.mass - propellant, min_mass)
+        if self.mass == min_mass and not self._is_empty:
+            self._is_empty = True
+            events.append("tanks-empty")
+        return events

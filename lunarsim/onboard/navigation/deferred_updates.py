@@ -1,0 +1,84 @@
+"""Deferred covariance updates: collect several measurements for one pass.
+
+A measurement subtracts w' w from the covariance of all errors. With thousands of rocks each pass
+reads and writes hundreds of megabytes, for an altitude as much as for an image. The squares are
+additive, so that several of them can be subtracted in one pass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.onboard.navigation.covariance_update import subtract_rows, subtract_square
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Maximum number of deferred rows: a larger number does not reduce the cost per row.
+_MAX_ROWS = 256
+
+
+class DeferredUpdates:
+    """Matrix squares that are still to be subtracted from a symmetric matrix.
+
+    The covariance block of frozen rows does not change; see `SchmidtKalmanCovariance.rest`.
+    """
+
+    def __init__(self) -> None:
+        self._full_rows: list[Array] = []
+        self._active_rows: list[Array] = []
+        self._active: Index | None = None
+
+    @property
+    def rows(self) -> int:
+        """Number of deferred rows."""
+        return sum(len(w) for w in (*self._full_rows, *self._active_rows))
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the deferred rows must be subtracted before more are added."""
+        return self.rows >= _MAX_ROWS
+
+    def add(self, w: Array, active: Index | None) -> None:
+        """Defer the subtraction of w' w, for w (m, n).
+
+        Parameters
+        ----------
+        w
+            One row for each scalar measurement.
+        active
+            Indices of the rows that are not frozen (k,), constant until `apply`; None for all.
+        """
+        if len(w) == 0:
+            return
+        if active is None:
+            self._full_rows.append(w)
+        else:
+            self._active_rows.append(w)
+            self._active = active
+
+    @property
+    def affects_frozen(self) -> bool:
+        """Whether a deferred update applies to all rows, including frozen ones."""
+        return bool(self._full_rows)
+
+    def apply(self, p: Array) -> bool:
+        """Subtract all deferred squares from the first n rows and columns of p, in place.
+
+        Returns
+        -------
+        lags
+            Whether the columns of active rows are out of date in the frozen rows.
+        """
+        lags = False
+        if self._full_rows:
+            w = np.concatenate(self._full_rows)
+            n = w.shape[1]
+            subtract_square(p[:n, :n], w)
+        if self._active_rows and self._active is not None:
+            w, n = np.concatenate(self._active_rows), self._active_rows[0].shape[1]
+            subtract_rows(p[:n, :n], w, self._active)
+            lags = 0 < len(self._active) < n
+        self._full_rows, self._active_rows, self._active = [], [], None
+        return lags

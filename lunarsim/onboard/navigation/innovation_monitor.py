@@ -1,0 +1,229 @@
+"""Monitor the innovations of a filter, and declare when the filter has lost track.
+
+A filter with a wrong state rejects correct measurements. Each kind of measurement is therefore
+monitored in two ways. The first uses a window of seconds: the rejection rate, and the mean
+normalised innovation squared, which is 1 for a consistent filter. The second uses a longer time
+scale: the mean of the whitened innovations, which is 0 for a consistent filter. Another mean shows
+a drift that is small in each single measurement.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from lunarsim.errors import InputError
+from lunarsim.onboard.navigation.error_state import Outcome
+
+Array = NDArray[np.float64]
+
+# Fraction of the alarm thresholds below which a monitor is calm: a half plus a small margin.
+_CALM_FRACTION = 0.55
+
+
+class MonitorResult(Enum):
+    """Result of an innovation monitor."""
+
+    CONSISTENT = "well"
+    INFLATE = "widen"
+    DRIFT = "drift"
+    LOST = "lost"
+
+
+@dataclass(frozen=True)
+class InnovationMonitorSettings:
+    """Thresholds of an innovation monitor.
+
+    Attributes
+    ----------
+    window_s
+        Length of the window, s.
+    min_count
+        Minimum number of measurements in the window; older ones are kept to reach it.
+    max_rejected_share
+        Maximum fraction of rejected measurements.
+    false_alarm_probability
+        False-alarm probability of the innovation test for a consistent filter.
+    correlated_count
+        Number of correlated measurements that count as one. Errors that last longer than one cycle
+        correlate the innovations.
+    max_inflations
+        Number of inflations within three windows that are tolerated, for instance because the
+        terrain height changes. One more declares the filter lost. If None, the first alarm declares
+        it lost for good, since the filter has then already followed the wrong measurements.
+    drift_time_scale_s
+        Time constant of the mean of the whitened innovations, s; None disables the drift test.
+    drift_threshold
+        Threshold of the drift test, in standard deviations of the mean.
+    max_drifts, drift_window_s
+        Number of drifts within a window (s) that a bias can explain. One more declares the filter
+        lost. The filter finds a bias that jumped within one or two time constants. With 0, each
+        drift is a contradiction between two sensors.
+    """
+
+    window_s: float = 2.0
+    min_count: int = 6
+    max_rejected_share: float = 0.5
+    false_alarm_probability: float = 1e-6
+    correlated_count: float = 4.0
+    max_inflations: int | None = 3
+    drift_time_scale_s: float | None = None
+    drift_threshold: float = 5.5
+    max_drifts: int = 3
+    drift_window_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "window_s",
+            "min_count",
+            "correlated_count",
+            "drift_time_scale_s",
+            "drift_threshold",
+            "drift_window_s",
+        ):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"watch.{name}", value, "must be a positive number")
+        for name in ("max_rejected_share", "false_alarm_probability"):
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise InputError(f"watch.{name}", value, "must be between 0 and 1")
+        for name in ("max_inflations", "max_drifts"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < np.inf:
+                raise InputError(f"watch.{name}", value, "must be a non-negative number")
+
+
+@dataclass
+class InnovationMonitor:
+    """Monitor the innovations of one kind of measurement.
+
+    Attributes
+    ----------
+    settings
+        Thresholds.
+    lost
+        Whether the measurements contradict the filter.
+    nis_ratio
+        Normalised innovation squared per degree of freedom in the last evaluated window.
+    total, degrees
+        Sum of the normalised innovations squared, and of the degrees of freedom, of all accepted
+        measurements.
+    refused
+        Number of rejected measurements.
+    """
+
+    settings: InnovationMonitorSettings = field(default_factory=InnovationMonitorSettings)
+    lost: bool = False
+    nis_ratio: float = 1.0
+    total: float = 0.0
+    degrees: int = 0
+    refused: int = 0
+    _recent: deque[tuple[float, Outcome]] = field(default_factory=deque)
+    _inflations: deque[float] = field(default_factory=deque)
+    _drifts: deque[float] = field(default_factory=deque)
+    _mean: Array | None = None
+    _weight: Array = field(default_factory=lambda: np.zeros(0))
+    _last: float = -np.inf
+
+    def record(self, time: float, outcome: Outcome) -> MonitorResult:
+        """Add the outcome of a measurement at a time (s), and evaluate the monitor.
+
+        Outcomes without information (`nis` is NaN) are not counted. If there are more drifts than
+        `max_drifts`, the result is still a drift, and `lost` is set.
+        """
+        if outcome.degrees == 0 or not outcome.nis >= 0.0:
+            return MonitorResult.CONSISTENT
+        if outcome.taken:
+            self.total, self.degrees = self.total + outcome.nis, self.degrees + outcome.degrees
+        else:
+            self.refused += 1
+        result = self._test_window(time, outcome)
+        if not self._has_drift(time, outcome) or result is not MonitorResult.CONSISTENT:
+            return result
+        s = self.settings
+        self._drifts.append(time)
+        while self._drifts[0] < time - s.drift_window_s:
+            self._drifts.popleft()
+        if len(self._drifts) > s.max_drifts:
+            self._drifts.clear()
+            self.lost = True
+        return MonitorResult.DRIFT
+
+    def is_calm(self, time: float) -> bool:
+        """Return whether there are enough recent measurements and no sign of a fault."""
+        s = self.settings
+        recent = [outcome.taken for at, outcome in self._recent if at >= time - s.window_s]
+        is_enough = len(recent) >= s.min_count and recent.count(
+            False
+        ) <= _CALM_FRACTION * s.max_rejected_share * len(recent)
+        return is_enough and bool(
+            (self._drift_levels() <= _CALM_FRACTION * s.drift_threshold).all()
+        )
+
+    def _drift_levels(self) -> Array:
+        """Return the absolute mean of each component in units of its standard deviation."""
+        if self._mean is None:
+            return np.zeros(0)
+        is_frequent = self._weight >= self.settings.min_count
+        return np.asarray(np.abs(self._mean[is_frequent]) / np.sqrt(self._weight[is_frequent]))
+
+    def _test_window(self, time: float, outcome: Outcome) -> MonitorResult:
+        s = self.settings
+        self._recent.append((time, outcome))
+        # The last few measurements count at any age, so that slow sensors are monitored too.
+        while len(self._recent) > s.min_count and self._recent[0][0] < time - s.window_s:
+            self._recent.popleft()
+        while self._inflations and self._inflations[0] < time - 3.0 * s.window_s:
+            self._inflations.popleft()
+        if len(self._recent) < s.min_count:
+            return MonitorResult.CONSISTENT
+        if not self._has_alarm():
+            if s.max_inflations is not None and not self._inflations:
+                self.lost = False
+            return MonitorResult.CONSISTENT
+        self._recent.clear()
+        self._mean = None
+        self._inflations.append(time)
+        if s.max_inflations is None or len(self._inflations) > s.max_inflations:
+            self.lost = True
+            return MonitorResult.LOST
+        return MonitorResult.INFLATE
+
+    def _has_alarm(self) -> bool:
+        s = self.settings
+        recent = [o for _, o in self._recent]
+        self.nis_ratio = sum(o.nis for o in recent) / sum(o.degrees for o in recent)
+        refused = sum(not o.taken for o in recent)
+        if refused > s.max_rejected_share * len(recent):
+            return True
+        taken = [o for o in recent if o.taken]
+        degrees = sum(o.degrees for o in taken) / s.correlated_count
+        total = sum(o.nis for o in taken) / s.correlated_count
+        return degrees > 0.0 and bool(chdtrc(degrees, total) < s.false_alarm_probability)
+
+    def _has_drift(self, time: float, outcome: Outcome) -> bool:
+        """Return whether the fading mean of whitened innovations exceeds the threshold."""
+        s = self.settings
+        if s.drift_time_scale_s is None or not outcome.taken:
+            return False
+        parts = len(outcome.white)
+        if self._mean is None:
+            self._mean, self._weight = np.zeros(parts), np.zeros(parts)
+            self._last = time
+        decay = float(np.exp(-max(time - self._last, 0.0) / s.drift_time_scale_s))
+        self._last = time
+        # The mean is a weighted sum of independent unit normals, whose variance is the sum of the
+        # squared weights. Components can be missing, so each has its own weight.
+        is_present = np.isfinite(outcome.white)
+        self._mean = decay * self._mean + np.where(is_present, outcome.white, 0.0)
+        self._weight = decay**2 * self._weight + is_present
+        if not (self._drift_levels() > s.drift_threshold).any():
+            return False
+        self._mean = None
+        return True

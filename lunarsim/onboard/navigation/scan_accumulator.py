@@ -1,0 +1,74 @@
+"""Accumulate small scans until they cover enough posts of a map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lunarsim.frames import quat_to_matrix
+from lunarsim.onboard.navigation import _ground_kernels as kernels
+from lunarsim.onboard.navigation.seen_scan import SeenScan
+from lunarsim.onboard.navigation.submap import Submap
+
+Array = NDArray[np.float64]
+
+# Squares per side of a post in which scans are averaged. The second number is the ratio of covered
+# posts to posts that must agree; posts at the edge have no slope.
+_SQUARES_PER_POST, _POSTS_RATIO = 4, 3
+
+
+class ScanAccumulator:
+    """Average scans on squares of the local frame until they suffice for a fit.
+
+    Parameters
+    ----------
+    posting
+        Distance of the map's posts, m.
+    min_agreeing
+        Number of posts that must agree.
+    max_time_s
+        Maximum time of an accumulation, s.
+    """
+
+    def __init__(self, posting: float, min_agreeing: int, max_time_s: float) -> None:
+        self._posting = posting
+        self._min_posts = _POSTS_RATIO * min_agreeing
+        self._max_time = max_time_s
+        self._submap: Submap | None = None
+        self._since = -np.inf
+
+    def take(self, corrected: SeenScan, time: float) -> SeenScan | None:
+        """Return a scan that covers enough posts, or None while there is none.
+
+        This is the given scan if it is large enough, or else all accumulated points. They are fixed
+        in the local frame, and are returned as a scan from the current pose.
+        """
+        points = corrected.points()
+        if count_posts_below(points, self._posting, self._min_posts) == self._min_posts:
+            return corrected
+        if self._submap is None or time - self._since > self._max_time:
+            self._submap, self._since = Submap(0.0, 0.0, self._posting / _SQUARES_PER_POST), time
+        self._submap.add(points)
+        if self._submap.count < self._min_posts * _SQUARES_PER_POST**2:
+            return None
+        accumulated, self._submap = self._submap, None
+        body = (accumulated.points() - corrected.position) @ quat_to_matrix(corrected.attitude)
+        reach = np.linalg.norm(body, axis=1)
+        scan = replace(
+            corrected.scan, range=reach, direction=(body @ corrected.scan.mount) / reach[:, None],
+            sigma=np.full(len(reach), float(np.nanmedian(corrected.scan.sigma))),
+            shape=(1, len(reach)),
+        )  # fmt: skip
+        return replace(corrected, scan=scan)
+
+
+def count_posts_below(points: Array, posting: float, max_count: int = 1 << 40) -> int:
+    """Count the posts below points (n, 3), up to `max_count`; NaN marks missing points."""
+    count = int(kernels.squares_under(np.ascontiguousarray(points), posting, max_count))
+    if count >= 0:
+        return count
+    xy = points[np.isfinite(points[:, :2]).all(axis=1), :2]
+    place = np.floor((xy - xy.min(axis=0)) / posting)
+    return min(len(np.unique(place @ (1.0, 1e7))), max_count)

@@ -1,0 +1,197 @@
+"""Schmidt-Kalman covariance with frozen errors and deferred updates."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lunarsim._blas import one_blas_thread
+from lunarsim.onboard.navigation.covariance_update import subtract_square
+from lunarsim.onboard.navigation.deferred_columns import DeferredColumns
+from lunarsim.onboard.navigation.deferred_updates import DeferredUpdates
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class SchmidtKalmanCovariance:
+    """Covariance of a head, which is always corrected, and a tail that can be frozen.
+
+    The updates of the tail are deferred (`DeferredUpdates`, `DeferredColumns`) until its covariance
+    is read.
+
+    Parameters
+    ----------
+    head
+        Initial covariance of the head (k, k).
+    capacity
+        Initial number of tail errors to allocate; it grows as needed.
+
+    Attributes
+    ----------
+    head
+        Number of errors in the head.
+    tail
+        Number of errors in the tail.
+    """
+
+    def __init__(self, head: Array, capacity: int = 0) -> None:
+        self.head, self.tail = len(head), 0
+        self._p = np.zeros((self.head + capacity,) * 2)
+        self._p[: self.head, : self.head] = head
+        self._frozen = np.zeros(0, np.bool_)
+        self._deferred = DeferredUpdates()
+        self._columns = DeferredColumns()
+
+    @property
+    def size(self) -> int:
+        """Number of errors in head and tail."""
+        return self.head + self.tail
+
+    @property
+    def is_frozen(self) -> NDArray[np.bool_]:
+        """Whether each error of the tail is frozen (tail,); empty before the first `rest`."""
+        return self._frozen
+
+    @property
+    def p(self) -> Array:
+        """Covariance of all errors, with allocated space behind them."""
+        self._apply_deferred()
+        self._catch_up()
+        return self._p
+
+    def for_rows(self, *rows: ArrayLike) -> Array:
+        """Return `p` for reading the rows of given errors (...) and the blocks of rocks.
+
+        The columns in other rows may be out of date; see `DeferredColumns`.
+        """
+        self._apply_deferred()
+        if self._columns.is_outdated and any(self._is_frozen(at).any() for at in rows):
+            self._catch_up()
+        return self._p
+
+    def between(self, one: Index, other: Index) -> Array:
+        """Return the covariances of pairs of errors (...)."""
+        self._apply_deferred()
+        if self._columns.is_outdated:
+            one, other = np.broadcast_arrays(one, other)
+            turned = self._is_frozen(one)
+            one, other = np.where(turned, other, one), np.where(turned, one, other)
+        return np.asarray(self._p[one, other])
+
+    def _is_frozen(self, errors: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether errors (...) are frozen."""
+        behind = np.asarray(errors) - self.head
+        known = (behind >= 0) & (behind < len(self._frozen))
+        is_frozen = np.zeros(behind.shape, np.bool_)
+        is_frozen[known] = self._frozen[behind[known]]
+        return is_frozen
+
+    def _catch_up(self) -> None:
+        """Update columns that are out of date."""
+        n = len(self._frozen)
+        self._columns.catch_up(self._p[self.head :, self.head :][:n, :n], self._frozen)
+
+    def _apply_deferred(self) -> None:
+        """Apply the deferred updates of the tail; those of the head are never deferred."""
+        if self._deferred.rows:
+            if self._deferred.affects_frozen:
+                self._catch_up()
+            with one_blas_thread():
+                self._columns.is_outdated |= self._deferred.apply(self._p[self.head :, self.head :])
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of all errors (size, size)."""
+        return np.asarray(self.p[: self.size, : self.size])
+
+    def own(self, columns: ArrayLike) -> Array:
+        """Return the covariance of some errors (k, k); in the head this costs no update."""
+        at = np.asarray(columns)
+        return np.asarray(self._readable(at)[np.ix_(at, at)])
+
+    def _rows(self, at: Index) -> Array:
+        """Return rows of the covariance (k, size)."""
+        return np.asarray(self._readable(at)[at])
+
+    def _readable(self, *columns: ArrayLike) -> Array:
+        """Return the covariance for reading given rows (k,), and columns among them.
+
+        For errors of the head, no deferred update is needed.
+        """
+        last = max(int(np.max(at, initial=0)) for at in columns)
+        held = self._p if last < self.head else self.for_rows(*columns)
+        return np.asarray(held[: self.size, : self.size])
+
+    def reserve(self, tail: int) -> None:
+        """Allocate space for a number of tail errors."""
+        if self.head + tail <= len(self._p):
+            return
+        grown = np.zeros((self.head + max(tail, 2 * (len(self._p) - self.head)),) * 2)
+        grown[: self.size, : self.size] = self.covariance
+        self._p = grown
+
+    def move_and_truncate(self, tail: int, to: Index, source: Index) -> None:
+        """Move errors from `source` (k,) to `to` (k,); truncate the tail to `tail` errors."""
+        p, size = self.for_rows(), self.size
+        p[to, :size] = p[source, :size]
+        p[:size, to] = p[:size, source]
+        is_frozen = self._frozen.copy()
+        if len(is_frozen):
+            is_frozen[to - self.head] = is_frozen[source - self.head]
+        self._frozen, self.tail = is_frozen[:tail], tail
+
+    def set_rows(self, at: Index, rows: Array) -> None:
+        """Set covariance rows (k, size) of some errors (k,), and the matching columns.
+
+        In the rows of frozen errors the columns may stay out of date.
+        """
+        self._apply_deferred()
+        p, size, active = self._p, self.size, self._active()
+        p[at, :size] = rows
+        if active is None or self._is_frozen(at).any():
+            p[:size, at] = rows.T
+        else:
+            others = np.concatenate((np.arange(self.head), self.head + active))
+            p[others[:, None], at] = rows[:, others].T
+            self._columns.is_outdated = True
+
+    def rest(self, tail: NDArray[np.bool_]) -> None:
+        """Freeze the marked errors of the tail (tail,), until the next call.
+
+        Measurements of other errors change neither the frozen errors nor their covariance, but
+        their correlations with the corrected errors are updated. The covariance therefore remains
+        correct (Schmidt's consider filter; Jazwinski 1970, section 8.4). The cost of a measurement
+        is then proportional to the number of errors, and not to its square.
+        """
+        if not np.array_equal(tail, self._frozen):
+            self._apply_deferred()  # The deferred updates refer to the errors frozen so far.
+            n = min(len(tail), len(self._frozen))
+            own = self._p[self.head :, self.head :][:n, :n]
+            self._columns.change_frozen(own, self._frozen[:n], tail[:n])
+            self._frozen = tail
+
+    def _active(self) -> Index | None:
+        """Return the indices of the active tail errors; None if all are to be corrected."""
+        # If less than half of the tail is frozen, a full update costs no more.
+        if 2 * np.count_nonzero(self._frozen) < max(self.tail, 1):
+            return None
+        return np.flatnonzero(~self._frozen)
+
+    def _subtract(self, w: Array, active: Index | None) -> None:
+        """Subtract w' w from the covariance, for w (m, size); defer it for the tail.
+
+        Parameters are those of `DeferredUpdates.add`; `active` is counted from the start of the
+        tail.
+        """
+        n, p = self.head, self._readable(self.head - 1)
+        if self.tail == 0:
+            subtract_square(p, w)
+            return
+        with one_blas_thread():
+            p[:n] -= w[:, :n].T @ w
+        p[:n, :n] = 0.5 * (p[:n, :n] + p[:n, :n].T)
+        p[n:, :n] = p[:n, n:].T
+        self._deferred.add(np.ascontiguousarray(w[:, n:]), active)
+        if self._deferred.is_full:
+            self._apply_deferred()
