@@ -1,4 +1,17 @@
-"""Closed-loop lunar descent: terrain, sensing, hazard maps, retargeting, guidance, touchdown."""
+"""Simulate lunar landings in closed loop: terrain, sensing, hazard maps, retargeting, guidance.
+
+    import lunarsim
+
+    flight = lunarsim.fly("hirise", policy="safest", seed=1)
+    print(flight)
+
+All public names are listed in docs/api.md; contracts for custom parts are in `lunarsim.api`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
 
 __version__ = "0.1.0"
 
@@ -7,3 +20,46 @@ from lunarsim.user_cache import ensure_caches
 
 ensure_caches()
 watch_forks()
+
+# Module of each public name, imported at first use; `__init__.pyi` has them for type checkers.
+_MODULES = {
+    "CompareResult": "lunarsim.campaign.comparison",
+    "InputError": "lunarsim.errors",
+    "RenderingError": "lunarsim.errors",
+    "map_quality": "lunarsim.evaluation.map_quality",
+    "world_of": "lunarsim.evaluation.worlds",
+    "compare": "lunarsim.facade",
+    "fly": "lunarsim.facade",
+    "load_scenario": "lunarsim.facade",
+    "render": "lunarsim.facade",
+    "Grid": "lunarsim.grid",
+    "gaussian_dem": "lunarsim.onboard.hazards.gaussian_dem",
+    "HazardMap": "lunarsim.onboard.hazards.hazard_map",
+    "allow_modules": "lunarsim.parts.allowed",
+    "Streams": "lunarsim.rng",
+    "flight_seed": "lunarsim.rng",
+    "conservative_safety": "lunarsim.safety",
+    "exact_safety": "lunarsim.safety",
+    "Scenario": "lunarsim.scenario.scenario",
+    "Flight": "lunarsim.simulation.flight",
+    "Simulation": "lunarsim.simulation.loop",
+    "build_world": "lunarsim.simulation.worlds",
+    "FlightFigures": "lunarsim.viz.flight",
+    "plot_flight": "lunarsim.viz.flight",
+    "load_dtm": "lunarsim.world.terrain.dtm",
+    "Heightfield": "lunarsim.world.terrain.heightfield",
+    "Terrain": "lunarsim.world.terrain.terrain",
+}
+__all__ = sorted(_MODULES)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled quaternion arithmetic (scalar last, body to ENU; conventions in `lunarsim.frames`)."""
 
 from __future__ import annotations

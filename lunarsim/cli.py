@@ -37,8 +37,6 @@ from lunarsim.whole_files import filled_whole, remover_of_new
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lunarsim.simulation.flight import Flight
-
 _POLICIES = "no-divert,safest,nearest-safe,fuel-aware,truth-oracle"
 
 
@@ -115,10 +113,10 @@ def fly(
             record.save(out)
             loaded.save(out / "scenario.toml")
     if out is None:
-        _print_outcome(record)
+        click.echo(str(record))
         return
     with add_to_interrupt_message(f"{out} has the scenario and the record, but not all figures"):
-        _print_outcome(record)
+        click.echo(str(record))
         from lunarsim.viz import draw_flight
 
         try:
@@ -127,53 +125,6 @@ def fly(
             remove()
             raise
     click.echo(f"scenario, flight record and figures are in {out}")
-
-
-def _print_outcome(record: Flight) -> None:
-    """Print the outcome of a flight."""
-    from rich.table import Table
-
-    verdict = record.verdict
-    click.echo("landed safely" if verdict.safe else "not safe: " + ", ".join(verdict.failed))
-    table = Table(show_header=False, box=None)
-    for name, value in _outcome_rows(record):
-        table.add_row(name, value)
-    wide_console(120).print(table)
-    if record.decisions:
-        click.echo("diverts (east, north in m; onboard frame):")
-    for decision in record.decisions:
-        click.echo(
-            f"{decision['time']:6.1f} s  to ({decision['to'][0]:.1f}, "
-            f"{decision['to'][1]:.1f}): {decision['reason']}"
-        )
-
-
-def _outcome_rows(record: Flight) -> list[tuple[str, str]]:
-    from lunarsim.evaluation.map_words import words_on_maps
-
-    facts = [
-        ("time of flight", f"{record.duration:.1f} s"),
-        ("propellant", f"{record.propellant_used:.1f} kg"),
-        ("divert", f"{record.divert_distance:.1f} m"),
-    ]
-    if record.first_lost is not None:
-        end = "not recovered" if record.lost else "recovered later"
-        facts.append(("navigation", f"lost at {record.first_lost:.1f} s, {end}"))
-    facts += [(f"map {name!r}", words) for name, words in words_on_maps(record).items()]
-    touchdown = record.verdict.touchdown
-    if touchdown is not None:
-        x, y = touchdown.position[:2]
-        facts.append(("touchdown", f"({x:.1f}, {y:.1f}) m (east, north; true frame)"))
-        degrees = 57.29577951308232
-        facts += [
-            ("vertical speed", f"{touchdown.vertical_speed:.2f} m/s"),
-            ("horizontal speed", f"{touchdown.horizontal_speed:.2f} m/s"),
-            ("tilt at contact", f"{touchdown.tilt * degrees:.1f} deg"),
-            ("slope under the legs", f"{touchdown.slope * degrees:.1f} deg"),
-            ("roughness under the belly", f"{touchdown.roughness:.2f} m"),
-            ("tip-over margin", f"{touchdown.tip_margin:.2f}"),
-        ]
-    return facts
 
 
 @main.command()
@@ -375,9 +326,12 @@ def render(
     flight: int, out: Path, truth: Path | None,
 ) -> None:  # fmt: skip
     """Render an image of SCENARIO's terrain with its camera."""
-    from lunarsim.simulation.picture import take_picture
+    from lunarsim.simulation.picture import render as render_image
 
-    info = take_picture(
+    check_output("--out", out, ".png")
+    if truth is not None:
+        check_output("--truth", truth, ".npz")
+    image = render_image(
         load_scenario(scenario, changes, flown=False),
         altitude=altitude,
         sun_elevation_deg=sun_elevation,
@@ -388,10 +342,17 @@ def render(
         ideal=ideal,
         seed=seed,
         flight=flight,
-        out=out,
-        truth=truth,
+        truth=truth is not None,
     )
-    click.echo(info)
+    if truth is not None:
+        image.save_truth(truth)
+    try:
+        image.save(out)
+    except OSError:
+        if truth is not None:
+            truth.unlink(missing_ok=True)
+        raise
+    click.echo(f"{out}: {image.description}")
 
 
 def _comparison_table(result: Any) -> Table:

@@ -200,7 +200,8 @@ def _with_part(scenario: Scenario, contract: str, kind: str | None) -> Scenario:
     if kind is None or kind == getattr(scenario, contract).kind:
         return scenario
     resolve(contract, kind, f"--{contract}")
-    return scenario.changed(**{contract: {"kind": kind}})
+    change: Any = {contract: {"kind": kind}}
+    return scenario.changed(**change)
 
 
 # --- output -------------------------------------------------------------------------------------

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from lunarsim.evaluation.map_words import map_words
 from lunarsim.onboard.policies import Observation
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.map_words import map_words
 
 # Height and horizontal distance shown in the close-up of the landing, m.
 _LOW, _ASIDE = 60.0, 60.0

@@ -147,7 +147,9 @@ def differences(results: Results, metric: str = "safe") -> list[Difference]:
     results.check_equal_weights("folder")
     kind = results.manifest["columns"].get(metric)
     if kind not in ("bool", "float", "int"):
-        raise InputError("metric", metric, suggestion(metric, results.manifest["columns"]))
+        raise InputError(
+            "metric", metric, "is unknown", suggestion(metric, results.manifest["columns"])
+        )
     rng = np.random.default_rng(design_seed(int(results.manifest["seed"])))
     flights = int(results.table["flight"].to_numpy().max(initial=-1)) + 1
     values = {}
@@ -216,7 +218,9 @@ def diff(
                 "B", str(second.folder), f"must have the same {name} as A: {ours}, not {theirs}"
             )
     if first.manifest["columns"].get(metric) != "bool":
-        raise InputError("--metric", metric, suggestion(metric, metrics(first, "bool")))
+        raise InputError(
+            "--metric", metric, "is unknown", suggestion(metric, metrics(first, "bool"))
+        )
     made = []
     for arm in first.arms:
         a, b = (_by_flight(results, arm, metric) for results in (first, second))

@@ -189,7 +189,7 @@ def distribution(key: str, table: Any) -> Distribution:
     values = dict(table)
     kind = values.pop("kind", None)
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"{path}.kind", kind, suggestion(str(kind), KINDS))
+        raise InputError(f"{path}.kind", kind, "is unknown", suggestion(str(kind), KINDS))
     for name in _REQUIRED_FIELDS[kind]:
         if name not in values:
             raise InputError(f"{path}.{name}", None, f"kind {kind!r} requires a value")
@@ -330,7 +330,7 @@ class Dispersions:
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
-            raise InputError("method", self.method, suggestion(self.method, METHODS))
+            raise InputError("method", self.method, "is unknown", suggestion(self.method, METHODS))
         if self.method != "monte-carlo" and not self.distributions:
             raise InputError(
                 "method", self.method, "must be monte-carlo if nothing is drawn",
@@ -345,7 +345,7 @@ class Dispersions:
             for key in group.keys:
                 field = f"correlations.{i}.keys"
                 if key not in self.distributions:
-                    raise InputError(field, key, suggestion(key, self.distributions))
+                    raise InputError(field, key, "is unknown", suggestion(key, self.distributions))
                 if isinstance(self.distributions[key], Choice):
                     raise InputError(
                         field, key, "must be a key whose values have an order, not a choice"
@@ -365,7 +365,10 @@ class Dispersions:
                 for key in getattr(self.importance, name) or {}:
                     if key not in self.distributions:
                         raise InputError(
-                            f"importance.{name}", key, suggestion(key, self.distributions)
+                            f"importance.{name}",
+                            key,
+                            "is unknown",
+                            suggestion(key, self.distributions),
                         )
 
     def _check_subset(self) -> None:

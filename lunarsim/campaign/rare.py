@@ -96,7 +96,7 @@ def rare_shares(
         return [_subset_failure_share(results)]
     kinds = {n: kind for n, kind in results.manifest["columns"].items() if kind != "text"}
     if metric not in kinds:
-        raise InputError("--metric", metric, suggestion(metric, kinds))
+        raise InputError("--metric", metric, "is unknown", suggestion(metric, kinds))
     limits = above is not None or below is not None
     if limits == (kinds[metric] == "bool"):
         expected = "must be a numeric column with --above or --below, or a boolean one without"

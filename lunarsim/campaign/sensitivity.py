@@ -104,7 +104,7 @@ def sensitivities(
         raise InputError("folder", str(results.folder), "must be a campaign with [dispersions]")
     known = [n for n, kind in results.manifest["columns"].items() if kind != "text"]
     if metric not in known:
-        raise InputError("--metric", metric, suggestion(metric, known))
+        raise InputError("--metric", metric, "is unknown", suggestion(metric, known))
     check_installed()
     flown = pc.equal(results.table["outcome"], FLOWN).to_numpy(zero_copy_only=False)
     values = np.where(flown, column(results, metric), np.nan)

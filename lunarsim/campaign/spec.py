@@ -110,7 +110,9 @@ class CampaignSettings:
         if not self.name:
             raise InputError("name", self.name, "must not be empty")
         if self.records not in RECORDS:
-            raise InputError("records", self.records, suggestion(self.records, RECORDS))
+            raise InputError(
+                "records", self.records, "is unknown", suggestion(self.records, RECORDS)
+            )
         if self.method == "sobol" and self.flights & (self.flights - 1):
             below = 1 << (self.flights.bit_length() - 1)
             raise InputError(
@@ -139,7 +141,7 @@ class StopSettings:
     def __post_init__(self) -> None:
         known = [name for name, kind in COLUMNS.items() if kind == "bool"]
         if self.metric not in known:
-            raise InputError("metric", self.metric, suggestion(self.metric, known))
+            raise InputError("metric", self.metric, "is unknown", suggestion(self.metric, known))
 
 
 @dataclass(frozen=True)
@@ -449,7 +451,7 @@ def _build(path: str, of: type, table: Any) -> Any:
         if found.field.startswith(".") and "unknown key" in found.problem:
             key = found.field.removeprefix(".")
             hint = suggestion(key, [*model.model_fields, *_TABLES])
-            raise InputError(key, found.value, f"unknown key; {hint}") from None
+            raise InputError(key, found.value, "is an unknown key", hint) from None
         raise found.renamed(found.field.removeprefix(".")) from None
     except InputError as error:
         raise error.renamed(before + error.field) from None

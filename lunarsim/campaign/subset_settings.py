@@ -46,7 +46,7 @@ class SubsetSettings:
     def __post_init__(self) -> None:
         known = [name for name, kind in COLUMNS.items() if kind == "float"]
         if self.metric not in known:
-            raise InputError("metric", self.metric, suggestion(self.metric, known))
+            raise InputError("metric", self.metric, "is unknown", suggestion(self.metric, known))
         if (self.above is None) == (self.below is None):
             raise InputError("below", self.below, "give either above or below")
         if abs(self.steps * self.keep - 1.0) > 1e-9:

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Pinhole projection for compiled kernels, one point or pixel at a time."""
 
 from __future__ import annotations

@@ -256,8 +256,9 @@ def _resolve(contract: str, kind: str, field: str) -> type:
     known = kinds(contract)
     where = kind if ":" in kind else known.get(kind)
     if where is None:
-        near = suggestion(kind, known)
-        raise InputError(field, kind, f'must be a known kind or "module:Class" ({near})')
+        raise InputError(
+            field, kind, 'must be a known kind or "module:Class"', suggestion(kind, known)
+        )
     module, _, name = where.partition(":")
     try:
         found = getattr(imported(module), name)

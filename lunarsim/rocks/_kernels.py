@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled geometry of one rock.
 
 A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape). `planes` and `count` are

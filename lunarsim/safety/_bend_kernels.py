@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled bounds of sums of piecewise linear terms over many fits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled kernel of the exact safety map, which skips irrelevant cells.
 
 A lid is the lowest plane of a given gradient above all cells of a block. No cell of a block whose

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled landing-safety kernels. Rasters are float32 (rows, cols).
 
 Maxima over footprints are computed tile by tile: a tile and its surroundings are loaded, maxima

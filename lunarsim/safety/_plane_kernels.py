@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled kernels that evaluate the support planes of every heading.
 
 They work tile by tile. The windows of a tile are flat, float32, without NaN, and end in spare rows

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled means of ratios over the rocks of a size distribution."""
 
 from __future__ import annotations

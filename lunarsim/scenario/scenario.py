@@ -10,7 +10,7 @@ import unicodedata
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import tomli_w
 from pydantic import ValidationError
@@ -24,6 +24,9 @@ from lunarsim.scenario.errors import input_error
 from lunarsim.scenario.estimate import check_memory
 from lunarsim.scenario.files import parsed_toml, read_toml
 from lunarsim.whole_files import write_text_whole
+
+if TYPE_CHECKING:
+    from lunarsim.scenario import tables
 
 
 @dataclass(frozen=True)
@@ -62,35 +65,35 @@ class Scenario:
     name: str
     description: str
     gravity_m_s2: float
-    moon: Any | None
-    surroundings: Any | None
-    terrain: SelectedPart
-    rocks: Any
-    sun: Any
-    vehicle: SelectedPart
-    faults: Any | None
-    legs: Any | None
-    variation: Any | None
-    start: Any
-    start_knowledge: Any | None
-    target: Any
-    prior_map: Any | None
-    expected_rocks: Any
-    sensors: Mapping[str, SelectedPart]
-    tasking: Mapping[str, SelectedPart]
-    navigation: SelectedPart
-    mappers: Mapping[str, SelectedPart]
-    policy: SelectedPart
-    decisions: Any
-    approach: Any
-    guidance: SelectedPart
-    braking: Any | None
-    window: Any | None
-    descent: SelectedPart | None
-    control: SelectedPart
-    simulation: Any
-    site_reward: Any | None
-    descent_reward: Any | None
+    moon: tables.MoonTable | None
+    surroundings: tables.SurroundingsTable | None
+    terrain: tables.TerrainTable
+    rocks: tables.RocksTable
+    sun: tables.SunTable
+    vehicle: tables.VehicleTable
+    faults: tables.FaultsTable | None
+    legs: tables.LegsTable | None
+    variation: tables.VariationTable | None
+    start: tables.StartTable
+    start_knowledge: tables.StartKnowledgeTable | None
+    target: tables.TargetTable
+    prior_map: tables.PriorMapTable | None
+    expected_rocks: tables.ExpectedRocksTable
+    sensors: Mapping[str, tables.SensorsTable]
+    tasking: Mapping[str, tables.TaskingTable]
+    navigation: tables.NavigationTable
+    mappers: Mapping[str, tables.MappersTable]
+    policy: tables.PolicyTable
+    decisions: tables.DecisionsTable
+    approach: tables.ApproachTable
+    guidance: tables.GuidanceTable
+    braking: tables.BrakingTable | None
+    window: tables.WindowTable | None
+    descent: tables.DescentTable | None
+    control: tables.ControlTable
+    simulation: tables.SimulationTable
+    site_reward: tables.SiteRewardTable | None
+    descent_reward: tables.DescentRewardTable | None
 
     @classmethod
     def from_dict(
@@ -215,12 +218,12 @@ class Scenario:
         check_memory(scenario)
         return scenario
 
-    def changed(self, /, **tables: Any) -> Scenario:
+    def changed(self, /, **changes: Unpack[tables.Changes]) -> Scenario:
         """Return a checked copy of the scenario with some values changed.
 
         Parameters
         ----------
-        tables
+        changes
             Changes by table, for example ``changed(sun={"elevation_deg": 5.0})``. A part of another
             `kind` starts from its own defaults. None removes a named part or an optional table.
             If navigation has its default value, the default is determined again for the changed
@@ -239,11 +242,11 @@ class Scenario:
         """
         data = self.to_dict()
         left_out = {"kind": layout.kind_left_out("navigation", data)}
-        if "navigation" not in tables and self.navigation == _selected_part(
+        if "navigation" not in changes and self.navigation == _selected_part(
             "navigation", "navigation", left_out, None, None
         ):
             del data["navigation"]
-        for key, change in tables.items():
+        for key, change in changes.items():
             data[key] = _merged(data.get(key), change)
             if data[key] is None:
                 del data[key]

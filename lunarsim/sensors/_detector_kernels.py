@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled camera detector: noise, saturation and quantization."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled sampling of three inertial sensor axes."""
 
 from __future__ import annotations

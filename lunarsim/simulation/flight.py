@@ -22,15 +22,16 @@ is not saved.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+import lunarsim
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.simulation.flight_reading import (
@@ -42,9 +43,14 @@ from lunarsim.simulation.flight_reading import (
     read_trajectory,
     reading,
 )
+from lunarsim.simulation.map_record import MapRecord
+from lunarsim.simulation.map_words import words_on_maps
 from lunarsim.vehicle.touchdown import Touchdown, Verdict
 from lunarsim.whole_files import write_text_whole, write_whole
 from lunarsim.whole_netcdf import write_netcdf_whole
+
+if TYPE_CHECKING:
+    from lunarsim import FlightFigures
 
 Array = NDArray[np.float64]
 
@@ -81,47 +87,6 @@ _LAYERS = {
     "eligible": "1", "value": "1", "in_domain": "1",
 }  # fmt: skip
 _BOOLEAN_LAYERS = ("observed", "eligible", "in_domain")
-
-
-@dataclass(frozen=True)
-class MapRecord:
-    """The last map of one mapper.
-
-    Attributes
-    ----------
-    hazard_map
-        Map in the local frame, with 16 significant bits.
-    error
-        Local minus true coordinates when the map was last updated (3,), m. Subtract it to get the
-        true frame.
-    tables
-        Other data of the mapper: name to columns (n,), local frame.
-    """
-
-    hazard_map: HazardMap
-    error: Array
-    tables: dict[str, dict[str, Array]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        m = self.hazard_map
-        rounded = replace(
-            m,
-            p_safe=_round_layer(m.p_safe),
-            elevation=None if m.elevation is None else _round_layer(m.elevation),
-            variance=None if m.variance is None else _round_layer(m.variance),
-            value=None if m.value is None else _round_layer(m.value),
-        )
-        object.__setattr__(self, "hazard_map", rounded)
-
-
-def _round_layer(layer: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Round a layer to 16 significant bits, which compress much better.
-
-    The error is up to 2 mm within 256 m of the frame's origin, and up to 8 mm within 1 km.
-    """
-    bits = np.ascontiguousarray(layer, dtype=np.float32).view(np.uint32)
-    whole = (bits + np.uint32(0x80)) & np.uint32(0xFFFFFF00)
-    return np.asarray(np.where(np.isfinite(layer), whole, bits).view(np.float32))
 
 
 @dataclass
@@ -230,6 +195,65 @@ class Flight:
             return 0.0
         first, last = self.decisions[0]["from"], self.decisions[-1]["to"]
         return float(np.hypot(last[0] - first[0], last[1] - first[1]))
+
+    def __str__(self) -> str:
+        verdict = self.verdict
+        facts = self._facts()
+        width = max(len(name) for name, _ in facts)
+        lines = ["landed safely" if verdict.safe else "not safe: " + ", ".join(verdict.failed)]
+        lines += [f"  {name:{width}}  {value}" for name, value in facts]
+        if self.decisions:
+            lines.append("diverts (east, north in m; local frame):")
+        for decision in self.decisions:
+            east, north = decision["to"][:2]
+            lines.append(
+                f"{decision['time']:6.1f} s  to ({east:.1f}, {north:.1f}): {decision['reason']}"
+            )
+        return "\n".join(lines)
+
+    def _facts(self) -> list[tuple[str, str]]:
+        facts = [
+            ("time of flight", f"{self.duration:.1f} s"),
+            ("propellant", f"{self.propellant_used:.1f} kg"),
+            ("divert", f"{self.divert_distance:.1f} m"),
+        ]
+        if self.first_lost is not None:
+            end = "not recovered" if self.lost else "recovered later"
+            facts.append(("navigation", f"lost at {self.first_lost:.1f} s, {end}"))
+        facts += [
+            (f"map {name!r}", words)
+            for name, words in words_on_maps(self.maps, self.decided_on).items()
+        ]
+        touchdown = self.verdict.touchdown
+        if touchdown is not None:
+            x, y = touchdown.position[:2]
+            facts += [
+                ("touchdown", f"({x:.1f}, {y:.1f}) m (east, north; true frame)"),
+                ("vertical speed", f"{touchdown.vertical_speed:.2f} m/s"),
+                ("horizontal speed", f"{touchdown.horizontal_speed:.2f} m/s"),
+                ("tilt at contact", f"{np.rad2deg(touchdown.tilt):.1f} deg"),
+                ("slope under the legs", f"{np.rad2deg(touchdown.slope):.1f} deg"),
+                ("roughness under the belly", f"{touchdown.roughness:.2f} m"),
+                ("tip-over margin", f"{touchdown.tip_margin:.2f}"),
+            ]
+        return facts
+
+    def plot(self) -> FlightFigures:
+        """Plot the descent, the maps and the touchdown; a notebook shows the three figures.
+
+        The world is drawn again from the scenario and the seed of the record.
+
+        Raises
+        ------
+        InputError
+            If that is not possible, for instance because a raster file is missing.
+
+        Examples
+        --------
+        >>> figures = flight.plot()  # doctest: +SKIP
+        >>> figures.save("out/one")  # doctest: +SKIP
+        """
+        return lunarsim.plot_flight(self)
 
     # --- files ----------------------------------------------------------------------------
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from lunarsim.errors import InputError, check_output
 from lunarsim.frames import matrix_to_quat, sensor_axes
 from lunarsim.rng import Streams, flight_seed
 from lunarsim.scenario import Scenario
-from lunarsim.sensors.camera import Camera, Exposure
+from lunarsim.sensors.camera import Camera
 from lunarsim.sensors.framing_camera import FramingCamera
+from lunarsim.sensors.rendered_image import RenderedImage
 from lunarsim.sensors.rendering import renderer_of
 from lunarsim.simulation.worlds import build_world
 from lunarsim.vehicle import State
@@ -83,26 +85,104 @@ def camera_of(scenario: Scenario) -> Camera:
     return found.camera()
 
 
-def take_picture(
-    scenario: Scenario, *, altitude: float, out: Path, sun_elevation_deg: float | None = None,
-    sun_azimuth_deg: float | None = None, off_nadir_deg: float = 0.0, heading_deg: float = 0.0,
-    exposure: float | None = None, ideal: bool = False, seed: int = 1,
-    flight: int = 0, truth: Path | None = None,
-) -> str:  # fmt: skip
-    """Write an image of the scenario's target to a PNG file; return a description of it.
+@dataclass(frozen=True)
+class SceneImage:
+    """Image of a scenario's target area.
 
-    Without an `exposure` (s) the camera chooses one.
+    Attributes
+    ----------
+    counts
+        Detector counts (height, width), row 0 at the top.
+    truth
+        Radiance, range, normal and identity of every pixel; None unless requested.
+    description
+        Resolution, altitude, Sun, number of rocks, exposure and pixel size in one sentence.
+    """
+
+    counts: NDArray[np.unsignedinteger[Any]]
+    truth: RenderedImage | None
+    description: str
+
+    def save(self, path: str | Path) -> Path:
+        """Write the image as a PNG file and return its path.
+
+        Raises
+        ------
+        InputError
+            If `path` has another suffix or cannot be written.
+        """
+        check_output("path", Path(path), ".png")
+        write_whole(Path(path), self._write_png)
+        return Path(path)
+
+    def save_truth(self, path: Path) -> None:
+        """Write ``radiance``, ``range``, ``normal`` and ``identity`` as an NPZ file."""
+        write_whole(path, self._write_truth)
+
+    def _repr_png_(self) -> bytes:
+        return cv2.imencode(".png", self.counts)[1].tobytes()
+
+    def _write_png(self, path: Path) -> None:
+        path.write_bytes(self._repr_png_())
+
+    def _write_truth(self, path: Path) -> None:
+        t = self.truth
+        assert t is not None
+        assert t.range is not None
+        assert t.normal is not None
+        assert t.identity is not None
+        with path.open("wb") as file:
+            np.savez_compressed(
+                file, radiance=t.radiance, range=t.range, normal=t.normal, identity=t.identity
+            )
+
+
+def render(
+    scenario: Scenario,
+    *,
+    altitude: float = 100.0,
+    sun_elevation_deg: float | None = None,
+    sun_azimuth_deg: float | None = None,
+    off_nadir_deg: float = 0.0,
+    heading_deg: float = 0.0,
+    exposure: float | None = None,
+    ideal: bool = False,
+    truth: bool = False,
+    seed: int = 1,
+    flight: int = 0,
+) -> SceneImage:
+    """Render the target area of a scenario with the scenario's first camera.
+
+    Parameters
+    ----------
+    scenario
+        Terrain, Sun and camera; a scenario without a camera uses a standard one.
+    altitude
+        Height of the camera above the terrain at the target, m.
+    sun_elevation_deg, sun_azimuth_deg
+        Direction of the Sun (azimuth clockwise from north), deg; None: the scenario's.
+    off_nadir_deg
+        Angle of the boresight from nadir, deg; the target stays at the image centre.
+    heading_deg
+        Azimuth of the top of the image, deg.
+    exposure
+        Exposure time, s; None: automatic.
+    ideal
+        Whether to omit blur, noise and distortion; counts then have 16 bits.
+    truth
+        Whether to keep radiance, range, normal and identity of every pixel.
+    seed, flight
+        Root seed and index of the flight whose world is rendered.
 
     Raises
     ------
     InputError
-        If a value is not usable; nothing is written then.
+        If a value cannot be used.
+    RenderingError
+        If OpenGL is missing; the message says what to install.
     """
-    check_output("--out", out, ".png")
-    if truth is not None:
-        check_output("--truth", truth, ".npz")
     changes = {"elevation_deg": sun_elevation_deg, "azimuth_deg": sun_azimuth_deg}
-    given = {name: value for name, value in changes.items() if value is not None}
+    given: Any = {name: value for name, value in changes.items() if value is not None}
     scenario = scenario.changed(sun=given)
     camera = camera_of(scenario)
     if ideal:
@@ -118,36 +198,12 @@ def take_picture(
         np.deg2rad(off_nadir_deg), np.deg2rad(heading_deg),
     )  # fmt: skip
     camera = replace(camera, exposure=exposure or auto_exposure(camera, world, state))
-    photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth is not None)
-    if truth is not None:
-        write_whole(truth, partial(_save_truth, photo))
-    try:
-        write_whole(out, partial(_save_picture, photo))
-    except OSError:
-        if truth is not None:
-            truth.unlink(missing_ok=True)
-        raise
+    photo = camera.expose(world, state, 0.0, streams.get("camera"), truth=truth)
     sun = scenario.sun
-    return (
-        f"{out}: {camera.width} x {camera.height} pixels from {altitude:g} m; Sun elevation "
+    description = (
+        f"{camera.width} x {camera.height} pixels from {altitude:g} m; Sun elevation "
         f"{sun.elevation_deg:g} deg, azimuth {sun.azimuth_deg:g} deg; "
         f"{len(world.terrain.rocks)} rocks; exposure {1e3 * camera.exposure:.3g} ms; "
         f"{altitude / np.cos(np.deg2rad(off_nadir_deg)) / camera.fx:.3g} m per pixel"
     )
-
-
-def _save_picture(photo: Exposure, path: Path) -> None:
-    coded = cv2.imencode(".png", photo.counts)[1]
-    path.write_bytes(coded.tobytes())
-
-
-def _save_truth(photo: Exposure, path: Path) -> None:
-    assert photo.truth is not None
-    t = photo.truth
-    assert t.range is not None
-    assert t.normal is not None
-    assert t.identity is not None
-    with path.open("wb") as file:
-        np.savez_compressed(
-            file, radiance=t.radiance, range=t.range, normal=t.normal, identity=t.identity
-        )
+    return SceneImage(photo.counts, photo.truth, description)

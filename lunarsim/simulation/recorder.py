@@ -14,7 +14,8 @@ from lunarsim.messages.measurements import LidarScan, Measurements, Picture
 from lunarsim.onboard.computer import OnboardComputer
 from lunarsim.onboard.navigation.estimate import Estimate
 from lunarsim.onboard.policies.contract import Candidates, Decision
-from lunarsim.simulation.flight import COLUMNS, Flight, MapRecord
+from lunarsim.simulation.flight import COLUMNS, Flight
+from lunarsim.simulation.map_record import MapRecord
 from lunarsim.vehicle.state import State
 from lunarsim.vehicle.touchdown import Verdict
 

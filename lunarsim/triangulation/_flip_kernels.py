@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled triangulation of a detector's returns by edge flips of their mesh.
 
 Half-edges and coordinates are those of `_geometry_kernels`.

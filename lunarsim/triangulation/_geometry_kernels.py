@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled geometry of a triangulation on integer coordinates below 2**25.
 
 Triangles are half-edges: triangle t has half-edges 3 t, 3 t + 1, 3 t + 2; half-edge e starts at

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled triangulation of arbitrary points by insertion along a Hilbert curve.
 
 Half-edges and coordinates are those of `_geometry_kernels`.

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled rigid-body motion.
 
 State vector y (15,): position, velocity (ENU), quaternion (scalar last), body rate, mass, thrust.

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled contact of legs with the terrain, added to the rigid-body derivative.
 
 The state of a leg is (5,): crushed length, compression of spring and damper, and the contact point

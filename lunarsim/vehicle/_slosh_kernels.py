@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled motion of a body with slosh pendulums in its tanks.
 
 A pendulum of mass w and length L hangs from h; its bob is at r = h + L u. All are relative to the

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled touchdown on raster terrain: first contact and landing outcome.
 
 Terrain is a raster of heights (rows, cols), bilinear between posts; `frame` (3,) holds the

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from lunarsim.frames import quat_to_matrix
@@ -28,7 +29,7 @@ _DIVERT_STYLE = ("divert", "D", COLOURS[1])
 _PHASES = {1: "vertical descent", 2: "abort", 3: "braking"}
 
 
-def draw_descent(flight: Flight, path: Path) -> None:
+def draw_descent(flight: Flight, path: Path | None = None) -> Figure:
     """Draw the profile, and speeds, tilt, thrust, propellant and events over time."""
     figure = new_figure(12, 8.2)
     names = ("events", "speed", "tilt", "thrust", "propellant")
@@ -48,7 +49,9 @@ def draw_descent(flight: Flight, path: Path) -> None:
         axes[name].tick_params(labelbottom=name == names[-1])
     axes[names[-1]].set_xlabel("Time (s)")
     figure.suptitle(end_of(flight))
-    save(figure, path)
+    if path is not None:
+        save(figure, path)
+    return figure
 
 
 def _event_marks(flight: Flight) -> list[tuple[str, str, str, list[float]]]:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import io
+from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
+from lunarsim.evaluation.worlds import world_of
 from lunarsim.models.lander import Lander
+from lunarsim.scenario import Scenario
 from lunarsim.simulation.flight import Flight
 from lunarsim.viz.descent import draw_descent
 from lunarsim.viz.footprint import draw_footprint
 from lunarsim.viz.maps import draw_maps
+from lunarsim.viz.style import save
 from lunarsim.viz.window import map_figure_bounds
 from lunarsim.world import World
 from lunarsim.world.truth import Truth
@@ -19,23 +27,75 @@ def truth_shown(flight: Flight, world: World, lander: Lander) -> Truth:
     return Truth.of(world, lander, bounds=map_figure_bounds(flight, world))
 
 
-def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
-    """Write ``descent.png``, ``maps.png`` and ``touchdown.png`` of a flight into `folder`.
+@dataclass(frozen=True)
+class FlightFigures:
+    """Three figures of one flight; a notebook shows them.
 
-    A flight without a touchdown has no ``touchdown.png``.
+    Attributes
+    ----------
+    descent
+        Profile, speeds, tilt, thrust, propellant and events.
+    maps
+        True safety, the hazard map that the policy used, and what was measured.
+    touchdown
+        Footprint on the terrain; None if the flight ended without contact.
+    """
+
+    descent: Figure
+    maps: Figure
+    touchdown: Figure | None
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``descent.png``, ``maps.png`` and ``touchdown.png`` into `folder`; return it."""
+        for name, figure in self._named():
+            save(figure, Path(folder) / f"{name}.png")
+        return Path(folder)
+
+    def _repr_html_(self) -> str:
+        images = []
+        for name, figure in self._named():
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format="png", dpi=100)
+            data = base64.b64encode(buffer.getvalue()).decode("ascii")
+            images.append(f'<img alt="{name}" src="data:image/png;base64,{data}">')
+        return "\n".join(images)
+
+    def _named(self) -> list[tuple[str, Figure]]:
+        figures = {"descent": self.descent, "maps": self.maps, "touchdown": self.touchdown}
+        return [(name, figure) for name, figure in figures.items() if figure is not None]
+
+
+def plot_flight(
+    flight: Flight, world: World | None = None, truth: Truth | None = None
+) -> FlightFigures:
+    """Plot the descent, the maps and the touchdown of a finished flight.
 
     Parameters
     ----------
     flight
         Record of the flight.
     world
-        World of the flight, for instance from `lunarsim.evaluation.worlds.world_of`.
+        World of the flight; omitted: drawn again from its scenario and seed.
     truth
-        Exact safety of the world, or of the part that `truth_shown` returns.
-    folder
-        Folder of the figures.
+        Exact safety of the world, or of the part in the figure; omitted: evaluated.
+
+    Raises
+    ------
+    InputError
+        If the world cannot be drawn again, for instance because its raster file is missing.
     """
-    draw_descent(flight, Path(folder) / "descent.png")
-    draw_maps(flight, world, truth, Path(folder) / "maps.png")
-    if flight.verdict.touchdown is not None:
-        draw_footprint(flight, world, Path(folder) / "touchdown.png")
+    if world is None:
+        world = world_of(flight)
+    if truth is None:
+        truth = truth_shown(flight, world, Scenario.world_of(flight.scenario).vehicle.make())
+    landed = flight.verdict.touchdown is not None
+    return FlightFigures(
+        draw_descent(flight),
+        draw_maps(flight, world, truth),
+        draw_footprint(flight, world) if landed else None,
+    )
+
+
+def draw_flight(flight: Flight, world: World, truth: Truth, folder: str | Path) -> None:
+    """Write the figures of `plot_flight` into `folder` as PNG files."""
+    plot_flight(flight, world, truth).save(folder)

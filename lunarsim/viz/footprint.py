@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ _HALF_SIDE_IN_LEG_RADII = 2.2
 _VIOLATION_COLOUR = COLOURS[1]
 
 
-def draw_footprint(flight: Flight, world: World, path: Path) -> None:
+def draw_footprint(flight: Flight, world: World, path: Path | None = None) -> Figure:
     """Draw the terrain at touchdown relative to the pads, and metrics relative to their limits.
 
     Heights refer to a plane through three pads that the lander can stand on. Of the two candidate
@@ -65,7 +66,9 @@ def draw_footprint(flight: Flight, world: World, path: Path) -> None:
     map_axes(left, f"Terrain under the lander, true frame{remark}")
     _draw_limits(right, touchdown, lander)
     figure.suptitle(end_of(flight))
-    save(figure, path)
+    if path is not None:
+        save(figure, path)
+    return figure
 
 
 def _pads(lander: Lander, touchdown: Touchdown) -> Array:

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 
-from lunarsim.evaluation.map_words import words_on_maps
 from lunarsim.evaluation.outcome import initial_aim_point
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.map_words import words_on_maps
 from lunarsim.viz.reach import draw_reach
 from lunarsim.viz.style import COLOURS, end_of, hillshade, map_axes, new_figure, save, show
 from lunarsim.viz.window import divert_segments, map_figure_bounds
@@ -57,7 +58,7 @@ def _path_and_sites(axes: Any, flight: Flight, radius: float) -> None:
     axes.add_patch(Circle(end[:2], radius, fill=False, ec=COLOURS[1], lw=1.2))
 
 
-def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
+def draw_maps(flight: Flight, world: World, truth: Truth, path: Path | None = None) -> Figure:
     """Draw true terrain, exact safety, the map, and the LiDAR returns or tracked rocks.
 
     All panels are in the true frame: the map is shifted by the navigation error when it was drawn.
@@ -97,7 +98,9 @@ def draw_maps(flight: Flight, world: World, truth: Truth, path: Path) -> None:
             panel.set_ylabel("")
     figure.legend(handles=_legend() + outlines, loc="outside lower center", ncols=5)
     figure.suptitle(end_of(flight))
-    save(figure, path)
+    if path is not None:
+        save(figure, path)
+    return figure
 
 
 def _draw_truth(figure: Any, left: Any, right: Any, truth: Truth) -> None:
@@ -124,7 +127,7 @@ def _draw_map(figure: Any, panel: Any, flight: Flight, line_length: int) -> None
         sites = flight.candidates[:, :2] - flight.map_error[:2]
         panel.plot(*sites.T, **_CANDIDATE)
     map_axes(panel, "Hazard map and candidate sites")
-    words = words_on_maps(flight).get(flight.decided_on)
+    words = words_on_maps(flight.maps, flight.decided_on).get(flight.decided_on)
     if words is not None:
         text = panel.text(
             0.5, 0.97, fill(f"this map {words}", line_length), transform=panel.transAxes,

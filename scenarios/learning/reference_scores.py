@@ -69,7 +69,7 @@ def main() -> int:
                 raise InputError(f"--{field}", getattr(args, field), f"must be {least} or more")
         for name in args.only or ():
             if name not in AGENTS:
-                raise InputError("--only", name, suggestion(name, AGENTS))
+                raise InputError("--only", name, "is unknown", suggestion(name, AGENTS))
         print("| environment | agent | score [95 % interval] | safe landings [95 % interval] | "
         "propellant of safe landings (kg) |"
               " steps |\n| --- | --- | --- | --- | --- | --- |", flush=True)  # fmt: skip

@@ -15,7 +15,7 @@ import numpy as np
 from lunarsim.errors import InputError
 from lunarsim.rocks.laws import golombek_number
 from lunarsim.scenario import Scenario
-from lunarsim.simulation.picture import take_picture
+from lunarsim.simulation.picture import render
 
 SCENARIOS = Path(__file__).parents[1]
 DATA = SCENARIOS / "data"
@@ -205,7 +205,8 @@ def main(out: Path, only: str | None) -> None:
         for name, (tables, how) in SCENES.items():
             if only in {None, name}:
                 scenario = Scenario.from_dict({"name": name} | tables)
-                click.echo(take_picture(scenario, out=out / f"{name}.png", **how))
+                image = render(scenario, **how)
+                click.echo(f"{image.save(out / f'{name}.png')}: {image.description}")
         if only in {None, "rocks"}:
             click.echo(draw_rock_law(out))
         if only in {None, "shadows"}:

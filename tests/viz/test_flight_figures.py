@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from lunarsim.evaluation.map_words import map_words
 from lunarsim.grid import Grid
 from lunarsim.onboard.hazards.hazard_map import HazardMap
 from lunarsim.rng import flight_seed
 from lunarsim.rocks.field import RockField
 from lunarsim.scenario import Scenario
 from lunarsim.simulation import Simulation
+from lunarsim.simulation.map_words import map_words
 from lunarsim.viz import draw_comparison, draw_flight
 from lunarsim.viz.comparison import paired
 from lunarsim.viz.footprint import draw_footprint

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled kernels of the descent environments: random starts, flight steps and touchdown."""
 
 from __future__ import annotations

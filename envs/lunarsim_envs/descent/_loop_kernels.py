@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled attitude loop for blocks of lanes, with perfect gyroscopes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled proofs that a region is out of reach for every time-to-go."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of map cells: the best ones, and the nearest safe ones."""
 
 from __future__ import annotations

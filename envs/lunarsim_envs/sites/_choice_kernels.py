@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of candidate sites from maps, with their cost and expected miss."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled flights to a site: guidance, cost of diverts, and the next event."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled hazard maps of a pool's worlds (n, rows, cols), in each lander's local frame."""
 
 from __future__ import annotations

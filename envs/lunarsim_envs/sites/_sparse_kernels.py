@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled choice of a site on a sparse lattice of cells, for a million descents."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search for reachable sites that replace candidates out of reach."""
 
 from __future__ import annotations

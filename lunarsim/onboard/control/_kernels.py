@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled attitude control with gyroscopes.
 
 The state of the loop is (10,): estimated attitude (quaternion, scalar last), rate (3), torque (3).

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled evaluation of paths with given times-to-go."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search for the minimum time-to-go within limits on jerk and snap.
 
 With u = 1 / T and d the displacement to the target, a quartic path's jerk at its start and end and

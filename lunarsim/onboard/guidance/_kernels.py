@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled evaluation of the paths of a guidance law."""
 
 from __future__ import annotations

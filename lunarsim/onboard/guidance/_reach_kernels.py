@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search over many sites, sixteen at once by SIMD.
 
 Trials use single precision; the selected path is evaluated again in double precision. Rounding can

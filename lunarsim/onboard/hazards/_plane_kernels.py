@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled accumulation of moments for least-squares planes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled ordinary kriging of heights, and counting of posts below a scan."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled strapdown propagation of state and error covariance."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled nearest-neighbour search in the plane on a grid of squares."""
 
 from __future__ import annotations

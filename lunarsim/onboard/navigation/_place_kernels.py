@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled comparison of a scanned tile with a map at many places."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled averaging of a scan over map posts, and the Jacobian of its points."""
 
 from __future__ import annotations

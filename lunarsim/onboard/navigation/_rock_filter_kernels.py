@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled in-place updates of a covariance matrix."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled measurements of shadow edges and lit faces in an image."""
 
 from __future__ import annotations

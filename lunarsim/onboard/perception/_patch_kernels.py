@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled measurement of dark patches in one pass over a label image."""
 
 from __future__ import annotations

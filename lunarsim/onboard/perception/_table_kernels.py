@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled interpolation of tables over two directions."""
 
 from __future__ import annotations

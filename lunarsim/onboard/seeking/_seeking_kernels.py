@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled score of many paths: information gained about the terrain, and delta-v."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of the rocks to draw.
 
 A row of `rocks` is (x, y, base, a, b, height, cos yaw, sin yaw, shape); `reach` is the radius of a

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled computation of light scattered from terrain to terrain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of tiles of rocks for an image or a shadow map.
 
 Omitted tiles are certainly empty: bounds cover complete tiles and include a rounding margin.

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled drawing of rocks that cover a few pixels.
 
 A software OpenGL driver shades 16 pixels to draw one. Small rocks are therefore ray traced here,

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled bounds, errors and selection of the relief's tiles."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled addition of crater profiles to a grid of elevations."""
 
 from __future__ import annotations

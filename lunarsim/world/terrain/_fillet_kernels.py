@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled computation of the soil banked against rocks."""
 
 from __future__ import annotations

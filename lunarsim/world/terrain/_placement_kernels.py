@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled placement of rocks without overlap."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled ray casting over relief and rocks.
 
 The relief has a pyramid of maxima (Tevs, Ihrke and Seidel 2008): level 0 holds the highest post of

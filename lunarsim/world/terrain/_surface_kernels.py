@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled terrain queries at points.
 
 The relief is a grid of posts `z` (rows, cols) whose post (0, 0) lies at (x0, y0). Squares of

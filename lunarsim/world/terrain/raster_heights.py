@@ -117,8 +117,9 @@ class HeightScale:
         if unit is not None:
             metres = metres_in(unit)
             if metres is None:
-                known = suggestion(unit, _METRES)
-                raise InputError("terrain.dtm_unit", unit, f"must be a unit of length ({known})")
+                raise InputError(
+                    "terrain.dtm_unit", unit, "must be a unit of length", suggestion(unit, _METRES)
+                )
             return cls(scale, offset, unit, metres)
         names = [name for name in declared_units(source) if name.lower() not in _NO_UNIT]
         lengths = {name: metres_in(name) for name in names}

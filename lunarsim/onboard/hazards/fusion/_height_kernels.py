@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search for the highest sample near rocks."""
 
 from __future__ import annotations

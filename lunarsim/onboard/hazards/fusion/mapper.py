@@ -113,7 +113,7 @@ class FusedMapping:
         found: dict[str, type] = {}
         for name in names:
             if name not in parts:
-                raise InputError("of", name, suggestion(name, others))
+                raise InputError("of", name, "is unknown", suggestion(name, others))
             published = getattr(parts[name], "publishes", None)
             if published not in _EVIDENCE_NAMES:
                 raise InputError("of", name, "must be a mapper that publishes evidence")
@@ -135,7 +135,9 @@ class FusedMapping:
             return
         if self.feature not in parts:
             others = {n: p for n, p in parts.items() if n not in of}
-            raise InputError("feature", self.feature, suggestion(self.feature, others))
+            raise InputError(
+                "feature", self.feature, "is unknown", suggestion(self.feature, others)
+            )
         published = getattr(parts[self.feature], "publishes", None)
         if self.feature in of or published is not ReliefEvidence:
             raise InputError(

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled kernels of the conventional and the Gaussian DEM."""
 
 from __future__ import annotations

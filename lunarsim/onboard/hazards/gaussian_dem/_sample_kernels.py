@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled kernels of pooled samples and of the terrain roughness between them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search for hazards: points that leave the terrain planes (Eqs. 3 to 5).
 
 A cell needs a minimum point density to be evaluated. Exceptions are then counted in squares of a

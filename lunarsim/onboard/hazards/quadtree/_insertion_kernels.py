@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled insertion of sorted batches of points into a quadtree.
 
 Splitting a leaf divides its runs of points and moves no point.

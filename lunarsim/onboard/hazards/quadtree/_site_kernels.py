@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled selection of sites: terrain planes, hazard cells, landing zones.
 
 Positions are integers in half sides of the smallest cells ("half steps") from the south-west corner

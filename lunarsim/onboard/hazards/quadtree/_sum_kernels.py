@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled sums over the points of quadtree cells, and outliers in height.
 
 Sums are stored for nodes with children and for smallest cells with many points. Other leaves have

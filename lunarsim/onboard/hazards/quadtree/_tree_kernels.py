@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Data structure of a quadtree for compiled kernels, and queries of it.
 
 Nodes are stored in parallel arrays. The four children of a node are consecutive, so one index

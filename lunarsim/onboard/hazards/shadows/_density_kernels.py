@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled density of rocks that may exist given the observations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled evidence for clear terrain: whether a shadow would fall on lit ground."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled search for tiles of terrain about which an image is lit.
 
 If nothing dark lies in the image box that contains all core points of a tile's positions, all their

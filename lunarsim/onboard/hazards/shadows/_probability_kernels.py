@@ -1,3 +1,4 @@
+# mypy: allow-untyped-defs, no-check-untyped-defs
 """Compiled probability map: profile of one rock, and accumulation over rocks."""
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class ShadowMapping:
             return
         able = [n for n, p in parts.items() if getattr(p, "publishes", None) is ReliefEvidence]
         if self.ground not in able:
-            raise InputError("ground", self.ground, suggestion(self.ground, able))
+            raise InputError("ground", self.ground, "is unknown", suggestion(self.ground, able))
 
     def build(
         self,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lunarsim.onboard.hazards.hazard_map import HazardMap
-from lunarsim.simulation.flight import Flight
+from lunarsim.simulation.map_record import MapRecord
 
 # Threshold of p_safe: if all cells are above it, the map classifies everything safe.
 _SAFE_THRESHOLD = 0.5
@@ -37,12 +39,20 @@ def map_words(hazard_map: HazardMap | None) -> str | None:
     return words
 
 
-def words_on_maps(flight: Flight) -> dict[str, str]:
-    """Return remarks on the maps of a flight by mapper, including a missing decision map."""
-    names = dict.fromkeys([*flight.maps, *([flight.decided_on] if flight.decided_on else [])])
+def words_on_maps(maps: Mapping[str, MapRecord], decided_on: str) -> dict[str, str]:
+    """Return remarks on the maps of a flight by mapper.
+
+    Parameters
+    ----------
+    maps
+        Last map of each mapper.
+    decided_on
+        Mapper whose map the policy used; it is reported even without a map. Empty: none.
+    """
+    names = dict.fromkeys([*maps, *([decided_on] if decided_on else [])])
     found: dict[str, str] = {}
     for name in names:
-        record = flight.maps.get(name)
+        record = maps.get(name)
         words = map_words(None if record is None else record.hazard_map)
         rocks = None if record is None else record.tables.get("rocks")
         if words is not None and rocks is not None:
